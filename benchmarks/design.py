@@ -46,27 +46,14 @@ def main(folder: Path) -> None:
     tuned = taut.tune(
         loops(1, 3),
         tuple(BOUNDS),
-        method="search",
         bounds=BOUNDS,
         limits=taut.Limits.of(arm, rate=True),
         chatter=0.99,
         held_out=loops(11, 5),
-        evaluations=200,
+        seeds=(0, 1, 2),
     )
     print(tuned)
     tuned.plot().savefig(folder / "tune_panda.png", dpi=150)
-    print(
-        taut.tune(
-            loops(1, 3),
-            tuple(BOUNDS),
-            method="gradient",
-            bounds=BOUNDS,
-            limits=taut.Limits.of(arm, rate=True),
-            chatter=0.99,
-            held_out=loops(11, 5),
-            seeds=(0, 1, 2),
-        )
-    )
 
 
 if __name__ == "__main__":

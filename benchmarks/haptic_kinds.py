@@ -105,12 +105,11 @@ class DisplayAdmittance(taut.Law):
         return tau, {"q_d": q_d, "v_d": v_d}
 
 
-@dataclass(frozen=True, kw_only=True)
-class HumanHand:
+class HumanHand(taut.environments.Environment):
     """A mass that wants to follow a sine, held to the joint by a grip. Moments about the joint's axis, -y."""
 
-    def parameters(self) -> dict[str, Float64Array]:
-        return {"amplitude": np.asarray(AMPLITUDE), "omega": np.asarray(2.0 * np.pi)}
+    amplitude: taut.environments.Field = taut.environments.Field(AMPLITUDE, unit="rad")
+    omega: taut.environments.Field = taut.environments.Field(2.0 * np.pi, unit="rad/s")
 
     def start(self, T_WE: taut.Pose) -> dict[str, Any]:  # noqa: ARG002
         return {"z": 0.0, "w": 0.0}
@@ -128,15 +127,8 @@ class HumanHand:
         return taut.math.array([0.0, 0.0, 0.0, 0.0, -grip, 0.0]), {"z": z + dt * w, "w": w}
 
 
-@dataclass(frozen=True, kw_only=True)
-class StiffSpring:
+class StiffSpring(taut.environments.Environment):
     """A stiff spring to the ground with the damping of rubber."""
-
-    def parameters(self) -> dict[str, Float64Array]:
-        return {}
-
-    def start(self, T_WE: taut.Pose) -> dict[str, Any]:  # noqa: ARG002
-        return {}
 
     def wrench(
         self,

@@ -17,8 +17,7 @@ os.environ["TAUT_CACHE_DIR"] = tempfile.mkdtemp()  # so that compiling is measur
 import taut
 from taut.codegen.loop import StepLoop
 from taut.linear.linearise import rest_of
-from taut.linear.loop_map import LoopMap, loop_map
-from taut.linear.period import Point
+from taut.linear.period import LoopMap, Point, loop_map
 from taut.loop import Loop
 
 IMAGES = Path(__file__).parent.parent / "docs" / "images"
@@ -129,7 +128,7 @@ def _pictures() -> None:
     law = laws.Impedance(K=(800.0, 30.0), zeta=0.7)
     tool = taut.analysis.tool_impedance(Loop(taut.compile(law, arm), late, duration=1.0), direction=[0.0, 0.0, 1.0])
     omega = 2.0 * np.pi * np.array([0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0])
-    tool.plot(tool.measure(omega)).savefig(IMAGES / "linearise_tip.png", dpi=110)
+    tool.plot(omega).savefig(IMAGES / "linearise_tip.png", dpi=110)
 
 
 if __name__ == "__main__":

@@ -11,8 +11,8 @@ import os
 import sys
 import warnings
 
+from taut.base import __version__ as __version__
 from taut.base.front_door import lazy_names
-from taut.base.version import __version__ as __version__
 
 TYPE_CHECKING = False  # type checkers know it by its name; to load typing would take as long as all of this
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from taut import trajectories as trajectories
     from taut.analysis.design.design import design as design
     from taut.analysis.diagnosis.diagnosis import doctor as doctor
-    from taut.analysis.tune.tune import tune as tune
+    from taut.analysis.tuning import tune as tune
     from taut.arm.description import Arm as Arm
     from taut.arm.description import Friction as Friction
     from taut.arm.description import Payload as Payload
@@ -38,11 +38,10 @@ if TYPE_CHECKING:
     from taut.arm.servo import Servo as Servo
     from taut.base.errors import StabilityWarning as StabilityWarning
     from taut.base.errors import TautError as TautError
-    from taut.codegen.casadi import from_casadi as from_casadi
     from taut.codegen.casadi import to_casadi as to_casadi
-    from taut.codegen.function import native as native
     from taut.codegen.inverse_kinematics import IkResult as IkResult
     from taut.codegen.inverse_kinematics import inverse_kinematics as inverse_kinematics
+    from taut.codegen.kernel import native as native
     from taut.control.command import Position as Position
     from taut.control.command import Terms as Terms
     from taut.control.command import Torque as Torque
@@ -56,13 +55,13 @@ if TYPE_CHECKING:
     from taut.control.sensing.sensing import Sensing as Sensing
     from taut.control.side_by_side import SideBySide as SideBySide
     from taut.control.tasks.phase import Phase as Phase
-    from taut.control.trajectories.chunk import chunk as chunk
     from taut.control.trajectories.compound import together as together
     from taut.control.trajectories.force_reference import TaskForce as TaskForce
     from taut.control.trajectories.force_reference import pressing as pressing
     from taut.control.trajectories.reference import JointMotion as JointMotion
     from taut.control.trajectories.reference import hold as hold
     from taut.control.trajectories.reference import stream as stream
+    from taut.control.trajectories.samples import chunk as chunk
     from taut.control.trajectories.task_reference import TaskMotion as TaskMotion
     from taut.controller.compile import compile as compile
     from taut.controller.controller import Controller as Controller
@@ -78,7 +77,7 @@ if TYPE_CHECKING:
     from taut.record.log.reading import load_run as load_run
     from taut.record.metrics import Metrics as Metrics
     from taut.record.outcome import Outcome as Outcome
-    from taut.record.report.report import report as report
+    from taut.record.report import report as report
     from taut.record.run import Run as Run
     from taut.runtime.events import Event as Event
     from taut.runtime.host import PlantBase as PlantBase

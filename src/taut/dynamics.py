@@ -6,7 +6,7 @@ from taut.base.front_door import lazy_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from taut.maths.constraints.projection import onto as onto
+    from taut.maths.constraints.multipliers import onto as onto
     from taut.maths.constraints.rows import ConstraintRows as ConstraintRows
     from taut.maths.dynamics import bias as bias
     from taut.maths.dynamics import coriolis_matrix as coriolis_matrix

@@ -23,8 +23,8 @@ from taut.maths.adds import Adds
 from taut.maths.dynamics import pose
 from taut.maths.model import model_of
 from taut.maths.snapshot import MEASUREMENTS
-from taut.plant.disturbance import COMMAND, of_plant
-from taut.plant.force_feedback import check_force_feedback
+from taut.plant.contact import check_force_feedback
+from taut.plant.environments.environment import COMMAND, of_plant
 from taut.plant.sensors.sensors import Sensors
 
 __all__ = [
@@ -141,7 +141,8 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
     if probe.kind != plant.takes:
         raise MatchError(
             f"{law} gives a {probe.kind} and plant '{plant.name}' takes a {plant.takes}; choose a law for "
-            f"{plant.takes} commands, or a plant that takes '{probe.kind}'"
+            f"{plant.takes} commands, or a plant that takes '{probe.kind}'",
+            name="takes",
         )
     for name in side.needs:
         if name not in plant.measures:
@@ -365,7 +366,7 @@ class Loop:
     def step(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:
         """One control period: (what is recorded, memory after it).
 
-        Inputs may have disturbances too, see `taut.plant.disturbance`.
+        Inputs may have disturbances too, see `taut.plant.environments.environment`.
         """
         dt, plant = parameters[DT], subtree(memory, "plant")
         measured = self.measured(plant, inputs, parameters)

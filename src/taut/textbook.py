@@ -17,7 +17,7 @@ from taut.arm.description import Arm
 from taut.base.checks import finite_array, finite_scalar, positive_scalar
 from taut.base.errors import ModelError, NumericalError, RangeError, ShapeError, UsageError
 from taut.base.types import ArrayLike, Float64Array, Vector
-from taut.codegen.function import NativeFunction, native
+from taut.codegen.kernel import NativeFunction, native
 from taut.control.laws.joint import ComputedTorque as ComputedTorqueLaw
 from taut.control.trajectories.reference import JointMotion
 from taut.controller import compile

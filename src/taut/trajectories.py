@@ -10,14 +10,14 @@ if TYPE_CHECKING:
     from taut.control.trajectories.joint import Cubic as Cubic
     from taut.control.trajectories.joint import JerkLimited as JerkLimited
     from taut.control.trajectories.joint import Quintic as Quintic
-    from taut.control.trajectories.joint import Samples as Samples
     from taut.control.trajectories.joint import Sine as Sine
     from taut.control.trajectories.joint import Spline as Spline
     from taut.control.trajectories.joint import Trapezoidal as Trapezoidal
+    from taut.control.trajectories.samples import Samples as Samples
+    from taut.control.trajectories.samples import TaskSamples as TaskSamples
     from taut.control.trajectories.task import Circle as Circle
     from taut.control.trajectories.task import Line as Line
     from taut.control.trajectories.task import Screw as Screw
     from taut.control.trajectories.task import Steady as Steady
-    from taut.control.trajectories.task_reference import TaskSamples as TaskSamples
 
 __getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

@@ -38,8 +38,7 @@ class VirtualWall(taut.Law):
         return taut.Torque(wall=-taut.math.where((d > 0.0) * (push > 0.0), push, 0.0))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Touch:
+class Touch(taut.environments.Environment):
     """A passive thing of masses and springs that the tip holds, and a damper to the ground.
 
     The masses start where the tip starts. Speeds first, then positions: no energy is made in many short steps.
@@ -47,9 +46,6 @@ class Touch:
 
     thing: Thing = NOTHING
     b: float = 0.0  # [N s/m]
-
-    def parameters(self) -> dict[str, Float64Array]:
-        return {}
 
     def start(self, T_WE: taut.Pose) -> dict[str, Any]:
         n = len(self.thing.k)

@@ -318,7 +318,7 @@ CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
     (lambda: taut.analysis.calibrate_wrist(read_by(SPREAD_OUT), poses=SPREAD_OUT, noise=0.1), taut.errors.ShapeError, "noise"),
     (lambda: taut.analysis.calibrate_wrist(np.clip(read_by(SPREAD_OUT), -9.0, 9.0), poses=SPREAD_OUT, range=(9.0, 9.0)), taut.errors.RangeError, "wrenches"),
     (lambda: taut.analysis.calibration_poses(taut.load_arm("planar2"), count=2), taut.errors.RangeError, "count"),
-    (lambda: taut.analysis.calibration_poses(taut.load_arm("planar2"), count=2.5), taut.errors.UsageError, "count"),  # type: ignore[arg-type]
+    (lambda: taut.analysis.calibration_poses(taut.load_arm("planar2"), count=2.5), taut.errors.RangeError, "count"),  # type: ignore[arg-type]
     (lambda: taut.analysis.calibration_poses(taut.load_arm("planar2"), travel=0.0), taut.errors.RangeError, "travel"),
     (lambda: taut.analysis.calibration_poses(taut.load_arm("gantry3")), taut.errors.NumericalError, "arm"),
     (lambda: taut.analysis.calibration_poses(taut.load_arm("planar2").with_joints(effort=1e-3)), taut.errors.NumericalError, "arm"),

@@ -207,3 +207,17 @@ def test_bad_input_is_refused_by_name(case: str) -> None:
     with pytest.raises(kind) as caught:
         call()
     assert caught.value.name == name
+
+
+@pytest.mark.parametrize("name", ["panda", "xarm7"])
+def test_redundant_arms_are_passive_in_a_band_without_damping_of_the_null_space(name: str) -> None:
+    arm = taut.load_arm(name).with_friction(taut.Friction())
+    x = taut.snapshot(arm, arm.home)
+    apparent = 1.0 / np.diag(x.J() @ np.linalg.solve(x.M, x.J().T))
+    K = apparent * 10.0**2  # 10 rad/s along each axis
+    law = taut.laws.Impedance(K=K, B=1.5 * K / 200.0, coriolis="keep", null=None)
+    check = taut.analysis.check_stiffness(taut.compile(law, arm, rate=200.0), band=20.0)
+    assert check.stable
+    assert check.passive
+    law = taut.laws.Impedance(K=K, B=0.2 * K / 200.0, coriolis="keep", null=None)
+    assert not taut.analysis.check_stiffness(taut.compile(law, arm, rate=200.0), band=20.0).passive

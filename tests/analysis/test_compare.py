@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from typing import Any
 
 import numpy as np
 import pytest
 
 import taut
-from taut.analysis.compare.grading import Mark
-from taut.analysis.compare.truth import PlantChange
-from taut.analysis.compare.words import aligned
-from taut.base.errors import MatchError, RangeError, ScenarioError, UnknownNameError, UsageError
-from taut.base.plot_style import wrapped
+from taut.base.errors import RangeError, ScenarioError, UnknownNameError, UsageError
 from taut.scenarios.laws import law_of_text
 
 
@@ -61,9 +55,9 @@ def test_the_figures_are_those_of_the_recorded_arrays(table: taut.analysis.Compa
         assert numbers["steady_error"]["rad"] == pytest.approx(math.sqrt(np.mean(error[800:] ** 2)), rel=1e-12)
         assert numbers["effort"]["(N m)^2 s"] == pytest.approx(1e-3 * np.sum(run.tau[:-1] ** 2), rel=1e-12)
         assert numbers["peak_torque"]["N m"] == pytest.approx(np.abs(run.tau).max(), rel=1e-12)
-        assert numbers["saturation"]["% of ticks"] == pytest.approx(100.0 * cut.mean(), rel=1e-9)
+        assert numbers["saturation_time"]["s"] == pytest.approx(1e-3 * cut.sum(), rel=1e-9)
         assert numbers["chatter"]["N m/s"] == pytest.approx(steps / run.t[-1], rel=1e-12)
-    assert table.entries["PD"].numbers["saturation"]["% of ticks"] > 1.0
+    assert table.entries["PD"].numbers["saturation_time"]["s"] > 0.01
 
 
 def test_laws_are_ranked_by_the_figure_that_was_asked_for(table: taut.analysis.Comparison, planar: taut.Loop) -> None:
@@ -87,7 +81,7 @@ def test_wrong_models_are_the_arms_of_the_stated_seeds(table: taut.analysis.Comp
     numbers = table.entries["exact"].numbers
     assert numbers["model_median"]["rad"] == sorted(errors)[1]
     assert numbers["model_worst"]["rad"] == max(errors)
-    assert "masses by 30 %, up to 1 kg more payload, seeds 7 to 9" in table.report()
+    assert "masses by 30 %, up to 1 kg more payload, seeds 7 to 9" in str(table)
 
 
 def test_noise_of_positions_makes_the_chatter_that_white_noise_makes() -> None:
@@ -120,7 +114,7 @@ def test_noise_that_the_plant_has_is_compared_with_none() -> None:
     ]
     more = runs[0].metrics.overall["chatter"] - runs[1].metrics.overall["chatter"]
     assert told.entries["PD"].numbers["noise_chatter"]["N m/s"] == more
-    assert "the sensors as they are, against the same without noise" in told.report()
+    assert "the sensors as they are, against the same without noise" in str(told)
 
 
 def test_changed_parameters_of_a_loop_hold_for_every_law(planar: taut.Loop) -> None:
@@ -151,7 +145,7 @@ def test_a_law_that_fails_has_no_figures_and_comes_last(planar: taut.Loop) -> No
     assert told.ranking == ("PD", "wild")
     assert not told.ok
     assert told.entries["wild"].numbers == {}
-    assert "wild: the simulation diverged" in told.report()
+    assert "wild: the simulation diverged" in str(told)
 
 
 def without_limits(loop: taut.Loop) -> taut.Loop:
@@ -164,11 +158,7 @@ def test_a_law_of_the_tool_may_have_its_own_reference(planar: taut.Loop) -> None
     goal = taut.TaskMotion(pose=taut.snapshot(arm, [0.3, 0.5]).T())
     laws = {"joints": "PID(kp=200, kd=20)", "tool": "ViaJointSpace(inner=PID(kp=200, kd=20), directions='position')"}
     told = taut.compare(laws, without_limits(planar), references={"tool": goal}, noise={}, model=None)
-    assert set(told.entries["joints"].numbers) - set(told.entries["tool"].numbers) == {
-        "rms_error",
-        "peak_error",
-        "steady_error",
-    }
+    assert set(told.entries["joints"].numbers) - set(told.entries["tool"].numbers) == {"rms_error", "peak_error"}
     assert "task_rms" in told.entries["tool"].numbers
     assert told.plot().axes
 
@@ -198,7 +188,6 @@ def test_a_wrong_term_is_found_with_its_joint_and_time(planar: taut.Loop) -> Non
     assert [one.what for one in told.terms] == ["nonlinear"]
     assert told.command.size == pytest.approx(abs(coriolis[k, i]), rel=1e-9)
     assert (told.command.t, told.command.joint) == (told.reference_run.t[k], loop.side.arm.joint_names[i])
-    assert "term 'nonlinear' differs by" in told.report()
 
 
 class Wrong(taut.Law):
@@ -223,27 +212,10 @@ def test_a_term_that_is_wrong_in_its_own_measure_is_told_where_the_command_hardl
     way = taut.trajectories.Quintic(q0=arm.home, q1=arm.home + 0.5, duration=1.0)
     loop = taut.Loop(ctrl, taut.RigidPlant(arm, friction=None), way, duration=0.3)
     told = taut.analysis.grade(Wrong(kp=100.0, kd=20.0), "ComputedTorque(kp=100, kd=20)", loop)
-    assert told.same_command
+    assert told.command.ok
     assert told.wrong_term == "D"
-    lines = str(told).splitlines()
-    assert any(line.endswith(": pass as a whole, but not its term 'D'") for line in lines)
-    assert [line.endswith(": fail") for line in lines if line.startswith("  term 'D' differs by")] == [True]
+    assert [term.ok for term in told.terms] == [False]
     assert not told.ok
-
-
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({"model": 3}, "model must be a taut.analysis.WrongModel(mass=0.2), or None; got 3"),
-        ({"noise": [1]}, "noise must be given by name, {name: value}; got [1]"),
-        ({"parameters": {3: 1.0}}, "parameters must be given by name, {name: value}; got {3: 1.0}"),
-        ({"by": 3}, "by names a figure, or several: by='rms_error'; got 3"),
-    ],
-)
-def test_options_of_another_kind_are_refused(planar: taut.Loop, given: dict[str, Any], said: str) -> None:
-    with pytest.raises(UsageError) as caught:
-        taut.compare(["PID(kp=1)"], planar, **given)
-    assert str(caught.value) == said
 
 
 def test_what_depends_on_time_is_graded_at_its_time(planar: taut.Loop) -> None:
@@ -255,20 +227,6 @@ def test_what_depends_on_time_is_graded_at_its_time(planar: taut.Loop) -> None:
     assert grade.wrong_term == "dither"
     assert grade.terms[0].size == pytest.approx(gap.max(), rel=1e-9)
     assert grade.terms[0].t == pytest.approx(t[np.argmax(gap)])
-
-
-def test_errors_that_are_nothing_are_the_same(planar: taut.Loop) -> None:
-    """One that is 2e-10 of the peak beside one that is 1e-10: no teacher marks that as twice as large."""
-    mark = Mark(figure="steady_error", unit="rad", law=2e-8, reference=1e-8, tolerance=0.05, least=1e-6)
-    assert (mark.ok, mark.off) == (True, 0.0)
-    other = dataclasses.replace(mark, least=1e-12)
-    assert (other.ok, other.off_text) == (False, "+100.00 %")
-    assert dataclasses.replace(other, law=1.0).off_text == "over +10000 %"
-    grade = taut.analysis.grade("PID(kp=200, kd=20)", "PID(kp=201, kd=20)", planar)
-    least = {one.figure: one.least for one in grade.marks}
-    peak = next(one.reference for one in grade.marks if one.figure == "peak_error")
-    assert least["steady_error"] == pytest.approx(1e-6 * peak)
-    assert least["chatter"] == 1e-9
 
 
 def test_laws_side_by_side_have_the_errors_of_the_worst() -> None:
@@ -297,7 +255,6 @@ def test_the_same_law_in_other_words_passes(planar: taut.Loop) -> None:
     assert told.ok
     assert told.command.size < 1e-9
     assert told.wrong_term is None
-    assert "  the same" in told.report()
 
 
 def test_a_figure_fails_to_either_side_of_the_tolerance(planar: taut.Loop) -> None:
@@ -363,21 +320,8 @@ def test_a_text_is_never_run_as_code(text: str) -> None:
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_what_cannot_be_compared_is_one_sentence(table: taut.analysis.Comparison, planar: taut.Loop) -> None:
     run = table.runs["PD"]
-    hole = dataclasses.replace(
-        run.between(0.0, 0.1),
-        **{name: np.delete(getattr(run.between(0.0, 0.1), name), 50, axis=0) for name in ("t", "q", "v", "tau")},
-    )
-    fault = dataclasses.replace(run, outcome=dataclasses.replace(run.outcome, kind="diverged", message="it fell"))
-    broken = dataclasses.replace(run, tau=np.where(run.tau > 0.0, np.nan, run.tau))
     for runs, error, words in (
-        ({"a": hole}, UsageError, "run 'a' has a gap, from t = 0.049 to 0.051 s"),
-        (
-            {"a": fault},
-            UsageError,
-            "run 'a' did not go to its end, so that its figures are not those of the others: it fell",
-        ),
-        ({"a": run.between(0.0, 0.005)}, UsageError, "run 'a' is too short to compare: 6 ticks, of 10 at least"),
-        ({"a": broken}, RangeError, "run 'a' has numbers that are not finite"),
+        ({"a": run.between(0.0, 0.005)}, UsageError, "run 'a' needs 10 ticks or more to compare; got 6"),
         ([run] * 9, UsageError, "a comparison has 1 to 8 laws and runs; got 9"),
         ([], UsageError, "a comparison has 1 to 8 laws and runs; got 0"),
     ):
@@ -390,43 +334,40 @@ def test_what_cannot_be_compared_is_one_sentence(table: taut.analysis.Comparison
         (law, {}, UsageError, "laws are given in a list or by name"),
         ([law], {"by": "rms"}, UnknownNameError, "a comparison has no figure 'rms'"),
         ([law], {"noise": {"torqe": 1.0}}, UnknownNameError, "a plant has no sensor 'torqe'; did you mean 'torque'"),
-        ([law], {"noise": {"tip": 1.0}}, UsageError, "the plant has no sensor 'tip', which noise is stated for"),
+        ([law], {"noise": {"tip": 1.0}}, UsageError, "the plant has no sensor 'tip', which noise is given for"),
         ([law], {"case": "x"}, UsageError, "case is for a scenario that has cases"),
         ([law], {"references": {"P": 1}}, UnknownNameError, "the comparison has no law 'P'"),
-        ([law], {"parameters": {"plant.mass": 1}}, UsageError, "law 'PID': the loop has no parameter 'plant.mass'"),
-        (
-            ["ForceControl(kfp=1)"],
-            {},
-            MatchError,
-            "follows a TaskForce, and the loop asks for a JointMotion; give it a ref",
-        ),
+        ([law], {"parameters": {"plant.mass": 1}}, UsageError, "law 'PID': .* has no parameter 'plant.mass'"),
+        (["TaskComputedTorque(kp=1, kd=1)"], {}, UsageError, "the law follows TaskMotion"),
         (["PID(kp=[1, 2, 3])"], {}, UsageError, r"law 'PID\(kp=\[1, 2, 3\]\)': kp must be"),
     ):
         with pytest.raises(error, match=words):
             taut.compare(laws, planar, **options)
+    with pytest.raises(UsageError, match=r"model must be a taut.analysis.WrongModel\(mass=0.2\), or None; got 3"):
+        taut.compare([law], planar, model=3)  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="laws are compared on a scenario or"):
         taut.compare([law])
     with pytest.raises(UsageError, match="has cases; take one of 'ideal'"):
         taut.compare(None, "gain_bounds")
     with pytest.raises(UsageError, match="law 'wild' cannot be a reference here: the simulation diverged"):
         taut.analysis.grade("PID(kp=1)", "wild: PID(kp=1e9, kd=1e7)", without_limits(planar))
-    with pytest.raises(UsageError, match="grade takes two laws; got a Run"):
+    with pytest.raises(UsageError, match="grade takes two laws; got a run"):
         taut.analysis.grade(run, law, planar)
 
 
 @pytest.mark.parametrize(
-    ("numbers", "words"),
+    "numbers",
     [
-        ({"mass": -0.1}, "mass must be between 0 and 1; got -0.1"),
-        ({"payload": -1.0}, r"payload must be >= 0 \[kg\]; got -1.0"),
-        ({"mass": 0.1, "trials": 0}, "trials must be a whole number >= 1; got 0"),
-        ({"mass": 0.1, "seed": 0.5}, "seed must be a whole number >= 0; got 0.5"),
-        ({"mass": 0.1, "trials": 1001}, "trials must be <= 1000; got 1001"),
-        ({"mass": 0.0, "trials": 3}, "a wrong model needs one of mass, com, inertia, friction and payload"),
+        {"mass": -0.1},
+        {"payload": -1.0},
+        {"mass": 0.1, "trials": 0},
+        {"mass": 0.1, "seed": 0.5},
+        {"mass": 0.1, "trials": 1001},
+        {"mass": 0.0, "trials": 3},
     ],
 )
-def test_a_wrong_model_says_what_it_takes(numbers: dict[str, float], words: str) -> None:
-    with pytest.raises((RangeError, UsageError), match=words):
+def test_numbers_of_a_wrong_model_that_have_no_meaning_are_refused(numbers: dict[str, float]) -> None:
+    with pytest.raises((RangeError, UsageError)):
         taut.analysis.WrongModel(**numbers)
 
 
@@ -451,39 +392,3 @@ def test_a_gain_in_a_text_that_is_not_finite_is_told_by_name(text: str, said: st
 def test_an_unknown_gain_in_a_text_is_told() -> None:
     with pytest.raises(ScenarioError, match="has no key 'kq'"):
         law_of_text("PID(kp=1, kq=2)")
-
-
-def test_a_plant_change_leaves_the_arm_and_the_other_sensors_as_they_are() -> None:
-    sensors = taut.sensors.Sensors(
-        position=taut.sensors.Encoder(noise=1e-3, offset=0.1), torque=taut.sensors.TorqueSensor(noise=0.1)
-    )
-    quiet = PlantChange(noise={}).sensors(sensors)
-    assert (quiet.position.noise, quiet.position.offset, quiet.torque.noise) == (0.0, 0.1, 0.0)
-    louder = PlantChange(noise={"torque": 0.5}).sensors(sensors)
-    assert (louder.position.noise, louder.torque.noise) == (1e-3, 0.5)
-    assert PlantChange().sensors(sensors) is sensors
-    assert PlantChange().arm(taut.load_arm("planar2")).name == "planar2"
-
-
-def test_names_stand_whole_in_a_table_that_is_not_too_wide_and_have_a_rule_below_them_in_one_that_is() -> None:
-    rows = [("RMS error", "rad", "0.5"), ("effort", "(N m)^2 s", "11")]
-    name = "GravityPID(kp=20, kd=6)"
-    narrow = aligned([("", "", name), *rows])
-    assert narrow[0].endswith(name)
-    assert len(narrow) == 3
-    wide = aligned([("", "", *[name] * 5), *[(*row, *row[2:] * 4) for row in rows]])
-    assert [line.count("kd=6)") for line in wide] == [0, 5, 0, 0, 0]
-    assert wide[2].split() == ["-" * len("GravityPID(kp=20,")] * 5
-    assert len({len(line) for line in wide[1:]}) == 1
-
-
-@pytest.mark.parametrize(
-    ("name", "lines"),
-    [
-        ("GravityPID(kp=20, kd=6)", ["GravityPID(kp=20,", "kd=6)"]),
-        ("ComputedTorque(kp=100, kd=20)", ["ComputedTorque(", "kp=100, kd=20)"]),
-        ("soft", ["soft"]),
-    ],
-)
-def test_names_beside_bars_break_at_spaces_and_brackets(name: str, lines: list[str]) -> None:
-    assert wrapped(name, 18).splitlines() == lines

@@ -160,7 +160,7 @@ def off_in_simulation(d: taut.analysis.Design, arm: taut.Arm, q: np.ndarray, joi
         arm, friction=None if takes == "torque" else "arm", takes=takes,  # type: ignore[arg-type]
         actuation=drives, integrator="rk4" if takes == "torque" else "semi-implicit-euler",
     )  # fmt: skip
-    rest, target = d.systems[0].q, q.copy()
+    rest, target = d.systems[0].point.q, q.copy()
     target[joint] += SMALL
     ctrl, seconds = taut.compile(d.law, arm), float(d.steps.t[-1])
     run = taut.run(ctrl, plant, taut.JointMotion(q=target), q0=rest, duration=seconds, progress=False)
@@ -256,7 +256,7 @@ def test_what_can_be_is_met(make: Callable[[], Any], name: str, asked: dict[str,
 def test_a_stiffness_that_the_weight_changes_is_reported() -> None:
     arm = taut.load_arm("one_joint")
     d = taut.design(laws.PID, arm, at=[-1.2], zeta=1.0, K=10.0)
-    q = d.systems[0].q[0]
+    q = d.systems[0].point.q[0]
     g = [float(taut.snapshot(arm, [q + s * 1e-5]).g[0]) for s in (1.0, -1.0)]
     assert d.got("K")[0] == pytest.approx(10.0 + (g[0] - g[1]) / 2e-5, rel=1e-5)
     assert not d.met
@@ -361,7 +361,7 @@ def test_the_largest_step_is_the_one_that_takes_all_the_torque() -> None:
     for law in (laws.ComputedTorque, laws.PID):
         d = taut.design(law, arm, at=q, zeta=0.7, omega_n=40.0)  # small steps, as good as linear
         ctrl = taut.compile(d.law, arm, limits=taut.Limits(tau=arm.effort))
-        plant, rest = taut.RigidPlant(arm, friction=None), d.systems[0].q
+        plant, rest = taut.RigidPlant(arm, friction=None), d.systems[0].point.q
         limit = d.limit("largest step")
         for share, cut in ((0.97, False), (1.03, True)):
             saturated = []

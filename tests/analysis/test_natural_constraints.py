@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 import taut
 from taut import Constraint, Pose
-from taut.analysis.constraints.contact_modes import Mode
+from taut.analysis.constraints.natural_constraints import Mode
 from taut.analysis.constraints.specification import coefficients_of
 from taut.trace import math as tm
 
@@ -56,10 +56,8 @@ class TestTheChaptersExamples:
     def test_a_cabinet_door_has_one_motion_about_its_hinges_and_no_moment_about_them(self) -> None:
         T = Pose([0.8, 0.2, 0.3], rpy=[0.3, 0.1, 0.2])
         table = taut.analysis.natural_constraints(
-            Constraint.hinge(point=[0.5, 0.2, 0.0], axis=[0.0, 0.0, 1.0], T=T), at=T
+            Constraint.hinge(point=[0.5, 0.2, 0.0], axis=[0.0, 0.0, 1.0], T=T), at=T, frame=Pose([0.5, 0.2, 0.3])
         )
-        assert table.frame is not None
-        assert_allclose(table.frame.p, [0.5, 0.2, 0.3], atol=1e-12)
         assert [(row.natural, row.artificial) for row in table.rows] == [
             ("phi_x-dot = 0", "F_phi_x"),
             ("phi_y-dot = 0", "F_phi_y"),
@@ -68,7 +66,6 @@ class TestTheChaptersExamples:
             ("y-dot = 0", "F_y"),
             ("z-dot = 0", "F_z"),
         ]
-        assert "task frame: the world's axes, at [0.5, 0.2, 0.3] m" in str(table)
 
     @pytest.mark.parametrize(
         ("mode", "motions", "forces", "free"),
@@ -109,18 +106,8 @@ POSE = Pose([0.4, -0.3, 0.5], rpy=[0.3, -0.4, 0.5])
 
 
 class TestTables:
-    @pytest.mark.parametrize("name", THINGS)
-    def test_each_ready_made_constraint_has_a_frame_with_axes_alone(self, name: str) -> None:
-        make, k = THINGS[name]
-        table = taut.analysis.natural_constraints(make(POSE), at=POSE)
-        assert (table.motions, table.forces) == (6 - k, k)
-        assert of_axes_alone(table), str(table)
-        assert table.frame is not None
-        assert_allclose(table.frame.R.T @ table.frame.R, np.eye(3), atol=1e-12)
-        assert np.linalg.det(table.frame.R) == pytest.approx(1.0)
-
     @pytest.mark.parametrize("name", [*THINGS, "screw"])
-    @pytest.mark.parametrize("frame", [None, "world", "tool", Pose([1.0, -0.5, 0.2], rpy=[1.0, 2.0, 3.0])])
+    @pytest.mark.parametrize("frame", [None, Pose([1.0, -0.5, 0.2], rpy=[1.0, 2.0, 3.0])])
     def test_what_is_printed_is_what_the_constraint_says(self, name: str, frame: Pose | None) -> None:
         """In every frame: the rows, read back from text, hold for all of ker A and range A^T and for nothing else."""
         constraint = SCREW if name == "screw" else THINGS[name][0](POSE)
@@ -150,7 +137,7 @@ class TestTables:
         rng = np.random.default_rng(3)
         for k in range(1, 6):
             A = rng.normal(size=(k, 6))
-            table = taut.analysis.natural_constraints(Constraint.pfaffian(lambda T, A=A: A), at=POSE, frame="world")
+            table = taut.analysis.natural_constraints(Constraint.pfaffian(lambda T, A=A: A), at=POSE)
             assert_allclose(table.A @ table.N, 0.0, atol=1e-12)
             assert scipy.linalg.subspace_angles(table.N, scipy.linalg.null_space(A)).max() < 1e-7
             free = sorted(row.index for row in table.rows if row.free == "motion")
@@ -158,43 +145,27 @@ class TestTables:
             assert_allclose((table.N @ u)[free], u, atol=1e-12)
             assert_allclose(np.linalg.pinv(table.N) @ table.N, np.eye(6 - k), atol=1e-12)
 
-    def test_a_slightly_tilted_board_keeps_the_names_of_its_axes(self) -> None:
-        tilt = np.radians(3.0)
-        board = Constraint.plane(point=POSE.p, normal=[np.sin(tilt), 0.0, np.cos(tilt)])
+    def test_the_axes_are_the_tools_where_each_constraint_is_along_one_of_these(self) -> None:
+        board = Constraint.plane(point=POSE.p, normal=POSE.R[:, 2], face=[0.0, 0.0, -1.0])
         table = taut.analysis.natural_constraints(board, at=POSE)
-        assert table.rows[-1].natural == "z-dot = 0"
-        assert table.frame is not None
-        assert_allclose(table.frame.R, Pose(rpy=[0.0, tilt, 0.0]).R, atol=1e-12)
-        assert f"x = [{np.cos(tilt):.4g}, 0, {-np.sin(tilt):.4g}], y = [0, 1, 0]" in str(table)
-
-    def test_the_frame_follows_a_motion_of_everything(self) -> None:
-        """Turned and shifted as a whole, a thing has rows of axes alone, and the same counts."""
-        rng = np.random.default_rng(8)
-        for _ in range(6):
-            R, n, a = Pose(wxyz=(q := rng.normal(size=4)) / np.linalg.norm(q)).R, *rng.normal(size=(2, 3))
-            T = Pose(rng.normal(size=3), R=R)
-            for made in (
-                Constraint.plane(point=T.p, normal=n) + Constraint.line(point=T.p, axis=np.cross(n, a)),
-                Constraint.hinge(point=rng.normal(size=3), axis=a, T=T),
-                Constraint.plane(point=T.p, normal=T.R @ n, face=-n),
-            ):
-                table = taut.analysis.natural_constraints(made, at=T)
-                assert of_axes_alone(table), str(table)
+        assert of_axes_alone(table), str(table)
+        assert table.notes == (
+            "task frame: the tool's axes, at the tool's origin", "the contact can be pressed and not pulled: F_z <= 0",
+        )  # fmt: skip
 
     def test_a_screw_has_sums_and_so_has_a_hinge_seen_from_the_tool(self) -> None:
         naturals = [row.natural for row in taut.analysis.natural_constraints(SCREW, at=Pose()).rows]
         assert {"z-dot - 0.01 phi_z-dot = 0", "0.01 F_z + F_phi_z = 0"} < set(naturals)
         T = Pose([0.8, 0.2, 0.3])
         door = Constraint.hinge(point=[0.5, 0.2, 0.0], axis=[0.0, 0.0, 1.0], T=T)
-        naturals = [row.natural for row in taut.analysis.natural_constraints(door, at=T, frame="world").rows]
+        naturals = [row.natural for row in taut.analysis.natural_constraints(door, at=T).rows]
         assert {"y-dot - 0.3 phi_z-dot = 0", "0.3 F_y + F_phi_z = 0"} < set(naturals)
 
     def test_a_surface_that_moves_says_how_fast(self) -> None:
         belt = Constraint.plane(point=[0, 0, 0], normal=[0, 0, 1.0], velocity=[0.3, 0, 0.1])
-        table = taut.analysis.natural_constraints(belt, at=Pose([0.0, 0.0, 0.2]), t=2.0)
+        table = taut.analysis.natural_constraints(belt, at=Pose([0.0, 0.0, 0.2]))
         assert table.rows[-1].natural == "z-dot = 0.1"
         assert_allclose(table.phi_t, [-0.1])
-        assert "off the constraint" not in str(table)
         assert table.check([0.0, 0.0, 0.1, 0.0, 0.0, 0.0]).ok
         assert not table.check(np.zeros(6)).ok
 
@@ -213,15 +184,6 @@ class TestArms:
         x = taut.snapshot(taut.load_arm("panda"), taut.load_arm("panda").home)
         belt = Constraint.plane(point=x.T().p, normal=[0, 0, 1.0], velocity=[0, 0, 0.1])
         assert taut.analysis.natural_constraints(belt, at=x).rows[-1].natural == "z-dot = 0.1"
-
-    def test_a_frame_of_the_arm_is_called_by_its_name(self) -> None:
-        arm = taut.load_arm("panda")
-        x = taut.snapshot(arm, arm.home)
-        T = x.T("panda_link6")
-        slot = Constraint.plane(point=T.p, normal=T.R[:, 1], frame="panda_link6")
-        table = taut.analysis.natural_constraints(slot, at=x, frame="tool")
-        assert table.notes[0] == "task frame: the axes of 'panda_link6', at the origin of 'panda_link6'"
-        assert table.notes[1] == "the contact can be pressed and not pulled: F_y <= 0"
 
     def test_two_arms_that_hold_one_bar_have_the_joints_that_are_left(self) -> None:
         arm = taut.load_arm("baxter")
@@ -258,9 +220,8 @@ class TestArms:
     def test_rows_that_say_the_same_twice_count_once(self) -> None:
         table = taut.analysis.natural_constraints(BOARD + BOARD, at=Pose())
         assert (table.motions, table.forces) == (5, 1)
-        assert table.notes[-1] == "of the 2 rows 1 are independent"
 
-    def test_a_pose_off_the_constraint_is_told(self) -> None:
+    def test_a_pose_off_the_constraint_is_reported(self) -> None:
         assert (
             taut.analysis.natural_constraints(BOARD, at=Pose([0, 0, 0.01])).notes[-1]
             == "the pose is off the constraint: phi[0] = 0.01"
@@ -295,7 +256,6 @@ class TestChecks:
             ("stick", [0.1, 0, 0, 0, 0, 0], None, [("x-dot", 0.1, "= 0")]),
             ("stick", None, [3.0, 4.0, -10.0, 0, 0, 0], [("tangential force", 5.0, "<= 3")]),
             ("apart", [0, 0, 0.1, 0, 0, 0], None, []),
-            ("apart", [0, 0, -0.1, 0, 0, 0], None, [("d phi / dt", -0.1, ">= 0")]),
             ("apart", None, [0, 0, -5.0, 0, 0, 0], [("F_z", -5.0, "= 0")]),
         ],
     )
@@ -308,13 +268,6 @@ class TestChecks:
         found = [(each.quantity, each.value, each.rule) for each in check.violations]
         assert found == [(name, pytest.approx(value), rule) for name, value, rule in violations]
         assert all(name in str(check) for name, _, _ in violations)
-
-    def test_apart_in_the_air_any_motion_may_be_chosen(self) -> None:
-        assert (
-            taut.analysis.natural_constraints(BOARD, at=Pose([0, 0, 0.1]), mode="apart")
-            .check([0, 0, -0.1, 0, 0, 0])
-            .ok
-        )
 
     def test_apart_nothing_of_the_eraser_is_left_but_other_constraints_are(self) -> None:
         assert taut.analysis.natural_constraints(ERASER, at=Pose([0, 0, 0.02]), mode="apart").motions == 6
@@ -336,21 +289,18 @@ class TestChecks:
             answer = table.check(F_app=[*F, 0, 0, 0])
             (cone,) = answer.cones
             assert cone.margin == pytest.approx(0.4 * pressing - tangential, abs=1e-9)
-            assert answer.ok == cone.inside == (tangential <= 0.4 * pressing)
+            assert answer.ok == (tangential <= 0.4 * pressing)
             seen.add(answer.ok)
         assert seen == {True, False}
 
-    def test_a_chalk_in_a_hand_sticks_where_it_touches(self) -> None:
-        """The force goes through the point, so its moment at the hand's origin is r x F."""
-        r = np.array([0.1, 0.0, -0.2])
-        board = Constraint(lambda T: (T.p + T.R @ r)[2], one_sided=True)
-        T = Pose([0.0, 0.0, 0.2])
-        table = taut.analysis.natural_constraints(board, at=T, mode="stick", friction=0.3, point=T.p + r)
+    def test_a_frame_of_the_arm_sticks_where_it_touches(self) -> None:
+        arm = taut.load_arm("panda")
+        board = Constraint(lambda T: T.p[2] - 0.2, frames=("panda_hand",), one_sided=True)
+        table = taut.analysis.natural_constraints(board, at=taut.snapshot(arm, arm.home), mode="stick", friction=0.3)
         F = np.array([1.0, 0.5, -5.0])
-        assert table.check(F_app=[*F, *np.cross(r, F)]).ok
-        assert not table.check(F_app=[*F, 0, 0, 0]).ok
-        w = np.array([0.1, 0.2, 0.3])
-        assert table.check([*np.cross(r, w), *w]).ok  # what touches rests: v + w x r = 0
+        assert table.check(F_app=[*F, 0, 0, 0]).ok
+        assert not table.check(F_app=[*F, *np.cross([0.1, 0.0, -0.2], F)]).ok
+        assert table.check([0, 0, 0, 0.1, 0.2, 0.3]).ok
         assert of_axes_alone(table)
 
     def test_samples_of_a_motion_are_taken(self) -> None:
@@ -377,9 +327,8 @@ REFUSED: dict[str, tuple[dict[str, object], type[Exception], str]] = {
     "no frame": ({"frame": "task"}, taut.errors.UsageError, "frame"),
     "apart from no contact": ({"constraint": WHEEL, "mode": "apart"}, taut.errors.UsageError, "mode"),
     "no pose": ({"at": [0, 0, 0]}, taut.errors.UsageError, "at"),
-    "a time twice": ({"at": PLANAR, "t": 1.0}, taut.errors.UsageError, "t"),
     "joints at a pose": ({"constraint": JOINT}, taut.errors.UsageError, "at"),
-    "a frame of joints": ({"constraint": JOINT, "at": PLANAR, "frame": "world"}, taut.errors.UsageError, "frame"),
+    "a frame of joints": ({"constraint": JOINT, "at": PLANAR, "frame": Pose()}, taut.errors.UsageError, "frame"),
     "friction of joints": ({"constraint": JOINT, "at": PLANAR, "friction": 0.3}, taut.errors.UsageError, "friction"),
     "no gradient": ({"constraint": Constraint(lambda T: T.p[2] ** 2)}, taut.errors.RangeError, "constraint"),
     "NaN": ({"constraint": Constraint(lambda T: tm.sqrt(T.p @ T.p) - 0.1)}, taut.errors.RangeError, "constraint"),
@@ -387,8 +336,7 @@ REFUSED: dict[str, tuple[dict[str, object], type[Exception], str]] = {
         {"constraint": Constraint(lambda T: (T.R @ [0.1, 0, 0])[2], one_sided=True), "friction": 0.3},
         taut.errors.UsageError, "friction",
     ),
-    "off the origin": ({"constraint": LEVER, "friction": 0.3}, taut.errors.RangeError, "point"),
-    "off the line": ({"friction": 0.3, "point": [0.02, 0, 0]}, taut.errors.RangeError, "point"),
+    "off the origin": ({"constraint": LEVER, "friction": 0.3}, taut.errors.RangeError, "friction"),
 }  # fmt: skip
 
 

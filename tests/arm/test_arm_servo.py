@@ -17,7 +17,7 @@ import pytest
 import taut
 from taut import Friction, Servo
 from taut.errors import FileError, ModelError, RangeError, ShapeError, UnknownNameError, UsageError
-from taut.maths.friction_law import FrictionValues, dry_limit
+from taut.maths.friction import FrictionValues, dry_limit
 
 WHEELS = Path(__file__).parents[2] / ".wheels"  # filled by set-up
 WHEEL = WHEELS / "better_actuator_models-1.0.2-py3-none-any.whl"

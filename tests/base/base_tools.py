@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 
 from taut.base.types import Float64Array
-from taut.codegen.layout import Block
 from taut.codegen.llvm import declarations, kernel
 from taut.codegen.native import compiled
-from taut.codegen.program import Program
+from taut.codegen.program import Block, Program
 from taut.trace.array import traced_array
 from taut.trace.graph import Graph
 from taut.trace.scalar import Condition, Scalar, to_node, tracing

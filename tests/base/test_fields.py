@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from taut.base.errors import RangeError, ShapeError, TautError, UnknownNameError, UsageError
-from taut.base.fields import Choice, Declared, Field, Part, Parts, Plain, Refusal, read
+from taut.base.fields import Choice, Declared, Field, Part, Plain, Refusal, Whole
 from taut.trace.array import traced_array
 from taut.trace.graph import Graph
 from taut.trace.scalar import Scalar
@@ -102,16 +102,12 @@ WRONG: dict[str, tuple[type[TautError], type[Declared], str, str]] = {  # of an 
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_a_wrong_value_gets_one_sentence_as_an_argument_and_as_a_key(case: str) -> None:
+def test_a_wrong_value_gets_one_sentence(case: str) -> None:
     kind, cls, text, words = WRONG[case]
-    table = tomllib.loads(text)
-    given = {name: Tool(**x) if isinstance(x, dict) else x for name, x in table.items()}
-    for error, expected in (
-        (error_of(lambda: cls(**given)), words.format("", owner=cls.__name__)),
-        (error_of(lambda: read(cls, table, "plant.it")), words.format("plant.it.", owner="plant.it")),
-    ):
-        assert type(error) is kind
-        assert str(error) == expected
+    given = {name: Tool(**x) if isinstance(x, dict) else x for name, x in tomllib.loads(text).items()}
+    error = error_of(lambda: cls(**given))
+    assert type(error) is kind
+    assert str(error) == words.format("", owner=cls.__name__)
 
 
 def test_an_error_keeps_field_joint_and_value() -> None:
@@ -200,50 +196,16 @@ def test_rows_and_schema_state_unit_rule_and_documentation() -> None:
     assert Tool.schema()["required"] == ["mass"]
 
 
-class Shape(Declared):
-    pass
+class Steps(Declared):
+    count: Whole = Whole(minimum=1, maximum=100)
 
 
-class Ball(Shape):
-    radius: Field = Field(unit="m", above=0.0)
-
-
-class Box(Shape):
-    sides: Field = Field(unit="m", shape=3, above=0.0)
-
-
-KINDS = {"ball": Ball, "box": Box}
-
-
-class Scene(Declared):
-    shapes: Parts[tuple[Shape, ...]] = Parts(Shape, kinds=KINDS, default=())  # type: ignore[arg-type]
-    floor: Part[Shape | None] = Part(Shape, kinds=KINDS, optional=True)
-    origin: Field = Field((0.0, 0.0, 0.0), unit="m", shape=3, convert=lambda x: [*x, 0.0] if len(x) == 2 else x)
-    unit: Plain[float] = Plain(float, default=1.0, from_data=lambda word, path: {"mm": 1e-3, "m": 1.0}[word])
-
-
-def test_a_table_is_read_with_kinds_arrays_of_tables_and_conversions() -> None:
-    text = """
-    origin = [1, 2]
-    unit = "mm"
-    floor = { kind = "box", sides = [1, 2, 3] }
-    [[shapes]]
-    kind = "ball"
-    radius = 0.5
-    [[shapes]]
-    kind = "box"
-    sides = [1, 1, 1]
-    """
-    scene = read(Scene, tomllib.loads(text), "scene")
-    assert [type(shape) for shape in scene.shapes] == [Ball, Box]
-    assert (scene.origin.tolist(), scene.unit, type(scene.floor)) == ([1.0, 2.0, 0.0], 1e-3, Box)
-    for data, words in (
-        ({"shapes": [{"kind": "ball", "radius": -1}]}, "scene.shapes[0].radius must be > 0 [m]; got -1.0"),
-        ({"floor": {"kind": "bal"}}, "scene.floor.kind 'bal' is not known; did you mean 'ball'?"),
-        ({"floor": {}}, "scene.floor needs kind, one of 'ball', 'box'"),
-    ):
-        assert str(error_of(lambda data=data: read(Scene, data, "scene"))) == words
-    assert type(read(KINDS, {"kind": "ball", "radius": 1.0}, "it")) is Ball
+def test_a_whole_number_is_one_in_its_range() -> None:
+    assert type(Steps(count=np.int64(3)).count) is int
+    for wrong in (0, 101, 2.5, True, "3"):
+        assert str(error_of(lambda wrong=wrong: Steps(count=wrong))) == (
+            f"count must be a whole number >= 1 and <= 100; got {wrong!r}"
+        )
 
 
 def test_slips_in_a_class_are_refused_when_it_is_made() -> None:

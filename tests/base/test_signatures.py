@@ -15,7 +15,7 @@ import pytest
 
 import taut
 from taut.base.fields import Declared
-from taut.base.signatures import checked_arguments
+from taut.base.front_door import checked_arguments
 
 ARM = taut.load_arm("planar2")
 

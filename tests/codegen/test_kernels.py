@@ -14,11 +14,10 @@ import taut
 from taut import math as tm
 from taut.base.types import Float64Array
 from taut.codegen.engine import Steps
-from taut.codegen.layout import Block
 from taut.codegen.llvm import _Body, declarations, kernel, number
 from taut.codegen.loop import StepLoop
 from taut.codegen.native import compiled
-from taut.codegen.program import Program, trace
+from taut.codegen.program import Block, Program, trace
 
 ULP = 2.0**-52
 SINE = 1.5 * ULP  # the reduction keeps 1e-16 of the angle for |x| < 1e6, the polynomials half a unit of the result

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from taut.codegen.engine import Steps
-from taut.codegen.layout import Block
 from taut.codegen.native import available
+from taut.codegen.program import Block
 from taut.codegen.tangent import TANGENT, StepTangent
 from taut.trace import math as tm
 

@@ -11,7 +11,7 @@ import pytest
 
 import taut
 from taut.base.types import Float64Array
-from taut.maths.out_of_reach import distance_beyond, spheres
+from taut.maths.singularity import distance_beyond, spheres
 from taut.maths.spatial import rotation_exp
 
 L = taut.laws

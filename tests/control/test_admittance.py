@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,19 +22,12 @@ D, B = 10.0, 20.0  # [kg], [N s/m]
 WITHIN = 0.05  # what is felt, of what was asked for
 
 
-@dataclass(frozen=True, kw_only=True)
-class Wave:
+class Wave(taut.environments.Environment):
     """A hand whose wrench is a sine of time."""
 
-    amplitude: tuple[float, ...]
-    frequency: float = 1.0
+    amplitude: taut.environments.Field = taut.environments.Field(unit="N, N m", shape=6)
+    frequency: taut.environments.Field = taut.environments.Field(1.0, unit="Hz")
     phase: float = 0.0
-
-    def parameters(self) -> dict[str, Any]:
-        return {"amplitude": np.asarray(self.amplitude), "frequency": np.asarray(self.frequency)}
-
-    def start(self, T_WE: taut.Pose) -> dict[str, Any]:
-        return {}
 
     def wrench(
         self, T_WE: Any, twist: Any, t: Any, memory: Any, parameters: Mapping[str, Any], dt: Any

@@ -11,7 +11,7 @@ import scipy.signal
 
 import taut
 from taut.base.types import Float64Array
-from taut.control.sensing.velocity import kalman_gains
+from taut.control.sensing.filters import kalman_gains
 
 Array = Float64Array
 RATE = 1000.0

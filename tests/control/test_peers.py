@@ -1,6 +1,6 @@
 """Our laws with the parameters of docs/coming_from.md against other libraries: their torques, or their formulas.
 
-The torques of robosuite and newton are in peer_vectors.json, made by tools/peer_vectors.py from the libraries themselves.
+The torques of robosuite and newton are in peer_vectors.json, made by tests/control/make_peer_vectors.py from the libraries themselves.
 """
 
 from __future__ import annotations

@@ -11,10 +11,10 @@ from task_motion_tools import POSES, START, assert_exact_rates
 
 import taut
 from taut.base.types import Float64Array
-from taut.control.trajectories.fade import Fade, can_fade
+from taut.control.trajectories.feed import Fade, can_fade
 from taut.control.trajectories.reference import Sample, sample_rows
 from taut.control.trajectories.task_reference import TaskMotion
-from taut.maths.rotation_rows import exp_rows, from_body_rates, log_rows, to_body_rates
+from taut.maths.spatial import exp_rows, from_body_rates, log_rows, to_body_rates
 
 ARM = taut.load_arm("planar2")
 TIMES = np.array([0.0, 0.6, 1.1, 2.0])
@@ -122,14 +122,17 @@ class TestChunks:
     @pytest.mark.parametrize(
         ("make", "words"),
         [
-            (lambda: taut.chunk([0.0], [START, START]), "targets must have one sample per time; got 2 for 1 times"),
+            (
+                lambda: taut.chunk([0.0], [START, START]),
+                "targets must have one sample for each time; got 2 for 1 times",
+            ),
             (
                 lambda: taut.chunk([0.0, 0.1], [START, taut.TaskMotion(pose=START)]),
                 "targets must be numbers [rad | m] in a rectangular array; got",
             ),
             (
                 lambda: taut.chunk([0.0, 0.1], [taut.JointMotion(q=[0.0]), taut.TaskMotion(pose=START)]),
-                "targets must be samples of one kind and size; targets[1].q has shape () and targets[0].q (1,)",
+                "targets must be of one kind and size; q of targets[1] has shape (), not (1,)",
             ),
         ],
     )

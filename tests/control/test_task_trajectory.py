@@ -127,7 +127,7 @@ class TestCircle:
         rng = np.random.default_rng(3)
         for _ in range(20):
             via, end = START.p + 0.2 * rng.standard_normal((2, 3))
-            arc = taut.trajectories.Circle.through(T0=START, via=via, end=end, duration=T)
+            arc = taut.trajectories.Circle(T0=START, via=via, end=end, duration=T)
             np.testing.assert_allclose(arc.at(T).p, end, atol=1e-12)
             distances = np.linalg.norm(arc.rows(np.linspace(0.0, T, 20001)).p - via, axis=1)
             assert distances.min() < 1e-3 * arc.radius  # of the nearest of the rows
@@ -198,10 +198,9 @@ KNOTS = [0.0, 0.6, 1.1, 2.0]
 
 
 class TestSamples:
-    @pytest.mark.parametrize("interpolation", ["spline", "linear"])
-    @pytest.mark.parametrize("count", [1, 2, 3, 4])
-    def test_they_go_through_their_poses_with_exact_rates(self, interpolation: str, count: int) -> None:
-        motion = taut.trajectories.TaskSamples(times=KNOTS[:count], poses=WAY[:count], interpolation=interpolation)
+    @pytest.mark.parametrize("count", [2, 3, 4])
+    def test_they_go_through_their_poses_with_exact_rates(self, count: int) -> None:
+        motion = taut.trajectories.TaskSamples(times=KNOTS[:count], poses=WAY[:count])
         for t, pose in zip(KNOTS[:count], WAY, strict=False):
             np.testing.assert_allclose(motion.at(t).p, pose.p, atol=1e-14)
             np.testing.assert_allclose(motion.at(t).R, pose.R, atol=1e-13)
@@ -216,11 +215,6 @@ class TestSamples:
             near, far = motion.at(t - 1e-9), motion.at(t + 1e-9)
             np.testing.assert_allclose(near.twist, far.twist, atol=1e-6)
             np.testing.assert_allclose(near.acceleration, far.acceleration, atol=1e-5)
-
-    def test_linear_ones_are_slerp_in_between(self) -> None:
-        motion = taut.trajectories.TaskSamples(times=KNOTS, poses=WAY, interpolation="linear")
-        slerp = Slerp(KNOTS, Rotation.from_matrix([pose.R for pose in WAY]))
-        np.testing.assert_allclose(motion.rows(INSIDE).R, slerp(INSIDE).as_matrix(), atol=1e-14)
 
     @pytest.mark.parametrize("order", ["xyzw", "wxyz", "rpy"])
     def test_a_csv_file_says_the_order_of_its_rotation_in_the_header(self, order: str, tmp_path: Path) -> None:
@@ -246,27 +240,27 @@ REFUSED: list[tuple[Any, type[Exception], str]] = [
     (
         lambda: taut.trajectories.Line(T0=NOT_A_POSE, T1=START, duration=1.0),
         taut.errors.UsageError,
-        "T0 must be a taut.Pose(p=..., rpy=...); got list",
+        "T0 must be a Pose; got list",
     ),
     (
         lambda: taut.trajectories.Screw(T0=START, T1=NOT_A_POSE, duration=1.0),
         taut.errors.UsageError,
-        "T1 must be a taut.Pose(p=..., rpy=...); got list",
+        "T1 must be a Pose; got list",
     ),
     (
         lambda: taut.trajectories.Line(**POINT),
         taut.errors.UsageError,
-        "Line needs duration= [s], or velocity= and acceleration=, each (linear, angular)",
+        "Line needs duration [s], or velocity and acceleration, each (linear, angular)",
     ),
     (
         lambda: taut.trajectories.Line(**POINT, velocity=(1.0, 1.0)),
         taut.errors.UsageError,
-        "Line needs acceleration= too, as (linear, angular) [m/s^2, rad/s^2]",
+        "Line needs acceleration too, as (linear, angular) [m/s^2, rad/s^2]",
     ),
     (
         lambda: ring(acceleration=(1.0, 1.0)),
         taut.errors.UsageError,
-        "Circle needs velocity= too, as (linear, angular) [m/s, rad/s]",
+        "Circle needs velocity too, as (linear, angular) [m/s, rad/s]",
     ),
     (
         lambda: taut.trajectories.Line(**POINT, velocity=0.5, acceleration=(1.0, 1.0)),
@@ -302,12 +296,12 @@ REFUSED: list[tuple[Any, type[Exception], str]] = [
     (
         lambda: ring(centre=[0.41, 0.0, 0.3]),
         taut.errors.RangeError,
-        "centre must be in the plane through T0 that the axis is normal to; it is 0.01 m off, and the nearest point is [0.4, 0.0, 0.3]",
+        "centre must be in the plane through T0 that the axis is normal to; it is 0.01 m off",
     ),
     (
         lambda: ring(angle=-360),
         taut.errors.RangeError,
-        "angle must be in radians; got -360, which is 57.3 turns; if it is in degrees, np.radians(-360) converts it",
+        "angle must be in radians; got -360; if it is in degrees, np.radians(-360) converts it",
     ),
     (
         lambda: ring(orientation="free"),
@@ -315,25 +309,25 @@ REFUSED: list[tuple[Any, type[Exception], str]] = [
         "orientation must be one of 'keep', 'turn'; got 'free'",
     ),
     (
-        lambda: taut.trajectories.Circle.through(T0=START, via=START.p, end=START.p + 0.1, duration=1.0),
+        lambda: taut.trajectories.Circle(T0=START, via=START.p, end=START.p + 0.1, duration=1.0),
         taut.errors.RangeError,
-        "via and end must make a circle with T0: three different points that are not on one line; for a straight line take taut.trajectories.Line",
+        "via must make a circle with T0 and end: three different points that are not on one line",
     ),
     (
-        lambda: taut.trajectories.Circle.through(T0=START, via=START.p + 0.05, end=START.p + 0.1, duration=1.0),
+        lambda: taut.trajectories.Circle(T0=START, via=START.p + 0.05, end=START.p + 0.1, duration=1.0),
         taut.errors.RangeError,
-        "via and end must make a circle with T0",
+        "via must make a circle with T0 and end",
     ),
     (lambda: straight(START).at(np.nan), taut.errors.RangeError, "t must be finite [s]; got nan"),
     (
         lambda: taut.trajectories.TaskSamples(times=[0.0], poses=[NOT_A_POSE]),
         taut.errors.UsageError,
-        "poses must be a list of taut.Pose(p=..., rpy=...)",
+        "poses must be a Pose; got list",
     ),
     (
         lambda: taut.trajectories.TaskSamples(times=[0.0, 1.0], poses=[START]),
         taut.errors.ShapeError,
-        "poses must have one pose per time; got 1 for 2 times",
+        "poses must have one pose for each time, and two at least; got 1 for 2 times",
     ),
     (
         lambda: taut.trajectories.TaskSamples(times=[0.0, 0.0], poses=[START, START]),
@@ -346,9 +340,9 @@ REFUSED: list[tuple[Any, type[Exception], str]] = [
         "times must be a vector (k,); got shape (0,)",
     ),
     (
-        lambda: taut.trajectories.TaskSamples(times=[0.0], poses=[START], interpolation="cubic"),
+        lambda: ring(via=START.p, end=START.p),
         taut.errors.UsageError,
-        "interpolation must be one of 'spline', 'linear'; got 'cubic'",
+        "Circle takes centre and axis, with an angle where it is no whole turn; or via and end",
     ),
 ]
 
@@ -363,7 +357,7 @@ def test_bad_input_is_refused_in_one_sentence(make: Any, kind: type[Exception], 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("x, y\n", "the first line must name the columns t, x, y, z, qx, qy, qz, qw; got ['x', 'y']"),
+        ("x, y\n", "the first line must name the columns t, x, y, z, qx, qy, qz, qw; got x, y"),
         ("t, x, y, z\n0, 1, 2, 3\n", "the columns must be t, x, y, z, qx, qy, qz, qw; got t, x, y, z"),
         (
             "t, x, y, z, roll, pitch\n",

@@ -139,7 +139,7 @@ class TestSamples:
         ("text", "message"),
         [
             ("", "is empty"),
-            ("q1,q2\n0,1\n", "the first line must name the columns t, q1, q2, ...; got ['q1', 'q2']"),
+            ("q1,q2\n0,1\n", "the first line must name the columns t, q1, q2, ...; got q1, q2"),
             ("t,q1,v2\n0,1,2\n", "the columns must be t, q1, v1; got t, q1, v2"),
             ("t,q1,q1\n0,1,2\n", "the columns must be t, q1, q2; got t, q1, q1"),
             ("t,q1,a1,v1\n0,1,2,3\n", "the columns must be t, q1, v1, a1; got t, q1, a1, v1"),
@@ -171,26 +171,32 @@ class TestSamples:
             lambda: taut.trajectories.Quintic(q0=[0.0], q1=[1.0, 2.0], duration=1.0),
             "q1 must have shape (1,), like the others; got (2,)",
         ),
-        (lambda: taut.trajectories.Quintic(q0=[np.nan], q1=[1.0], duration=1.0), "q0[0] must be finite; got nan"),
+        (
+            lambda: taut.trajectories.Quintic(q0=[np.nan], q1=[1.0], duration=1.0),
+            "q0[0] must be finite [rad | m]; got nan",
+        ),
         (
             lambda: taut.trajectories.Trapezoidal(q0=[0.0], q1=[1.0], velocity=0.0, acceleration=1.0),
-            "velocity[0] must be > 0; got 0.0",
+            "velocity must be > 0 [rad/s | m/s]; got 0.0",
         ),
         (
             lambda: taut.trajectories.Spline(times=[0.0, 0.0], points=[[0.0], [1.0]]),
             "times must increase; times[1] = 0 follows 0",
         ),
-        (lambda: taut.trajectories.Spline(times=[0.0], points=[[0.0]]), "a spline needs two points at least; got 1"),
+        (
+            lambda: taut.trajectories.Spline(times=[0.0], points=[[0.0]]),
+            "points must have a row for each time, and two at least; got 1 for 1 times",
+        ),
         (
             lambda: taut.trajectories.Samples(times=[0.0, 1.0], q=[[0.0]]),
-            "times must have shape (k,) and q (k, n); got (2,) and (1, 1)",
+            "q must have shape (2, 1), a row for each of the times; got (1, 1)",
         ),
-        (lambda: taut.chunk([0.0, 0.1], [[0.0]]), "targets must have one sample per time; got 1 for 2 times"),
+        (lambda: taut.chunk([0.0, 0.1], [[0.0]]), "targets must have one sample for each time; got 1 for 2 times"),
         (lambda: taut.chunk([0.1, 0.0], [[0.0], [1.0]]), "times must increase; times[1] = 0 follows 0.1"),
         (lambda: taut.stream(period=0.0), "period must be > 0 [s]; got 0.0"),
         (
             lambda: taut.hold([0.0]),
-            "hold takes a sample such as taut.JointMotion(q=...) or taut.TaskMotion(pose=...); got [0.0]",
+            "sample must be a Sample; got list",
         ),
         (lambda: taut.JointMotion(q=[[0.0]]), "ref.q must be a vector (n,); got shape (1, 1)"),
         (

@@ -9,12 +9,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from mcap.writer import CompressionType, Writer
 
 import taut
-from taut.record.log.container import MAGIC, McapWriter
-from taut.record.log.description import described, sealed
-from taut.record.log.messages import Description, TickLayout, columns_of
+from taut.record.log.layout import Header, TickLayout, columns_of
+from taut.record.log.reading import MAGIC
+from taut.record.log.writing import CHUNK_BYTES, TICKS, Ending, sealed
+from taut.record.plain import plain
 
 
 def write_log(
@@ -24,18 +25,19 @@ def write_log(
     ended: Callable[[dict[str, Any]], Any] = lambda values: None,
 ) -> Path:
     """The log of a run, with its description and its outcome changed in place, or replaced by what is returned."""
-    layout = TickLayout(Description.of(run))
-    values = json.loads(sealed(described(run, layout.description))["json"])
-    outcome = {**run.outcome.json(), "ticks": len(run)}
-    changed, end = change(values), ended(outcome)
-    rows = np.tile(layout.template, len(run)).view(layout.dtype)
-    times = np.round(run.t * 1e9).astype(np.uint64)
-    layout.fill(rows, columns_of(run), 0, times)
+    header = Header.of(run)
+    layout, values = TickLayout(header), plain(header)
+    ending = plain(Ending(outcome=run.outcome, ticks=len(run)))
+    changed, end = change(values), ended(ending)
     with path.open("wb") as file:
-        writer = McapWriter(file, layout, 1000.0)
-        writer.metadata("taut.run", sealed(values if changed is None else changed))
-        writer.write(rows, times)
-        writer.metadata("taut.outcome", sealed(outcome if end is None else end))
+        writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
+        writer.start()
+        writer.add_metadata("taut.run", sealed(json.dumps(values if changed is None else changed)))
+        schema = writer.register_schema("taut/msg/Tick", "ros2msg", layout.schema().encode())
+        channel = writer.register_channel(TICKS, "cdr", schema)
+        for k, row in enumerate(layout.rows(columns_of(run))):
+            writer.add_message(channel, k, row.tobytes(), k, k)
+        writer.add_metadata("taut.outcome", sealed(json.dumps(ending if end is None else end)))
         writer.finish()
     return path
 

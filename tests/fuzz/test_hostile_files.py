@@ -24,7 +24,8 @@ from taut.arm.report import check_model
 from taut.base.errors import printable
 from taut.cli.main import main
 from taut.control.trajectories.compound import PhaseSample
-from taut.record.log.container import MAGIC
+from taut.record.info import RunInfo
+from taut.record.log.reading import MAGIC
 from taut.scenarios.scenario import load_scenario
 
 HIDDEN = "\x1b]0;taken\x07\u202e\x9b31m"  # sets a title, turns the reading order, colours
@@ -62,7 +63,11 @@ def test_a_log_commands_no_terminal(tmp_path: Path, capsys: pytest.CaptureFixtur
     terms = {f"{name}{HIDDEN}": column for name, column in plain().terms.items()}
     outcome = taut.Outcome(kind="completed", message=f"completed{HIDDEN}", tick=100)
     run = dataclasses.replace(
-        plain(), joint_names=names, terms=terms, outcome=outcome, info={**plain().info, "law": HIDDEN, "arm": HIDDEN}
+        plain(),
+        joint_names=names,
+        terms=terms,
+        outcome=outcome,
+        info=dataclasses.replace(plain().info, law=HIDDEN, arm=HIDDEN),
     )
     log = run.save(tmp_path / "run.mcap")
     again = taut.load_run(log)
@@ -134,20 +139,20 @@ def test_a_scenario_downloads_nothing(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def classes(name: str, count: int) -> Callable[[dict[str, Any]], None]:
-    return lambda values: values["reference"].update({"class": f"PhaseSample[{','.join([name] * count)}]"})
+    part = {"name": name, "kind": name, "joints": 0}
+    return lambda values: values.update(reference="PhaseSample", parts=[part] * count)
 
 
 DESCRIPTIONS: dict[str, Callable[[dict[str, Any]], Any]] = {
     "16 kinds": classes("JointMotion", 16),
     "1000 kinds": classes("JointMotion", 1000),
-    "parts of odd names": lambda v: v["reference"].update({"class": "Together[a b:JointMotion:2]"}),
-    "a part of many joints": lambda v: v["reference"].update({"class": f"Together[a:JointMotion:{'9' * 5000}]"}),
+    "parts of odd names": lambda v: v.update(parts=[{"name": "a b", "kind": "JointMotion", "joints": 2}]),
+    "a part of many joints": lambda v: v.update(parts=[{"name": "a", "kind": "JointMotion", "joints": 10**400}]),
     "100,000 axes": lambda v: v["extra"].update(e=[0] * 100_000),
     "a size beyond a word": lambda v: v["extra"].update(e=[2**62, 0]),
     "an empty array too large": lambda v: v["extra"].update(e=[2**31] * 7 + [0]),
     "no kind": lambda v: v.update(kind=[]),
     "many columns": lambda v: v.update(terms=[str(i) for i in range(100_000)]),
-    "long names": lambda v: v.update(joint_names=["a" * 10**6, "b"], terms=[str(i) for i in range(1000)]),
     "many values": lambda v: v["info"].update(x=[[]] * 1_000_001),
     "deep": lambda v: v["info"].update(x=json.loads("[" * 900 + "]" * 900)),
     "no table": lambda v: [1, 2],
@@ -204,21 +209,22 @@ def test_a_sparse_file_is_searched_only_so_far(tmp_path: Path) -> None:
 
 
 ENTRIES: dict[str, Any] = {
-    "rate": [None, "x", 0.0, -1.0, float("inf"), [1000.0]],
+    "rate": ["x", 0.0, -1.0, float("inf"), [1000.0]],
     "law": [None, 3, []],
     "arm": [{}],
-    "seed": ["0", 1.5, -1, None],
+    "seed": ["0", 1.5, -1],
     "events": [{}, [1], [{"t": "x", "set": {}}], [{"t": 0.0, "set": {"model.payload.com": 1.0}}]],
     "parameters": [[], {"law.kp": "x"}, {"law.kp": [[1.0], [1.0, 2.0]]}, {"model.payload.mass": [1.0]}],
     "limits": [[], {"effort": 3}, {"effort": {"joint1": "x"}}],
-    "dynamics": [[], {}, {"gravity": [0, 0, 0], "bodies": [[1.0]], "rotor_inertia": [0, 0], "gear": [1, 1]}],
+    "controller_arm": [[], {}, {"gravity": [0, 0, 0], "bodies": [[1.0]], "home": [0, 0]}],
     "tool": [[], {}, "x", {"frame": "tool", "n": 2, "links": [{"joint": 9}]}],
     "impedance": [{}, {"D": np.zeros((6, 6)).tolist(), "B": np.eye(6).tolist(), "K": np.eye(6).tolist()}],
     "parts": [{"left": {"joints": ["other"]}}, []],
     "phases": [{"go": {}}, []],
     "scenario": [{"name": 3}, "x"],
     "versions": [[], {"taut": 1}],
-    "around": [[], {"things": 3}],
+    "around": [[], {"things": 3}, {"meshes": [{"vertices": "?", "faces": ""}]}],
+    "unheard": [1],
 }
 
 
@@ -226,22 +232,20 @@ ENTRIES: dict[str, Any] = {
 def test_an_entry_of_another_type_is_refused_where_the_log_is_read(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    import dataclasses
-
     for value in ENTRIES[name]:
         log = write_log(
             plain(), tmp_path / "run.mcap", lambda values, value=value: values["info"].update({name: value})
         )
         for command in (["doctor"], ["report", "-o", str(tmp_path / "report.html")]):
             assert main([command[0], str(log), *command[1:]]) == 2, value
-            assert f"'{name}'" in capsys.readouterr().err
-        with pytest.raises(taut.errors.UsageError, match=name):  # what nobody could read is not written either
-            dataclasses.replace(plain(), info={**plain().info, name: value}).save(tmp_path / "other.mcap")
+            assert name in capsys.readouterr().err
 
 
 def test_an_outcome_of_other_types_is_none(tmp_path: Path) -> None:
-    for change in ({"kind": []}, {"kind": "fine"}, {"message": 3}, {"tick": "x"}, {"ticks": None}, {"joint": 1}):
-        log = write_log(plain(), tmp_path / "run.mcap", ended=lambda values, change=change: values.update(change))
+    for change in ({"kind": []}, {"kind": "fine"}, {"message": 3}, {"tick": "x"}, {"joint": 1}):
+        log = write_log(
+            plain(), tmp_path / "run.mcap", ended=lambda values, change=change: values["outcome"].update(change)
+        )
         assert taut.load_run(log).outcome.kind == "stopped"
 
 
@@ -249,7 +253,7 @@ def test_a_run_without_a_rate_says_so() -> None:
     import dataclasses
 
     with pytest.raises(taut.errors.UsageError, match="rate"):
-        taut.doctor(dataclasses.replace(plain(), info={}))
+        taut.doctor(dataclasses.replace(plain(), info=RunInfo()))
 
 
 # -------------------------------------------------------------------- tables and scenarios
@@ -292,7 +296,7 @@ def test_a_dotted_key_is_refused_before_it_is_read(
 
 
 def test_dots_in_texts_comments_and_numbers_are_no_keys() -> None:
-    from taut.scenarios.toml import table_of
+    from taut.scenarios.reading import table_of
 
     words = "a." * 100
     text = f'a = "{words}" # {words}\nb = """{words}\n{words}"""\nc = [{"0.1, " * 100}]\nd = \'{words}\'\n'

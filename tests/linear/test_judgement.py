@@ -72,11 +72,11 @@ class TestGainsThatAreTooLarge:
             run = taut.run(taut.compile(DAMPED, arm), plant(arm, environment=push), duration=0.3)
         assert run.outcome.kind == "diverged"
         assert "law.B = (15" in run.outcome.message
-        stability = run.info["stability"]
-        assert stability["stable"] is False
-        assert stability["radius"] > 2.0
-        assert stability["largest"]["law.B"] < 0.3
-        assert ("in place of MujocoPlant" in stability["plant"]) == (plant is taut.MujocoPlant)
+        stability = run.info.stability
+        assert stability.stable is False
+        assert stability.radius > 2.0
+        assert stability.largest["law.B"] < 0.3
+        assert ("in place of MujocoPlant" in stability.plant) == (plant is taut.MujocoPlant)
 
     def test_are_refused_where_the_plant_is_a_real_arm(self) -> None:
         class RealUR10(taut.MujocoPlant):
@@ -146,7 +146,7 @@ class TestAgreement:
             assert isinstance(found, str)
             return
         assert isinstance(found, Judgement)
-        assert found.radius == pytest.approx(lin.radius, rel=1e-5)
+        assert found.radius == pytest.approx(lin.radius, rel=2e-5)  # central differences of a stiff loop
         assert found.stable == (lin.radius <= 1.0 + 1e-8)
 
     def test_what_drifts_is_not_unstable(self) -> None:
@@ -208,7 +208,7 @@ class TestWhatIsNotJudged:
     def test_plain_python(self) -> None:
         arm = taut.load_arm("planar2")
         run = taut.run(taut.compile(LAWS.PID(kp=1.0), arm, engine="float"), taut.RigidPlant(arm), duration=0.01)
-        assert run.info["stability"]["stable"] is None
+        assert run.info.stability.stable is None
 
     def test_a_command_that_depends_on_nothing_measured(self) -> None:
         arm = taut.load_arm("one_joint")
@@ -227,10 +227,10 @@ def test_a_changed_gain_and_payload_are_those_that_are_judged() -> None:
     ctrl = taut.compile(STIFF, arm)
     plant = taut.RigidPlant(arm)
     ctrl.parameters["law.kd"] = 0.5
-    assert taut.run(ctrl, plant, duration=0.01).info["stability"]["stable"] is True
+    assert taut.run(ctrl, plant, duration=0.01).info.stability.stable is True
     with pytest.warns(taut.StabilityWarning):
         early = taut.run(ctrl, plant, duration=0.01, events=[taut.Event(t=0.0, set={"law.kd": 2.0})])
-    assert early.info["stability"]["stable"] is False
+    assert early.info.stability.stable is False
 
 
 def test_noise_and_the_phase_of_the_start_change_nothing() -> None:

@@ -72,7 +72,7 @@ def test_the_limit_of_a_compiled_loop_is_where_its_pole_crosses_the_circle() -> 
     arm = taut.load_arm("one_joint").with_gravity([0.0, 0.0, 0.0])
     loop = taut.Loop(taut.compile(taut.laws.PID(kp=1.0, kd=1.0), arm, rate=100.0), taut.RigidPlant(arm), duration=1.0)
 
-    def linear(kd: float) -> taut.analysis.Linearisation:
+    def linear(kd: float) -> taut.LinearSystem:
         loop.parameters["law.kd"] = kd
         return taut.linearise(loop)
 
@@ -227,7 +227,7 @@ class Whole:
     make: Callable[..., taut.Loop]
     q: tuple[float, ...]
 
-    def linear(self, one: float, other: float) -> taut.analysis.Linearisation:
+    def linear(self, one: float, other: float) -> taut.LinearSystem:
         loop = self.make(one, other)
         reference, loop.ref = loop.ref, taut.hold()
         try:

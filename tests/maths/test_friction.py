@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import taut
 from taut.base.types import Float64Array
-from taut.maths.friction import SWEEPS, dry_friction
+from taut.maths.friction import FRICTION_SWEEPS, dry_friction
 from taut.trace.linalg import factor_spd
 
 DT = 1e-3
@@ -45,7 +45,7 @@ def random_problem(seed: int, n: int) -> tuple[Float64Array, Float64Array, Float
 
 
 def solved(
-    M: Float64Array, v_free: Float64Array, limit: Float64Array, guess: Float64Array, sweeps: int = SWEEPS
+    M: Float64Array, v_free: Float64Array, limit: Float64Array, guess: Float64Array, sweeps: int = FRICTION_SWEEPS
 ) -> tuple[Float64Array, Float64Array]:
     stop = -M @ v_free / DT
     done = dry_friction(

@@ -15,7 +15,7 @@ from taut import Friction
 from taut import math as tm
 from taut.base.types import Float64Array
 from taut.errors import ShapeError
-from taut.maths.friction_law import FrictionValues, dry_limit, friction_torque, stribeck_share
+from taut.maths.friction import FrictionValues, dry_limit, friction_torque, stribeck_share
 from taut.trace.graph import Graph
 from taut.trace.scalar import Scalar, tracing
 

@@ -146,11 +146,11 @@ class TestTorqueLoop:
         np.testing.assert_allclose(run.q, 0.5, rtol=0.0, atol=1e-9)
 
 
-class Wall:
+class Wall(taut.environments.Environment):
     """A stiff spring at the tool along z."""
 
-    def parameters(self) -> dict[str, Any]:
-        return {"k": np.asarray(2e5), "b": np.asarray(500.0)}
+    k: taut.environments.Field = taut.environments.Field(2e5)
+    b: taut.environments.Field = taut.environments.Field(500.0)
 
     def start(self, T_WE: taut.Pose) -> dict[str, Any]:
         return {"z": T_WE.p[2]}
@@ -190,7 +190,6 @@ def test_every_part_runs_the_same_in_native_code_and_in_plain_python(drives: dic
 @pytest.mark.parametrize(
     ("make", "kind", "name"),
     [
-        (lambda: taut.drives.Motor(), taut.errors.UsageError, "Motor"),
         (lambda: taut.drives.Motor(stall=1.0), taut.errors.UsageError, "no_load"),
         (lambda: taut.drives.Motor(peak=-1.0), taut.errors.RangeError, "peak"),
         (lambda: taut.drives.ElectricMotor(torque_constant=0.1, resistance=0.0), taut.errors.RangeError, "resistance"),
@@ -264,17 +263,12 @@ def test_which_joints_give_way_does_not_change_in_a_run(plant: Any, path: str, v
 
 
 @pytest.mark.parametrize("plant", [taut.RigidPlant, taut.MujocoPlant])
-@pytest.mark.parametrize(
-    ("sensor", "got"), [(None, "None"), (taut.sensors.TorqueSensor(side="motor"), "one at the motor")]
-)
-def test_an_inner_loop_needs_the_sensor_that_it_reads(plant: Any, sensor: Any, got: str) -> None:
+@pytest.mark.parametrize("sensor", [None, taut.sensors.TorqueSensor(side="motor")])
+def test_an_inner_loop_needs_the_sensor_that_it_reads(plant: Any, sensor: Any) -> None:
     drives = taut.drives.Actuation(torque_loop=taut.drives.TorqueLoop(ki=5.0))
     with pytest.raises(taut.errors.UsageError) as caught:
         plant(FREE, actuation=drives, sensors=taut.sensors.Sensors(torque=sensor))
-    assert str(caught.value) == (
-        "actuation.torque_loop reads the torque sensor at the link, behind gear and friction; sensors.torque is "
-        f"{got}; give it one, sensors.torque, or leave the loop out"
-    )
+    assert caught.value.name == "torque_loop"
 
 
 def test_rotors_make_the_arm_heavier_at_its_own_joint_alone() -> None:
@@ -304,11 +298,8 @@ class TestStepsThatAreTooLong:
         arm = FREE.with_joints(gear=200.0)
         motor = taut.drives.Motor(stall=0.5, no_load=30.0)
         message = self.refused(taut.RigidPlant(arm, actuation=taut.drives.Actuation(motor=motor)))
-        assert message == (
-            "the motor of joint 'joint1' loses torque with speed so steeply that its joint answers in 0.00075 s, too "
-            "fast for steps of 0.001 s; give the plant 2 substeps, or the joint its rotor's inertia, "
-            "by gears"
-        )
+        assert "in 0.00075 s, too fast for steps of 0.001 s" in message
+        assert "substeps=2," in message
         enough = taut.RigidPlant(arm, actuation=taut.drives.Actuation(motor=motor), substeps=2)
         push = taut.compile(taut.laws.PID(kp=1.0), arm)
         run = taut.run(push, enough, taut.JointMotion(q=[1e4]), duration=1.0)
@@ -317,9 +308,7 @@ class TestStepsThatAreTooLong:
     def test_for_a_motor_under_a_voltage(self) -> None:
         arm = FREE.with_joints(gear=200.0)
         motor = taut.drives.ElectricMotor(torque_constant=0.1, resistance=0.5, voltage=24.0)
-        assert "give the plant 2 substeps," in self.refused(
-            taut.RigidPlant(arm, actuation=taut.drives.Actuation(motor=motor))
-        )
+        assert "substeps=2," in self.refused(taut.RigidPlant(arm, actuation=taut.drives.Actuation(motor=motor)))
         free = taut.drives.ElectricMotor(
             torque_constant=0.1, resistance=0.5
         )  # a supply without end holds any current
@@ -329,14 +318,11 @@ class TestStepsThatAreTooLong:
     def test_for_an_inner_loop_that_reads_the_step_before(self) -> None:
         loop = taut.drives.TorqueLoop(kp=1.5)
         message = self.refused(taut.RigidPlant(FREE, actuation=taut.drives.Actuation(torque_loop=loop)))
-        assert message == (
-            "actuation.torque_loop.kp of joint 'joint1' must be below 1 for steps of 0.001 s, since the loop reads the "
-            "torque of the step before; lower it, or give the drive a bandwidth"
-        )
+        assert "must be below 1 for steps of 0.001 s" in message
         fast = taut.RigidPlant(
             FREE, actuation=taut.drives.Actuation(torque_loop=taut.drives.TorqueLoop(kp=3.0), bandwidth=3000.0)
         )
-        assert self.refused(fast).endswith("lower it, or give the plant 2 substeps")
+        assert "substeps=2," in self.refused(fast)
         left, mean = np.exp(-3.0), (1.0 - np.exp(-3.0)) / 3.0
         most = (1.0 + left) / (1.0 + left - 2.0 * mean)
         for kp, stable in ((0.97 * most, True), (1.03 * most, False)):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -18,16 +17,12 @@ HOLD = taut.JointMotion(q=np.zeros(3))
 WEIGHT = 3.0 * 9.81
 
 
-@dataclass(frozen=True, kw_only=True)
-class SpringDamper:
+class SpringDamper(taut.environments.Environment):
     """A spring between the tool and a point of the world; the point is where the tool starts, unless given."""
 
-    k: float = 300.0  # [N/m]
-    b: float = 0.0  # [N s/m]
+    k: taut.environments.Field = taut.environments.Field(300.0, unit="N/m")
+    b: taut.environments.Field = taut.environments.Field(0.0, unit="N s/m")
     anchor: tuple[float, float, float] | None = None
-
-    def parameters(self) -> dict[str, Array]:
-        return {"k": np.asarray(self.k), "b": np.asarray(self.b)}
 
     def start(self, T_WE: taut.Pose) -> dict[str, Any]:
         return {"anchor": T_WE.p if self.anchor is None else np.array(self.anchor)}
@@ -45,18 +40,11 @@ class SpringDamper:
         return taut.math.array([*force, 0.0, 0.0, 0.0]), {"anchor": memory["anchor"]}
 
 
-@dataclass(frozen=True)
-class Shaker:
+class Shaker(taut.environments.Environment):
     """A force along x that is a function of time."""
 
     amplitude: float = 5.0
     omega: float = 20.0
-
-    def parameters(self) -> dict[str, Array]:
-        return {}
-
-    def start(self, T_WE: taut.Pose) -> dict[str, Any]:
-        return {}
 
     def wrench(
         self, T_WE: Any, twist: Any, t: Any, memory: Any, parameters: Any, dt: Any
@@ -159,14 +147,7 @@ class TestTheInstant:
 def test_a_wrench_acts_at_the_tool_and_in_world_axes() -> None:
     """On an arm that is mounted askew: the joint torques of a force are J^T F, with the tool's own lever."""
 
-    @dataclass(frozen=True)
-    class Push:
-        def parameters(self) -> dict[str, Array]:
-            return {}
-
-        def start(self, T_WE: taut.Pose) -> dict[str, Any]:
-            return {}
-
+    class Push(taut.environments.Environment):
         def wrench(self, *_: Any) -> tuple[Array, dict[str, Any]]:
             return np.array([3.0, -2.0, 5.0, 0.1, 0.2, -0.3]), {}
 
@@ -181,15 +162,11 @@ def test_a_wrench_acts_at_the_tool_and_in_world_axes() -> None:
 # -------------------------------------------------------------------- environments that are no pure functions
 
 
-@dataclass
-class Wrong:
+class Wrong(taut.environments.Environment):
     """An environment with one fault."""
 
     fault: str
-    calls: int = 0
-
-    def parameters(self) -> dict[str, Array]:
-        return {}
+    calls: Any = None
 
     def start(self, T_WE: taut.Pose) -> dict[str, Any]:
         return {"depth": 0.0}
@@ -197,8 +174,8 @@ class Wrong:
     def wrench(
         self, T_WE: taut.Pose, twist: Array, t: Any, memory: Any, parameters: Any, dt: Any
     ) -> tuple[Any, dict[str, Any]]:
-        self.calls += 1
-        force = {"counts": float(self.calls), "draws": np.random.default_rng().normal()}.get(self.fault, 1.0)
+        self.calls.append(1)
+        force = {"counts": float(len(self.calls)), "draws": np.random.default_rng().normal()}.get(self.fault, 1.0)
         wrench = taut.math.array([force, *([0.0] * (2 if self.fault == "shape" else 5))])
         return wrench, {} if self.fault == "memory" else dict(memory)
 
@@ -213,7 +190,7 @@ class Wrong:
     ],
 )
 def test_an_environment_with_a_fault_is_told(fault: str, words: str) -> None:
-    plant = taut.RigidPlant(GANTRY, environment=Wrong(fault))
+    plant = taut.RigidPlant(GANTRY, environment=Wrong(fault=fault, calls=[]))
     ctrl = taut.compile(taut.laws.PID(kp=1.0), GANTRY)
     with pytest.raises(taut.TautError, match=words):
         taut.run(ctrl, plant, HOLD, duration=0.01)
@@ -223,34 +200,19 @@ class Bare(taut.environments.Environment):
     """Nothing but the names that the base class has."""
 
 
-class Half(taut.environments.Environment):
-    def wrench(self, *_: Any) -> Any:
-        return np.zeros(6), {}
+class Gives(taut.environments.Environment):
+    """An environment whose wrench gives what it should not."""
 
-
-@dataclass
-class Gives:
-    """An environment whose methods give what they should not."""
-
-    numbers: Any = field(default_factory=dict)
-    memory: Any = field(default_factory=dict)
     acted: Any = None
-
-    def parameters(self) -> Any:
-        return self.numbers
-
-    def start(self, T_WE: taut.Pose) -> Any:
-        return self.memory
 
     def wrench(self, *_: Any) -> Any:
         return self.acted
 
 
 class Own(taut.environments.Environment):
-    """A spring of the user's, which inherits, and has no constructor and no fields."""
+    """A spring of the user's."""
 
-    def parameters(self) -> dict[str, Any]:
-        return {"stiffness": 30.0}
+    stiffness: taut.environments.Field = taut.environments.Field(30.0, unit="N/m")
 
     def start(self, T_WE: taut.Pose) -> dict[str, Any]:
         return {"p": T_WE.p}
@@ -262,10 +224,6 @@ class Own(taut.environments.Environment):
 
 ENVIRONMENTS = {
     "bare": Bare(),
-    "half": Half(),
-    "no numbers": Gives(numbers={"k": "stiff"}),
-    "no dict of parameters": Gives(numbers=[1.0]),
-    "no memory": Gives(memory=None, acted=(np.zeros(6), {})),
     "no memory after": Gives(acted=np.zeros(6)),
     "nothing": Gives(),
 }

@@ -35,7 +35,7 @@ class TestAHandle:
         A = two_masses(m, b, k, 300.0)
         errors = []
         for substeps in (5, 10):
-            plant = rigid(taut.environments.Handle(mass=m, damping=b, stiffness=k), substeps=substeps)
+            plant = rigid(taut.environments.Hand(mass=m, damping=b, stiffness=k), substeps=substeps)
             out = free(plant, duration=1.0, v0=[0, 0, 0.2])
             exact = np.array([expm(A * t) @ [0.0, 0.2, 0.0, 0.0] for t in out.t[::20]])
             errors.append(np.abs(out.q[::20, 2] - exact[:, 0]).max())
@@ -43,7 +43,7 @@ class TestAHandle:
         assert errors[0] / errors[1] == pytest.approx(2.0, abs=0.3)
 
     def test_makes_the_arm_ring_with_both_masses(self) -> None:
-        out = free(rigid(taut.environments.Handle(mass=2.0, stiffness=500.0)), duration=2.0, v0=[0, 0, 0.1])
+        out = free(rigid(taut.environments.Hand(mass=2.0, stiffness=500.0)), duration=2.0, v0=[0, 0, 0.1])
         crossings = np.flatnonzero((out.q[:-1, 2] < 0.0) & (out.q[1:, 2] >= 0.0))
         times = out.t[crossings] - out.q[crossings, 2] / (out.q[crossings + 1, 2] - out.q[crossings, 2]) * 1e-3
         omega = 2.0 * np.pi / np.diff(times).mean()
@@ -52,7 +52,7 @@ class TestAHandle:
     @pytest.mark.parametrize("damping", [0.0, 5.0])
     def test_gives_back_no_more_than_it_got(self, damping: float) -> None:
         out = free(
-            rigid(taut.environments.Handle(mass=1.0, damping=damping, stiffness=300.0)),
+            rigid(taut.environments.Hand(mass=1.0, damping=damping, stiffness=300.0)),
             duration=20.0,
             v0=[0.1, -0.1, 0.2],
         )
@@ -61,7 +61,7 @@ class TestAHandle:
 
     def test_is_felt_as_its_mass(self) -> None:
         """A push of the tool moves arm and handle together."""
-        both = taut.environments.Handle(mass=1.5) + taut.environments.Push(peak=[0, 0, 9.0], t=0.0, duration=0.05)
+        both = taut.environments.Hand(mass=1.5) + taut.environments.Push(peak=[0, 0, 9.0], t=0.0, duration=0.05)
         out = free(rigid(both), duration=0.5)
         assert out.v[-1, 2] == pytest.approx(9.0 * 0.05 * 2.0 / np.pi / (M + 1.5), rel=1e-9)
 
@@ -167,7 +167,7 @@ class TestSeveralAtOnce:
 
     def test_keep_their_memories_apart(self) -> None:
         two = taut.environments.Environments(
-            near=taut.environments.Handle(mass=1.0), far=taut.environments.Handle(mass=2.0, stiffness=50.0)
+            near=taut.environments.Hand(mass=1.0), far=taut.environments.Hand(mass=2.0, stiffness=50.0)
         )
         out = free(rigid(two, substeps=2), duration=0.5, v0=[0, 0, 0.2])
         again = free(
@@ -199,8 +199,8 @@ HAND = taut.environments.Hand(
         (lambda: taut.environments.StiffWall(point=[0, 0, 0], normal=[0, 0, 0], stiffness=1.0), taut.errors.RangeError, "normal"),
         (lambda: taut.environments.StiffWall(point=[0, 0, 0], normal=[0, 0, 1], stiffness=0.0), taut.errors.RangeError, "stiffness"),
         (lambda: taut.environments.StiffWall(point=[0, 0, 0], normal=[0, 0, 1], stiffness=[1.0, 2.0]), taut.errors.ShapeError, "stiffness"),
-        (lambda: taut.environments.Handle(mass=0.0), taut.errors.RangeError, "mass"),
-        (lambda: taut.environments.Handle(mass=1.0, damping=[1.0, 2.0]), taut.errors.ShapeError, "damping"),
+        (lambda: taut.environments.Hand(mass=0.0), taut.errors.RangeError, "mass"),
+        (lambda: taut.environments.Hand(mass=1.0, damping=[1.0, 2.0]), taut.errors.ShapeError, "damping"),
         (lambda: taut.environments.Hand(mass=1.0, damping=1.0, stiffness=1.0, motion=3.0), taut.errors.UsageError, "motion"),  # type: ignore[arg-type]
         (lambda: taut.environments.Oscillation(amplitude=1.0, frequency=-1.0), taut.errors.RangeError, "frequency"),
         (lambda: taut.environments.BandNoise(rms=1.0, low=2.0, high=1.0), taut.errors.RangeError, "low"),

@@ -1,4 +1,4 @@
-"""Parts of a user's own, each one class that uses public names only: environment, friction law, motor, plant."""
+"""Parts of a user's own, each one class that uses public names only: environment, friction law, motor, sensor, plant."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import pytest
 
 import taut
 import taut.math as tm
-from taut.drives import Field, FrictionLaw, MotorModel, MotorStep
-from taut.environments import EnvironmentBase
+from taut.drives import Field, FrictionLaw, MotorInput, MotorModel, MotorStep
+from taut.environments import Environment
 
 LINK = taut.load_arm("one_joint").with_joints(viscous=0.0)
 
 
-class HuntCrossley(EnvironmentBase):
+class HuntCrossley(Environment):
     """A wall without a jump of the force at first contact.
 
     Law:          N = stiffness d^1.5 max(1 + restitution d_dot, 0) with the depth d >= 0
@@ -60,11 +60,23 @@ class Hot(MotorModel):
     def start(self, tau: Any, gear: Any, bandwidth: Any, p: Mapping[str, Any]) -> dict[str, Any]:
         return {"heat": 0.0 * tau}
 
-    def step(
-        self, tau: Any, v: Any, gear: Any, ripple: Any, memory: Any, p: Mapping[str, Any], bandwidth: Any, dt: Any
-    ) -> MotorStep:
-        heat = memory["heat"]
-        return MotorStep(tau=ripple * tau / (1.0 + p["loss"] * heat), memory={"heat": heat + dt * tau * tau})
+    def step(self, x: MotorInput) -> MotorStep:
+        heat = x.memory["heat"]
+        after = {"heat": heat + x.dt * x.tau * x.tau}
+        return MotorStep(tau=x.ripple * x.tau / (1.0 + x.p["loss"] * heat), memory=after)
+
+
+class Resolver(taut.sensors.Sensor):
+    """A position sensor whose reading has two periods in a turn of the joint, and noise.
+
+    Law:          reading = q + ripple sin(2 q) + noise n
+    """
+
+    ripple: Field = Field(unit="rad", shape="n", minimum=0.0)
+    noise: Field = Field(0.0, unit="rad", shape="n", minimum=0.0)
+
+    def read(self, model: Any, true: Any, p: Mapping[str, Any], noise: Any) -> Any:
+        return true["q"] + p["ripple"] * tm.sin(2.0 * true["q"]) + p["noise"] * noise
 
 
 class Push(taut.Law):
@@ -140,6 +152,41 @@ def test_an_environment_of_ones_own_pushes_back_as_its_law_says(plant: Any) -> N
     with pytest.raises(taut.errors.RangeError) as caught:
         made.checked_parameter("environment.stiffness", 0.0)
     assert caught.value.name == "environment.stiffness"
+
+
+class Sees(taut.Law):
+    """No torque; what is measured, in a term."""
+
+    def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
+        return taut.Torque(seen=2.0**-60 * x.q)
+
+
+@pytest.mark.parametrize("engine", ["native", "float"])
+@pytest.mark.parametrize("plant", [taut.RigidPlant, taut.MujocoPlant])
+def test_a_sensor_of_ones_own_is_what_the_law_sees(plant: Any, engine: Any) -> None:
+    sensors = taut.sensors.Sensors(position=Resolver(ripple=0.01, noise=1e-3))
+    made = plant(LINK, sensors=sensors)
+    assert made.parameters["sensors.position.ripple"] == 0.01
+    with pytest.raises(taut.errors.RangeError, match=r"sensors\.position\.ripple must be >= 0"):
+        made.checked_parameter("sensors.position.ripple", -1.0)
+    ctrl = taut.compile(Sees(), LINK, engine=engine)
+    louder = taut.Event(t=0.1, set={"sensors.position.noise": 0.0, "sensors.position.ripple": 0.02})
+    run = taut.run(ctrl, made, duration=0.2, q0=[0.7], seed=3, events=[louder])
+    noise = np.random.default_rng([3, *b"q"]).standard_normal((len(run), 1))
+    first = (run.t < 0.1 - 1e-9)[:, np.newaxis]
+    expected = run.q + np.where(first, 0.01, 0.02) * np.sin(2.0 * run.q) + np.where(first, 1e-3, 0.0) * noise
+    np.testing.assert_allclose(run.extra["sensed.q"], expected, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(run.terms["seen"] * 2.0**60, expected, rtol=0.0, atol=1e-12)
+
+
+def test_a_sensor_that_gives_another_shape_is_refused() -> None:
+    class Half(taut.sensors.Sensor):
+        def read(self, model: Any, true: Any, p: Any, noise: Any) -> Any:
+            return tm.array([0.0, 0.0])
+
+    plant = taut.RigidPlant(LINK, sensors=taut.sensors.Sensors(position=Half()))
+    with pytest.raises(taut.errors.ShapeError, match=r"Half\.read must give shape \(1,\) as sensors\.position"):
+        taut.run(taut.compile(Sees(), LINK), plant, duration=0.1)
 
 
 class Slider(taut.PlantBase):

@@ -232,10 +232,8 @@ class TestStepsThatAreTooLong:
         wall = taut.environments.StiffWall(point=[0, 0, -0.25], normal=[0, 0, 1], stiffness=6e6, damping=2000.0)
         with pytest.raises(taut.errors.RangeError) as caught:
             free(rigid(wall))
-        assert str(caught.value) == (
-            "environment: what touches the tool oscillates at 1.41e+03 rad/s and is braked at 667 1/s, too fast for "
-            "steps of 0.001 s; give the plant 2 substeps, or a softer environment"
-        )
+        assert "1.41e+03 rad/s" in str(caught.value)
+        assert "substeps=2," in str(caught.value)
         out = free(rigid(wall, substeps=2), v0=[0, 0, -0.3])
         assert np.abs(out.v[:, 2]).max() <= 0.3
 
@@ -246,7 +244,7 @@ class TestStepsThatAreTooLong:
             (taut.environments.Spring(stiffness=3.0) + taut.environments.Spring(stiffness=9.0), 2.0),
             (taut.environments.Spring(stiffness=np.diag([3.0, 3.0, 3.0, 0.0, 0.0, 0.0])), 1.0),
             (taut.environments.StiffWall(point=[0, 0, 0], normal=[0, 1, 0], stiffness=9.0), 1.0),
-            (taut.environments.Handle(mass=3.0, grip=1.0), np.sqrt(2.0)),
+            (taut.environments.Hand(mass=3.0, grip=1.0), np.sqrt(2.0)),
         ],
     )
     def test_are_judged_by_how_fast_the_tool_swings(self, environment: Any, rate: float) -> None:

@@ -174,7 +174,7 @@ class TestElasticity:
             )
             plant = taut.RigidPlant(GEARED, actuation=drives, substeps=substeps)
             if refused:
-                with pytest.raises(taut.errors.RangeError, match="3 substeps"):
+                with pytest.raises(taut.errors.RangeError, match="substeps=3,"):
                     taut.run(law, plant, push, duration=1.0, q0=[0.0], v0=[1.0])
                 continue
             run = taut.run(law, plant, push, duration=1.0, q0=[0.0], v0=[1.0])
@@ -208,10 +208,8 @@ class TestElasticity:
         plant = taut.RigidPlant(GEARED, actuation=taut.drives.Actuation(transmission=spring))
         with pytest.raises(taut.errors.RangeError) as caught:
             taut.run(idle(GEARED), plant, duration=0.1)
-        assert str(caught.value) == (
-            "the transmission of joint 'joint1' oscillates at 2.45e+03 rad/s, too fast for steps of 0.001 s; give the plant "
-            "3 substeps, a softer spring or less damping"
-        )
+        assert "2.45e+03 rad/s" in str(caught.value)
+        assert "substeps=3," in str(caught.value)
         plenty = taut.RigidPlant(GEARED, actuation=taut.drives.Actuation(transmission=spring), substeps=3)
         assert taut.run(idle(GEARED), plenty, duration=0.1).outcome.ok
 
@@ -297,7 +295,7 @@ class TestMessages:
             (lambda: taut.RigidPlant(GEARED, integrator="rk4", energy=True), taut.errors.UsageError, "energy"),
             (lambda: taut.RigidPlant(GEARED, energy=1), taut.errors.UsageError, "energy"),  # type: ignore[arg-type]
             (lambda: taut.RigidPlant(GEARED, sweeps=0), taut.errors.RangeError, "sweeps"),
-            (lambda: taut.RigidPlant(GEARED, takes="velocity", actuation=taut.drives.Actuation(bandwidth=50.0, transmission=taut.drives.Transmission())), taut.errors.UsageError, "transmission"),
+            (lambda: taut.RigidPlant(GEARED, takes="velocity", actuation=taut.drives.Actuation(bandwidth=50.0, transmission=taut.drives.Transmission())), taut.errors.UsageError, "actuation.transmission"),
             (lambda: taut.drives.Actuation(transmission=0.8), taut.errors.UsageError, "transmission"),  # type: ignore[arg-type]
             (lambda: FREE.with_gears(ratio=0.0, motor_inertia=1e-4), taut.errors.RangeError, "ratio"),
         ],

@@ -178,18 +178,16 @@ def test_without_a_tool_a_payload_does_not_show() -> None:
 
 
 CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
-    (lambda: taut.sensors.WrenchSensor(tool=0.7), taut.errors.UsageError, "wrench_sensor.tool must be taut.Payload(mass=, com=, inertia=) or None; got float"),  # type: ignore[arg-type]
-    (lambda: taut.RigidPlant(ARM, sensors=Sensors(wrench=taut.sensors.WrenchSensor(tool=TOOL, frame="link9"))), taut.errors.UnknownNameError, "the arm has no frame 'link9'; did you mean 'link3' or 'link2'? (5 frames: taut check MODEL lists them)"),
-    (lambda: taut.MujocoPlant(ARM, sensors=Sensors(wrench=taut.sensors.WrenchSensor(frame="link1"))), taut.errors.UsageError, "sensors.wrench.frame must move with the tool 'tool'; got 'link1', which has a joint between it and the tool; name a frame of the last body"),
-    (lambda: taut.RigidPlant(ARM, sensors=Sensors(wrench=taut.sensors.WrenchSensor(tool=TOOL))).checked_parameter("sensors.wrench.tool.mass", -1.0), taut.errors.RangeError, "sensors.wrench.tool.mass must be >= 0 [kg]; got -1.0"),
-    (lambda: taut.RigidPlant(ARM, sensors=Sensors(wrench=taut.sensors.WrenchSensor(tool=TOOL))).checked_parameter("sensors.wrench.tool.com", [0.0, 1.0]), taut.errors.ShapeError, "sensors.wrench.tool.com must have shape (3,) [m]; got shape (2,)"),
+    (lambda: taut.sensors.WrenchSensor(tool=0.7), taut.errors.UsageError, "tool"),  # type: ignore[arg-type]
+    (lambda: taut.RigidPlant(ARM, sensors=Sensors(wrench=taut.sensors.WrenchSensor(tool=TOOL, frame="link9"))), taut.errors.UnknownNameError, "link9"),
+    (lambda: taut.MujocoPlant(ARM, sensors=Sensors(wrench=taut.sensors.WrenchSensor(frame="link1"))), taut.errors.UsageError, "frame"),
+    (lambda: taut.RigidPlant(ARM, sensors=Sensors(wrench=taut.sensors.WrenchSensor(tool=TOOL))).checked_parameter("sensors.wrench.tool.mass", -1.0), taut.errors.RangeError, "sensors.wrench.tool.mass"),
+    (lambda: taut.RigidPlant(ARM, sensors=Sensors(wrench=taut.sensors.WrenchSensor(tool=TOOL))).checked_parameter("sensors.wrench.tool.com", [0.0, 1.0]), taut.errors.ShapeError, "sensors.wrench.tool.com"),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("make", "kind", "message"), CASES, ids=range(len(CASES)))
-def test_what_cannot_be_is_refused_in_words(
-    make: Callable[[], object], kind: type[taut.TautError], message: str
-) -> None:
+@pytest.mark.parametrize(("make", "kind", "name"), CASES, ids=range(len(CASES)))
+def test_what_cannot_be_is_refused_by_name(make: Callable[[], object], kind: type[taut.TautError], name: str) -> None:
     with pytest.raises(kind) as caught:
         make()
-    assert str(caught.value) == message
+    assert caught.value.name == name

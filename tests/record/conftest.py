@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import taut
+from taut.record.info import RunInfo
 
 MakeRun = Callable[..., taut.Run]
 
@@ -34,7 +35,7 @@ def make_run() -> MakeRun:
             "outcome": taut.Outcome(kind="completed", message="completed", tick=len(t) - 1),
             "joint_names": tuple(f"joint{i + 1}" for i in range(n)),
             "units": ("rad",) * n,
-            "info": {"rate": 1000.0, "law": "Law()", "arm": "arm", "plant": "plant"},
+            "info": RunInfo(rate=1000.0, law="Law()", arm="arm", plant="plant"),
         }
         return taut.Run(t=t, q=q, **(values | others))
 
@@ -62,7 +63,7 @@ def noisy_run(make_run: MakeRun) -> taut.Run:
         continuous=(2,),
         joint_names=("shoulder", "slide", "gelenk-ü"),
         extra={"F_ext": rng.standard_normal((k, 6)), "contact": rng.standard_normal(k), "none": np.zeros((k, 0))},
-        info={"rate": 1000.0, "law": "PID(kp=1)", "arm": "a", "parameters": {"law.kp": [1.0, 0.1]}, "events": []},
+        info=RunInfo(rate=1000.0, law="PID(kp=1)", arm="a", parameters={"law.kp": np.array([1.0, 0.1])}),
     )
 
 

@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 import taut
 from taut.control.laws.apparent import FeltImpedance, felt_impedance
+from taut.record.info import Change
 from taut.record.tool import expected_deviation
 
 PANDA = taut.load_arm("panda")
@@ -84,15 +85,16 @@ def test_the_apparent_mass_is_the_one_that_was_asked_for(led: taut.Run) -> None:
 
 
 def test_another_mass_is_told_apart(led: taut.Run) -> None:
-    wrong = FeltImpedance.of_json(led.info["impedance"])
+    wrong = led.info.impedance
+    assert wrong is not None
     half = dataclasses.replace(wrong, D=0.5 * wrong.D)
-    other = dataclasses.replace(led, info={**led.info, "impedance": half.json()})
+    other = dataclasses.replace(led, info=dataclasses.replace(led.info, impedance=half))
     assert other.metrics.impedance_error > 10.0
 
 
 def test_what_changes_in_the_run_or_is_not_pushed_has_no_meaning(led: taut.Run) -> None:
-    event = {"t": 1.0, "set": {"law.K": [1.0, 1.0]}}
-    changed = dataclasses.replace(led, info={**led.info, "events": [event]})
+    event = Change(t=1.0, set={"law.K": np.ones(2)})
+    changed = dataclasses.replace(led, info=dataclasses.replace(led.info, events=(event,)))
     still = dataclasses.replace(led, extra={"F_ext": np.zeros_like(led.extra["F_ext"])})
     for run in (changed, still):
         assert expected_deviation(run) is None
@@ -111,5 +113,5 @@ def test_a_jump_of_torque_is_told_from_a_slope(led: taut.Run) -> None:
 def test_shares_of_limits_are_those_of_the_arm(led: taut.Run) -> None:
     assert led.metrics.torque_use == pytest.approx(100.0 * np.abs(led.tau).max(axis=0) / PANDA.effort)
     assert led.metrics.speed_use == pytest.approx(100.0 * np.abs(led.v).max(axis=0) / PANDA.velocity)
-    bare = dataclasses.replace(led, info={key: value for key, value in led.info.items() if key != "limits"})
+    bare = dataclasses.replace(led, info=dataclasses.replace(led.info, limits={}))
     assert np.isnan(bare.metrics.torque_use).all()

@@ -16,8 +16,8 @@ from scipy.integrate import solve_ivp
 import taut
 from taut.record.film import scene, video
 from taut.record.film.scene import Skeleton, upright
-from taut.record.film.surroundings import POSES, Around, Mesh, Shape, Thing, around_of, poses_of
-from taut.record.info import AROUND
+from taut.record.film.surroundings import POSES, Around, Mesh, Shape, Thing, poses_of
+from taut.record.plain import plain, restored
 
 SIZE = (96, 72)
 PLACES = 1e-9  # [m]
@@ -25,7 +25,7 @@ EULER = 2e-3  # [rad] of 200 steps of 1 ms from rest, against an integrator with
 
 
 def test_what_moves_in_a_scene_is_recorded_where_it_was(pressing_task: taut.Run) -> None:
-    found = around_of(pressing_task)
+    found = pressing_task.info.around
     board, tool, flap = found.things  # in the order of MuJoCo's bodies: world, tool, scene
     assert not found.missing
     assert [shape.kind for thing in found.things for shape in thing.shapes] == ["box", "sphere", "box"]
@@ -51,7 +51,7 @@ def test_the_scene_of_a_film_stands_as_that_of_the_plant(pressing_task: taut.Run
     again = taut.load_run(pressing_task.save(tmp_path / "run.mcap"))
     arm, ticks = pressing_task.arm, np.array([0, 100, 200])
     for run in (pressing_task, again):
-        found = around_of(run)
+        found = run.info.around
         skeleton = Skeleton.of(arm, run.q[ticks])
         model, places, problem = scene.scene(arm, skeleton.view(), SIZE, found)
         assert not problem
@@ -140,31 +140,9 @@ def test_what_is_around_reads_back_from_plain_values() -> None:
     mesh = Mesh(vertices=np.array([[0.0, 0.5, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.25]]), faces=np.array([[0, 1, 2]]))
     shapes = (Shape(kind="mesh", size=(0.0, 0.0, 0.0), mesh=0), Shape(kind="box", size=(1.0, 2.0, 3.0)))
     thing = Thing(shapes=shapes, p=(1.0, 2.0, 3.0), row=0, times=(0.0, 1.0), shifts=((0.0, 0.0, 0.0),) * 2)
-    again = Around.of_json(json.loads(json.dumps(Around(things=(thing,), meshes=(mesh,), missing=("a",)).json())))
+    found = Around(things=(thing,), meshes=(mesh,), missing=("a",))
+    again = restored(Around, json.loads(json.dumps(plain(found))), "around")
     assert again.things == (thing,)
     assert again.missing == ("a",)
     np.testing.assert_array_equal(again.meshes[0].vertices, mesh.vertices)
     np.testing.assert_array_equal(again.meshes[0].faces, mesh.faces)
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {},
-        {"things": [{"shapes": [{"kind": "box"}]}], "meshes": [], "missing": []},
-        {"things": [{"shapes": [{"kind": "tree", "size": [1, 1, 1]}]}], "meshes": [], "missing": []},
-        {"things": [{"shapes": [], "row": 3}], "meshes": [], "missing": []},
-        {"things": [], "meshes": [{"vertices": "?", "faces": ""}], "missing": []},
-    ],
-)
-def test_an_entry_that_another_wrote_is_refused_in_one_sentence(
-    wrong: dict[str, Any], make_run: Any, tmp_path: Path
-) -> None:
-    arm = taut.load_arm("one_joint")
-    info = {"rate": 100.0, "arm": "one_joint", AROUND: wrong}
-    run = make_run([0.0, 0.01], np.zeros((2, 1)), arm=arm, joint_names=arm.joint_names, info=info)
-    with pytest.raises(
-        taut.errors.UsageError, match=r"run.info\['around'\] and the column scene.poses must be what taut.run"
-    ):
-        run.video(tmp_path / "run.gif", size=SIZE)
-    assert not list(tmp_path.iterdir())

@@ -93,11 +93,6 @@ def test_plots_show_what_was_wanted_and_comparisons_the_errors_of_force(run: tau
     assert "norm of the force's error" in figure
     assert "norm of the moment's error" in figure
     assert "from 1 to 1.5 s" in figure
-    of_motion = dataclasses.replace(run, reference=taut.JointMotion.of({"q": run.q, "v": run.v, "a": run.v}))
-    with pytest.raises(
-        taut.errors.UsageError, match="run 'a' has errors of force and run 'b' of motion; compare them apart"
-    ):
-        compare({"a": run, "b": of_motion})
 
 
 def test_a_press_may_be_asked_for_as_a_wrench_and_as_multipliers_it_is_not_known(make_run: Any) -> None:

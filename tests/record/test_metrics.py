@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 import taut
 from taut.base.errors import ShapeError, UsageError
 from taut.record.metrics import METRICS, Metric
-from taut.record.step import step_response
+from taut.record.metrics.joints import step_response
 
 STEP = 1e-4  # of the step: what MATHS.md, section 5, asks of exact second-order responses
 ZETAS = [0.1, 0.3, 0.5, 0.78, 1.0, 1.5, 3.0]
@@ -286,8 +286,8 @@ def test_a_run_of_few_ticks_has_metrics(make_run: Any, ticks: int) -> None:
 
 
 def test_a_response_with_a_nan_gives_no_numbers() -> None:
-    response = step_response(np.arange(3.0), np.array([1.0, math.nan, 0.0]))
-    assert math.isnan(response.overshoot)
+    overshoot, _, _ = step_response(np.arange(3.0), np.array([1.0, math.nan, 0.0]))
+    assert math.isnan(overshoot)
 
 
 # -------------------------------------------------------------------- how they read
@@ -325,7 +325,7 @@ def test_a_metric_of_a_user_is_one_function(panda_run: taut.Run, make_run: Any, 
     @taut.analysis.metric(unit="m")
     def tool_travel(run: taut.Run) -> float | None:
         """Length of the path of the tool's origin."""
-        if "tool" not in run.info:
+        if run.info.tool is None:
             return None
         return float(np.linalg.norm(np.diff(run.task.p, axis=0), axis=1).sum())
 

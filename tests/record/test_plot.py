@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 import sys
 from io import BytesIO
@@ -15,8 +16,8 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 import taut
-from taut.analysis.compare.plot import plot_runs
 from taut.base.plot_style import thinned
+from taut.record.info import RunInfo
 from taut.record.plots.comparison import compare
 
 
@@ -72,7 +73,7 @@ def many(make_run: Any) -> Any:
             "tau": parts["P"] + parts["gravity"],
             "terms": parts,
             "joint_names": tuple(f"a_rather_long_joint_name_{i}" for i in range(n)),
-            "info": {"rate": 200.0, "law": f"GravityPID(kp={[1.0 / 3.0] * n}, kd=2.0)", "arm": "a", "plant": "plant"},
+            "info": RunInfo(rate=200.0, law=f"GravityPID(kp={[1.0 / 3.0] * n}, kd=2.0)", arm="a", plant="plant"),
         }
         return make_run(t, q, **(values | others))
 
@@ -137,13 +138,13 @@ def test_chosen_joints_are_shown_by_name_or_index(many: Any) -> None:
 
 
 def test_a_limit_is_drawn_where_the_torque_comes_near_it(many: Any) -> None:
-    info = {"rate": 1.0, "law": "PID()", "parameters": {"limits.tau": [6.0, 1000.0]}}
+    info = RunInfo(rate=1.0, law="PID()", parameters={"limits.tau": np.array([6.0, 1000.0])})
     figure = many(2, info=info).plot()
     levels = {
         float(line.get_ydata()[0]) for line in axes_titled(figure, "torque").lines if line.get_label() == "limit"
     }
     assert levels == {-6.0, 6.0}
-    info["parameters"] = {"limits.tau": 1000.0}
+    info = dataclasses.replace(info, parameters={"limits.tau": np.array(1000.0)})
     assert axes_titled(many(2, info=info).plot(), "torque (below half of limits)")
 
 
@@ -169,12 +170,13 @@ def test_a_run_that_diverged_can_be_plotted(many: Any) -> None:
 def test_plotting_leaves_pyplot_and_the_global_settings_alone() -> None:
     code = """
 import sys, numpy as np, matplotlib, taut
+from taut.record.info import RunInfo
 settings = lambda: {name: matplotlib.rcParams[name] for name in matplotlib.rcParams if name != "backend"}
 before = settings()
 t = np.arange(50) * 0.01
 q = np.sin(t)[:, None]
 run = taut.Run(t=t, q=q, v=q, tau=q, command=q, terms={"P": q}, reference=taut.JointMotion.of({"q": q, "v": q, "a": q}),
-    outcome=taut.Outcome(kind="completed", message="", tick=49), joint_names=("a",), units=("rad",), info={"rate": 100.0})
+    outcome=taut.Outcome(kind="completed", message="", tick=49), joint_names=("a",), units=("rad",), info=RunInfo(rate=100.0))
 run.plot().savefig(sys.stdout.buffer, format="png")
 assert "matplotlib.pyplot" not in sys.modules
 assert settings() == before
@@ -303,14 +305,8 @@ def test_joints_in_rad_and_in_m_are_compared_each_with_their_own(many: Any, coun
 def test_a_run_without_joints_of_a_unit_has_no_bar_there(many: Any) -> None:
     figure = compare({"arm": many(2), "gantry": many(2, units=("m", "m"))}, measures=["peak_error"])
     assert_legible(figure)
-    assert len(curves(axes_titled(figure, "norm of the tracking error of the joints in m"), "-")) == 1
+    assert len(curves(axes_titled(figure, "norm of the tracking error"), "-")) == 1
     assert axes_titled(figure, "peak error [m]").texts[0].get_text() == "-"
-
-
-def test_a_metric_that_is_named_twice_is_drawn_once(many: Any) -> None:
-    figure = compare({"a": many(2)}, measures=["effort", "effort"])
-    titles = [ax.get_title(loc="left") for ax in figure.findobj(matplotlib.axes.Axes)]
-    assert titles.count("effort [(N m)² s]") == 1
 
 
 def test_a_title_keeps_the_way_out_of_a_run_that_diverged(many: Any) -> None:
@@ -341,7 +337,7 @@ def test_the_error_of_one_joint_keeps_its_sign(make_run: Any) -> None:
     ax = axes_titled(compare(runs), "tracking error")
     for curve, run in zip(curves(ax, "-")[:2], runs.values(), strict=True):
         np.testing.assert_array_equal(curve, run.error[:, 0])
-    axes = [ax for ax in plot_runs(runs, "two").axes if ax.get_visible()]
+    axes = [ax for ax in compare(runs, title="two", torques=True).axes if ax.get_visible()]
     assert [ax.get_title(loc="left") for ax in axes[:2]] == ["tracking error", "torque"]
     assert curves(axes[0], "-")[0].min() < -0.9
 
@@ -351,20 +347,13 @@ def test_metrics_without_a_number_are_marked(make_run: Any) -> None:
     run = make_run(t, t[:, np.newaxis], q_ref=1.0)
     figure = compare({"a": run}, measures=["settling_time", "saturation_time", "overshoot"])
     words = {text.get_text() for text in figure.findobj(Text)}
-    assert {"not settled", "-"} <= words
+    assert {"inf", "-"} <= words
     figure.savefig(BytesIO(), format="png")
 
 
-def test_wrong_comparisons_get_one_sentence(many: Any) -> None:
-    run = many(2)
-    with pytest.raises(taut.errors.UsageError, match="compare takes runs by name"):
-        compare([run])  # type: ignore[arg-type]
-    with pytest.raises(taut.errors.UsageError, match="compare draws 1 to 8 runs in one figure; got 0"):
+def test_a_figure_without_runs_is_refused() -> None:
+    with pytest.raises(taut.errors.UsageError, match="a figure compares 1 to 8 runs; got 0"):
         compare({})
-    with pytest.raises(
-        taut.errors.UnknownNameError, match="a run has no metric 'rms_eror'; did you mean 'rms_error'"
-    ):
-        compare({"a": run}, measures=["rms_eror"])
 
 
 def test_one_joint_of_several_runs_is_compared_by_its_motion_error_and_numbers(many: Any) -> None:
@@ -379,8 +368,3 @@ def test_one_joint_of_several_runs_is_compared_by_its_motion_error_and_numbers(m
     widths = [bar.get_width() for bar in axes_titled(figure, "RMS error [rad]").patches]
     assert widths == [run.metrics.rms_error[1] for run in runs.values()]
     assert_legible(figure)
-
-
-def test_a_joint_that_a_run_does_not_have_is_not_compared(many: Any) -> None:
-    with pytest.raises(taut.errors.UnknownNameError, match="run 'a' has no joint 'elbow'"):
-        compare({"a": many(2)}, joint="elbow")

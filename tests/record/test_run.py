@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import taut
-from taut.record.log.messages import columns_of
+from taut.record.log.layout import columns_of
 
 
 def test_a_run_says_what_it_is(noisy_run: taut.Run) -> None:
@@ -56,9 +56,9 @@ def test_a_run_says_the_gains_that_it_was_run_with(tmp_path: Path) -> None:
     loop.parameters["law.GravityPID.kd"] = 30.0
     plants = [taut.RigidPlant(arm), taut.MujocoPlant(arm)]
     for run in [*(taut.run(ctrl, plant, taut.hold(), duration=0.1) for plant in plants), taut.run(loop)]:
-        kd = "30.0" if run.info["parameters"]["law.GravityPID.kd"] == 30.0 else "1.0"
+        kd = "30.0" if run.info.parameters["law.GravityPID.kd"] == 30.0 else "1.0"
         words = f"GravityPID(kp=900.0, kd={kd}) + FrictionCompensation()"
-        assert run.info["law"] == words
-        assert run.info["parameters"]["law.GravityPID.kp"] == 900.0
+        assert run.info.law == words
+        assert run.info.parameters["law.GravityPID.kp"] == 900.0
         assert "GravityPID(kp=900, kd=" in run.plot().get_suptitle()
-        assert taut.load_run(run.save(tmp_path / "run.mcap")).info["law"] == words
+        assert taut.load_run(run.save(tmp_path / "run.mcap")).info.law == words

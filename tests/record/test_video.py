@@ -19,6 +19,7 @@ from taut.maths import dynamics
 from taut.maths.model import model_of
 from taut.record.film import render, scene
 from taut.record.film.scene import Skeleton, upright
+from taut.record.info import RunInfo
 
 SIZE = (96, 72)
 PLACES = 1e-9  # [m] between our kinematics and MuJoCo's
@@ -31,7 +32,7 @@ def moving(make_run: Any) -> Any:
     def make(arm: taut.Arm, seconds: float = 1.0) -> taut.Run:
         t = np.arange(round(100 * seconds) + 1) * 0.01
         q = arm.home + 0.4 * np.outer(np.sin(2.0 * t), np.ones(arm.n))
-        info = {"rate": 100.0, "arm": arm.name}
+        info = RunInfo(rate=100.0, arm=arm.name)
         return make_run(t, q, q_ref=q + 0.05, arm=arm, joint_names=arm.joint_names, units=arm.units, info=info)
 
     return make

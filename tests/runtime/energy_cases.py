@@ -66,7 +66,7 @@ class Bench:
         things = taut.environments.Environments(
             spring=taut.environments.Spring(stiffness=(0.0, 0.0)),
             damper=taut.environments.Damper(damping=(0.0, 0.0)),
-            handle=taut.environments.Handle(mass=1e-6),
+            handle=taut.environments.Hand(mass=1e-6),
             wall=taut.environments.StiffWall(point=[0.0, 0.0, -9.0], normal=[0.0, 0.0, 1.0], stiffness=1e4),
         )
         plant = taut.RigidPlant(self.arm, substeps=STEPS, environment=things)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,20 +15,12 @@ from taut.trace import math as tm
 Values = Mapping[str, Any]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Shaker:
+class Shaker(taut.environments.Environment):
     """A wrench of the world: constant + amplitude sin(2 pi f t), force first, world axes."""
 
-    constant: Any = (0.0,) * 6
-    amplitude: Any = (0.0,) * 6
-    frequency: float = 1.0
-
-    def parameters(self) -> dict[str, Float64Array]:
-        names = ("constant", "amplitude", "frequency")
-        return {name: np.asarray(getattr(self, name), dtype=np.float64) for name in names}
-
-    def start(self, T_WE: taut.Pose) -> dict[str, Any]:
-        return {}
+    constant: taut.environments.Field = taut.environments.Field((0.0,) * 6, shape=6)
+    amplitude: taut.environments.Field = taut.environments.Field((0.0,) * 6, shape=6)
+    frequency: taut.environments.Field = taut.environments.Field(1.0, unit="Hz")
 
     def wrench(
         self, T_WE: taut.Pose, twist: Any, t: Any, memory: Values, parameters: Values, dt: Any
@@ -38,24 +29,17 @@ class Shaker:
         return parameters["constant"] + parameters["amplitude"] * wave, {}
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Kick:
+class Kick(taut.environments.Environment):
     """A wrench that acts until a time, as half a sine."""
 
-    wrench_most: Any
-    duration: float
-
-    def parameters(self) -> dict[str, Float64Array]:
-        return {"most": np.asarray(self.wrench_most, dtype=np.float64), "duration": np.asarray(self.duration)}
-
-    def start(self, T_WE: taut.Pose) -> dict[str, Any]:
-        return {}
+    wrench_most: taut.environments.Field = taut.environments.Field(shape=6)
+    duration: taut.environments.Field = taut.environments.Field(unit="s")
 
     def wrench(
         self, T_WE: taut.Pose, twist: Any, t: Any, memory: Values, parameters: Values, dt: Any
     ) -> tuple[Any, dict[str, Any]]:
         phase = tm.minimum(t / parameters["duration"], 1.0)
-        return parameters["most"] * tm.sin(np.pi * phase), {}
+        return parameters["wrench_most"] * tm.sin(np.pi * phase), {}
 
 
 def deviation(run: taut.Run, pose: taut.Pose, every: int = 1) -> Float64Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -55,15 +54,11 @@ def seen(run: taut.Run, name: str) -> Array:
     return run.terms[name] / TINY
 
 
-@dataclass(frozen=True, kw_only=True)
-class Spring:
+class Spring(taut.environments.Environment):
     """A spring with damping between the tool and where it starts."""
 
-    k: float = 300.0  # [N/m]
-    b: float = 5.0  # [N s/m]
-
-    def parameters(self) -> dict[str, Array]:
-        return {"k": np.asarray(self.k), "b": np.asarray(self.b)}
+    k: taut.environments.Field = taut.environments.Field(300.0, unit="N/m")
+    b: taut.environments.Field = taut.environments.Field(5.0, unit="N s/m")
 
     def start(self, T_WE: taut.Pose) -> dict[str, Any]:
         return {"anchor": T_WE.p}

@@ -10,8 +10,7 @@ import pytest
 
 import taut
 from taut.record.film.surroundings import POSES, Around, Thing
-from taut.record.info import AROUND
-from taut.runtime.around_info import around_info
+from taut.runtime.info import around_info
 
 C = taut.Constraint
 ARM = taut.load_arm("fr3")
@@ -21,8 +20,7 @@ CLOSE = 1e-6  # [m]
 
 
 def around(**plant: Any) -> Around:
-    found = around_info(taut.RigidPlant(ARM, friction=None, **plant), ARM.home, 2.0)
-    return Around.of_json(found[AROUND]) if found else Around()
+    return around_info(taut.RigidPlant(ARM, friction=None, **plant), ARM.home, 2.0)
 
 
 def only(found: Around, kind: str) -> Thing:

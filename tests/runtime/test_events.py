@@ -103,11 +103,6 @@ def test_the_float_engine_does_the_same() -> None:
     np.testing.assert_array_equal(got, [1, 1, 1, 1, 1, 2, 2, 2, 2, 2, 2])
 
 
-def test_the_record_of_a_run_has_them_as_plain_values() -> None:
-    event = taut.Event(t=0.5, set={"law.kp": np.array([1.0, 2.0]), "plant.payload.mass": 1})
-    assert event.json() == {"t": 0.5, "set": {"law.kp": [1.0, 2.0], "plant.payload.mass": 1}}
-
-
 # -------------------------------------------------------------------- refused
 
 

@@ -13,7 +13,7 @@ from runtime_laws import TINY, Array, AtOnly, HandPlant, Seen, Spring, TorqueOf,
 import taut
 from taut.control.trajectories.feed import ReferenceFeed
 from taut.control.trajectories.reference import Sample, Stream
-from taut.runtime import hosted
+from taut.runtime import tape
 
 ARM = taut.load_arm("planar2")
 WAVE = taut.trajectories.Sine(center=[0.1, 0.2], amplitude=0.3, frequency=2.0)
@@ -70,7 +70,7 @@ class TestTrajectories:
         self, plant: Callable[[], Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     ) -> None:
         monkeypatch.setattr(ReferenceFeed, "block", 8)
-        monkeypatch.setattr(hosted, "LOG_EVERY", 4)
+        monkeypatch.setattr(tape, "LOG_PERIOD", 0.0)
 
         class Breaks:
             def at(self, t: float) -> taut.JointMotion:
@@ -325,9 +325,7 @@ def test_a_chunk_of_samples_of_different_sizes_is_refused_when_it_is_made() -> N
     samples = [taut.JointMotion(q=[0.0, 0.0]), taut.JointMotion(q=[0.0])]
     with pytest.raises(taut.errors.ShapeError) as caught:
         taut.chunk([0.0, 1.0], samples)
-    assert str(caught.value) == (
-        "targets must be samples of one kind and size; targets[1].q has shape (1,) and targets[0].q (2,)"
-    )
+    assert caught.value.name == "targets"
 
 
 def test_an_error_of_the_source_comes_through_as_it_is() -> None:

@@ -121,8 +121,8 @@ CASES: list[tuple[str, Any, type[taut.TautError], str]] = [
     ("sensors.position.resolution", 0.0, taut.errors.RangeError, "sensors.position.resolution must be > 0 [rad | m]; got 0.0; leave it out where there are no steps"),
     ("sensors.position.noise", [0.0, -1.0], taut.errors.RangeError, "sensors.position.noise[1] (joint 'joint2') must be >= 0 [rad | m]; got -1.0"),
     ("sensors.position.resolution", [0.1, 0.1], taut.errors.ShapeError, "sensors.position.resolution has shape (); got shape (2,); make the plant with a value of the new shape"),
-    ("environment.k", np.inf, taut.errors.RangeError, "environment.k must be finite; got inf"),
-    ("environment.k", "stiff", taut.errors.ShapeError, "environment.k must be numbers; got 'stiff'"),
+    ("environment.k", np.inf, taut.errors.RangeError, "environment.k must be finite [N/m]; got inf"),
+    ("environment.k", "stiff", taut.errors.ShapeError, "environment.k must be numbers [N/m]; got 'stiff'"),
 ]  # fmt: skip
 
 
@@ -181,7 +181,7 @@ def test_a_spring_that_a_parameter_makes_too_stiff_for_the_steps_is_refused_when
     assert taut.run(loop).outcome.ok
     loop.parameters["actuation.transmission.stiffness"] = 1e6
     with pytest.raises(
-        taut.errors.RangeError, match=r"too fast for steps of 0\.000333333 s; give the plant \d+ substeps, a softer"
+        taut.errors.RangeError, match=r"too fast for steps of 0\.000333333 s; give the plant steps of"
     ):
         taut.run(loop)
 
@@ -199,7 +199,7 @@ def test_a_loop_can_be_run_again_and_runs_the_same() -> None:
     np.testing.assert_array_equal(first.q, again.q)
     loop.parameters["law.kp"] = 1.0
     assert np.abs(taut.run(loop).q - first.q).max() > 1e-6
-    np.testing.assert_array_equal(first.info["parameters"]["law.kp"], [200.0, 100.0])
+    np.testing.assert_array_equal(first.info.parameters["law.kp"], [200.0, 100.0])
 
 
 EVERYTHING: dict[str, Any] = {

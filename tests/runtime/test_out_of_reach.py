@@ -15,7 +15,7 @@ from taut.control.trajectories.compound import together
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.chain import Chain
 from taut.maths.model import model_of
-from taut.maths.out_of_reach import Beyond, distance_beyond, spheres
+from taut.maths.singularity import Beyond, distance_beyond, spheres
 
 Array = Float64Array
 ARMS = ("panda", "ur10", "xarm7", "kinova")  # on the last nothing was tuned
@@ -62,6 +62,7 @@ CASES.sort(key=lambda case: case != ("kinova", "designed"))  # first the one tha
 
 
 @pytest.mark.bars
+@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")  # "light" is too stiff for an xArm7 without friction
 def test_a_target_far_out_of_reach_asks_no_more_than_the_arm_can_do(
     share: Callable[[int], int], bar: Callable[[str, object], None]
 ) -> None:

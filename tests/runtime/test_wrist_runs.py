@@ -35,17 +35,10 @@ class Soft(taut.Law):
         return taut.Torque(P=self.kp @ x.difference(ref.q), D=-(self.kd @ x.v), gravity=x.g, none=none)
 
 
-class Pull:
+class Pull(taut.environments.Environment):
     """A constant force at the tool, in world axes."""
 
-    def __init__(self, F: Any = (0.0,) * 6) -> None:
-        self.F = np.asarray(F, dtype=np.float64)
-
-    def parameters(self) -> dict[str, Array]:
-        return {"F": self.F}
-
-    def start(self, T_WE: taut.Pose) -> dict[str, Any]:
-        return {}
+    F: taut.environments.Field = taut.environments.Field((0.0,) * 6, unit="N, N m", shape=6)
 
     def wrench(
         self, T_WE: taut.Pose, twist: Array, t: Any, memory: Mapping[str, Any], parameters: Mapping[str, Any], dt: Any

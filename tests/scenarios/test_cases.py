@@ -36,8 +36,8 @@ duration = 1.0
 
 FRICTION = """
 [plant.friction]
-coulomb = { joint1 = 0.3 }
-static = { joint1 = 0.5 }
+coulomb = [0.3, 0.0]
+static = [0.5, 0.0]
 viscous = [0.1, 0.2]
 """
 
@@ -73,7 +73,7 @@ def run_json(tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str], stat
 # -------------------------------------------------------------------- joints
 
 
-def test_friction_by_joint_name_gives_the_other_joints_none(tmp_path: Path) -> None:
+def test_friction_of_the_plant_takes_the_place_of_that_of_the_arm(tmp_path: Path) -> None:
     scenario = load_scenario(write(tmp_path, GOOD + FRICTION))
     true = scenario.plant.arm.friction
     assert np.asarray(true.coulomb).tolist() == [0.3, 0.0]
@@ -96,17 +96,11 @@ def test_an_arm_may_be_believed_without_friction(tmp_path: Path) -> None:
     assert not np.any(scenario.arm.friction.viscous)
 
 
-def test_at_rest_unnamed_joints_have_the_friction_that_they_have_in_motion(tmp_path: Path) -> None:
-    text = GOOD + "[plant.friction]\ncoulomb = 0.3\nstatic = { joint2 = 0.5 }\n"
-    friction = load_scenario(write(tmp_path, text)).plant.arm.friction
-    assert np.asarray(friction.static).tolist() == [0.3, 0.5]
-
-
 def test_gears_and_rotors_reach_both_arms(tmp_path: Path) -> None:
     text = GOOD.replace(
         'model = "planar2"',
         'model = "planar2"\ngears = { ratio = { joint1 = 100.0 }, motor_inertia = { joint1 = 1e-5 } }',
-    ).replace('kind = "rigid"', 'kind = "rigid"\ngears = { ratio = 50.0 }\nrotor_inertia = [0.2, 0.1]')
+    ).replace('kind = "rigid"', 'kind = "rigid"\njoint_values = { gear = 50.0, rotor_inertia = [0.2, 0.1] }')
     scenario = load_scenario(write(tmp_path, text))
     assert scenario.arm.gear.tolist() == [100.0, 1.0]
     assert scenario.arm.rotor_inertia == pytest.approx([0.1, 0.0])

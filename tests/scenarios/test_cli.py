@@ -248,7 +248,7 @@ class TestALawOfTheUsersOwn:
                 "taut: --law {file}:Spring: k must be a number, (1,) or (1, 1) [N m/rad] for 1 joint",
             ),
             ("Fails", [], "taut: --law {file}:Fails: Fails fails on plain numbers, at rest at home: ValueError: no"),
-            ("Moves", [], "[plant] takes: Moves gives a velocity and plant 'RigidPlant(one_joint)' takes a torque"),
+            ("Moves", [], "[plant] Moves gives a velocity and plant 'RigidPlant(one_joint)' takes a torque"),
         ],
     )
     def test_what_does_not_fit_is_refused(
@@ -353,7 +353,7 @@ def test_a_name_that_is_a_file_here_is_told(
     monkeypatch.chdir(tmp_path)
     Path("mine.toml").write_text("title = 'mine'")
     assert main(["run", "mine"]) == 2
-    assert capsys.readouterr().err.endswith("(or mean the file mine.toml)\n")
+    assert capsys.readouterr().err.endswith("(or give the path of a .toml file)\n")
 
 
 def test_a_warning_is_one_line_without_our_code(

@@ -80,7 +80,7 @@ def test_a_peg_that_is_pressed_with_30_newtons_sinks_in_by_less_than_a_micrometr
 def test_every_peg_goes_in_to_20_mm_with_at_most_30_newtons(
     peg: Scenario, tmp_path: Path, share: Callable[[int], int], bar: Callable[[str, object], None]
 ) -> None:
-    scenario = some(peg, share(peg.spread.section.runs))  # type: ignore[union-attr]
+    scenario = some(peg, share(peg.spread.runs))  # type: ignore[union-attr]
     result = run_scenario(scenario, tmp_path, say=lambda _: None)
     assert result.ok, result.missed
     depths, forces = [], []
@@ -150,10 +150,7 @@ def test_places_fill_their_discs_and_depend_on_the_seed_and_the_run_alone(tmp_pa
     assert np.abs(shifts.mean(axis=0)).max() < 1e-4
     assert not shifts[:, 2].any()
     np.testing.assert_array_equal(spread.place(2).R, places[1].R)
-    assert (
-        dataclasses.replace(spread, section=dataclasses.replace(spread.section, seed=5)).place(2).p[0]
-        != places[1].p[0]
-    )
+    assert dataclasses.replace(spread, seed=5).place(2).p[0] != places[1].p[0]
 
 
 def test_each_run_has_its_scene_elsewhere_and_is_a_run_of_its_own(

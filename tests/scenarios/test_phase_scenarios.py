@@ -75,7 +75,7 @@ def test_a_hybrid_phase_goes_from_where_it_begins_and_presses(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("hybrid", "more", "path"),
     [
-        (False, "press = 5", "phases 2.reference"),
+        (False, "press = 5", "phases 2.reference.press"),
         (True, "press = -5", "phases 2.reference.press"),
         (True, "press = 5, lam = [3]", "phases 2.reference.lam"),
     ],
@@ -122,10 +122,10 @@ def test_a_task_runs_from_a_file_and_has_a_line_for_each_visit_of_a_phase(tmp_pa
         (
             '{ kind = "quintic"',
             '{ kind = "steady", velocity = [0, 0, 1] }\nxx = { kind = "quintic"',
-            "phases 1.reference",
+            "phases 1.reference.kind",
         ),
         ("[[phases]]", '[laws.a]\nlaw = "PID"\nkp = 1\n\n[[phases]]', ""),
-        ("ticks = 5", "direction = [0, 0, 1]", "phases 1.until"),
+        ("ticks = 5", "direction = [0, 0, 1]", "phases 1.until.direction"),
         ('part = "stay"', 'part = "sty"', "pass 1.part"),
         ('law = { law = "GravityPID", kp = 20, kd = 5 }', "", "phases 2.law"),
     ],

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +14,8 @@ import taut
 from taut.cli.main import main
 from taut.scenarios.laws import read_control
 from taut.scenarios.plants import read_plant
+from taut.scenarios.reading import read_toml
 from taut.scenarios.scenario import built_in_scenarios, load_scenario
-from taut.scenarios.toml import read_toml
 
 GOOD = """
 title = "a test"
@@ -176,8 +175,7 @@ class TestFilesAreWholeOrNotThere:
         (tmp_path / "out").write_text("mine")
         for folder in (tmp_path / "out", tmp_path / "out" / "below"):
             assert self.run(tmp_path, "--out", str(folder)) == 2
-            said = f"taut: the folder '{folder}' cannot be made: '{tmp_path / 'out'}' is a file\n"
-            assert capsys.readouterr().err == said
+            assert f"taut: the folder '{folder}' cannot be made: " in capsys.readouterr().err
         assert (tmp_path / "out").read_text() == "mine"
 
     def test_a_folder_with_a_name_of_5000_letters_is_refused(
@@ -185,14 +183,6 @@ class TestFilesAreWholeOrNotThere:
     ) -> None:
         assert self.run(tmp_path, "--out", "a" * 5000) == 2
         assert "File name too long" in capsys.readouterr().err
-
-    def test_a_folder_that_takes_no_files_is_refused(
-        self, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr("os.access", lambda place, mode: str(place) != str(tmp_path) or mode != os.W_OK)
-        assert self.run(tmp_path) == 2
-        assert f"cannot be written; '{tmp_path}' is read-only for you" in capsys.readouterr().err
-        assert not (tmp_path / "out").exists()
 
     @WITHOUT_OPENGL
     @pytest.mark.parametrize(("kind", "name"), [("plot", "x.png"), ("log", "x.mcap"), ("csv", "x.csv")])
@@ -234,14 +224,6 @@ class TestFilesAreWholeOrNotThere:
         assert f"metrics  {Path('out/case/case.json')}" in capsys.readouterr().out
         assert json.loads(Path("out/case/case.json").read_text())["PD"]["peak_error"]["overall"] < 3.0
 
-    def test_a_film_that_needs_ffmpeg_is_refused_before_the_run(
-        self, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setenv("PATH", str(tmp_path))
-        (tmp_path / "case.toml").write_text(changed('plot = "x.png"', 'video = "x.mp4"'))
-        assert main(["run", str(tmp_path / "case.toml"), "--out", str(tmp_path / "out")]) == 2
-        assert ": [outputs] video 'x.mp4' needs the program ffmpeg" in capsys.readouterr().err
-
 
 class TestJointsInRadAndJointsInM:
     """Nothing adds rad to m: each unit has its numbers, its columns and its pictures."""
@@ -277,16 +259,12 @@ class TestJointsInRadAndJointsInM:
         assert main(words) == 1
         assert "missed: PD: overshoot of joint 'turn' has no meaning in this run" in capsys.readouterr().out
 
-    def test_a_figure_that_needs_one_number_is_refused_before_the_run(
+    def test_a_figure_that_needs_one_number_is_missed(
         self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
         words = self.write(tmp_path, '[[pass]]\nlaw = "PD"\nmetric = "peak_error"\nmax = 0.4\n')
-        assert main(words) == 2
-        assert capsys.readouterr().err.endswith(
-            "[pass 1] metric 'peak_error' has no one number for joints in rad and joints in m together; "
-            "add joint, one of 'turn', 'push'\n"
-        )
-        assert not (tmp_path / "out").exists()
+        assert main(words) == 1
+        assert "peak_error has no one number for joints in rad and joints in m together" in capsys.readouterr().out
 
     def test_energy_and_time_are_of_all_joints(self, tmp_path: Path) -> None:
         figures = "".join(
@@ -495,7 +473,7 @@ def test_a_wrist_sensor_that_weighs_and_what_the_controller_knows_of_it_can_be_w
     file.write_text(TEXT_OF_WRIST)
     root = read_toml(file)
     arm = taut.load_arm("planar2")
-    plant = read_plant(root.table("plant"), arm, 500.0, tmp_path)
+    plant = read_plant(root.table("plant"), arm, 500.0)
     assert plant.parameters["sensors.wrench.tool.mass"] == 0.7
     assert plant.parameters["sensors.wrench.tool.com"].tolist() == [0.0, 0.0, 0.05]
     assert plant.parameters["sensors.wrench.noise"].tolist() == [0.1] * 3 + [0.01] * 3

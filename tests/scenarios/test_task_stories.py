@@ -17,8 +17,8 @@ from story_names import STORIES
 
 import taut
 from taut.base.errors import TautError
+from taut.scenarios.references import SamplePolicy
 from taut.scenarios.run import ScenarioResult, run_scenario
-from taut.scenarios.sample_policy import SamplePolicy
 from taut.scenarios.scenario import Scenario, Trial, built_in_scenarios, load_scenario
 
 WHOLE = bool(os.environ.get("TAUT_BARS"))  # `make bars`

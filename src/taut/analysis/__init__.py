@@ -6,14 +6,13 @@ from taut.base.front_door import lazy_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from taut.analysis.compare.compare import Comparison as Comparison
-    from taut.analysis.compare.grading import Grade as Grade
-    from taut.analysis.compare.truth import WrongModel as WrongModel
-    from taut.analysis.constraints.contact_modes import ForceMotionCheck as ForceMotionCheck
-    from taut.analysis.constraints.contact_modes import FrictionMargin as FrictionMargin
-    from taut.analysis.constraints.contact_modes import Violation as Violation
+    from taut.analysis.comparison import Comparison as Comparison
+    from taut.analysis.comparison import WrongModel as WrongModel
     from taut.analysis.constraints.natural_constraints import ConstraintRow as ConstraintRow
     from taut.analysis.constraints.natural_constraints import ConstraintTable as ConstraintTable
+    from taut.analysis.constraints.natural_constraints import ForceMotionCheck as ForceMotionCheck
+    from taut.analysis.constraints.natural_constraints import FrictionMargin as FrictionMargin
+    from taut.analysis.constraints.natural_constraints import Violation as Violation
     from taut.analysis.constraints.natural_constraints import natural_constraints as natural_constraints
     from taut.analysis.constraints.specification import Specification as Specification
     from taut.analysis.constraints.specification import check_specification as check_specification
@@ -26,8 +25,8 @@ if TYPE_CHECKING:
     from taut.analysis.diagnosis.checks import CHECKS as CHECKS
     from taut.analysis.diagnosis.diagnosis import Diagnosis as Diagnosis
     from taut.analysis.diagnosis.examined_run import ExaminedRun as ExaminedRun
+    from taut.analysis.grading import Grade as Grade
     from taut.analysis.impedance_at_tool import ToolImpedance as ToolImpedance
-    from taut.analysis.impedance_at_tool import ToolMeasurement as ToolMeasurement
     from taut.analysis.impedance_at_tool import tool_impedance as tool_impedance
     from taut.analysis.joint_coupling import Coupling as Coupling
     from taut.analysis.joint_coupling import coupling as coupling
@@ -37,12 +36,12 @@ if TYPE_CHECKING:
     from taut.analysis.loci import stability_map as stability_map
     from taut.analysis.lyapunov_function import Lyapunov as Lyapunov
     from taut.analysis.lyapunov_function import lyapunov as lyapunov
+    from taut.analysis.run_gradient import Tick as Tick
     from taut.analysis.stiffness import StiffnessCheck as StiffnessCheck
     from taut.analysis.stiffness import check_stiffness as check_stiffness
     from taut.analysis.stiffness import check_virtual_wall as check_virtual_wall
-    from taut.analysis.tune.tune import Tick as Tick
-    from taut.analysis.tune.tune import Trial as Trial
-    from taut.analysis.tune.tune import Tuned as Tuned
+    from taut.analysis.tuning import Trial as Trial
+    from taut.analysis.tuning import Tuned as Tuned
     from taut.analysis.wrist_calibration import WristCalibration as WristCalibration
     from taut.analysis.wrist_calibration import calibrate_wrist as calibrate_wrist
     from taut.analysis.wrist_calibration import calibration_poses as calibration_poses
@@ -53,7 +52,7 @@ if TYPE_CHECKING:
     from taut.linear.joint_loop import second_order as second_order
     from taut.linear.judgement import Judgement as Judgement
     from taut.linear.judgement import judge as judge
-    from taut.linear.linearise import Linearisation as Linearisation
+    from taut.linear.linear_system import OperatingPoint as OperatingPoint
     from taut.linear.routh_table import RouthTable as RouthTable
     from taut.linear.routh_table import routh as routh
     from taut.record.metrics import METRICS as METRICS

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from taut.base.checks import finite_array, positive_scalar
+from taut.base.checks import finite_array
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.paths import subtree
 from taut.base.result import Cell, Content, Result, Table
@@ -21,7 +21,6 @@ from taut.control.describe import title
 from taut.control.gains import GainValue
 from taut.control.law import Law
 from taut.control.laws.apparent import felt_impedance
-from taut.control.laws.force import ForceControl
 from taut.control.laws.friction import FrictionCompensation
 from taut.control.laws.impedance import Stiffness
 from taut.control.laws.joint import PID, ComputedTorque, FeedForward, GravityCompensation, GravityPID
@@ -30,20 +29,19 @@ from taut.control.laws.task_space import Compliance
 from taut.control.laws.via_joint_space import ViaJointSpace
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.linear.equilibrium import WITHIN
-from taut.linear.linear_system import LinearSystem, names
-from taut.linear.linearise import Linearisation, linearise, rest_of
-from taut.linear.loop_map import loop_map
-from taut.linear.period import small_rotations
+from taut.linear.linear_system import LinearSystem
+from taut.linear.linearise import linearise, rest_of
+from taut.linear.period import loop_map, small_rotations
 from taut.loop import Loop
 from taut.maths.model import PayloadValues
 from taut.maths.snapshot import Snapshot
-from taut.plant.disturbance import WRENCH
+from taut.plant.environments.environment import WRENCH
 from taut.trace.derivative import jacobian
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["ToolImpedance", "ToolMeasurement", "direction_of", "tool_impedance"]
+__all__ = ["ToolImpedance", "tool_impedance"]
 
 Complex = NDArray[np.complex128]
 Admittance = Callable[[Complex], Complex]
@@ -79,19 +77,6 @@ def _inverse(values: Complex) -> Complex:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ToolMeasurement:
-    """A sine sweep in simulation: the tool's response X / F along a direction."""
-
-    omega: Float64Array  # (k,) [rad/s]
-    Y: Complex  # (k,) [m/N | rad/(N m)]
-
-    @property
-    def Z(self) -> Complex:
-        """(k,) F / X."""
-        return _inverse(self.Y)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class ToolImpedance(Result):
     """Response of a loop to a force at its tool along one direction, with the tool free in all others.
 
@@ -113,7 +98,7 @@ class ToolImpedance(Result):
     """
 
     loop: Loop
-    lin: Linearisation
+    lin: LinearSystem
     direction: Float64Array
     specified: Admittance | None
 
@@ -122,33 +107,17 @@ class ToolImpedance(Result):
         """Of Z."""
         return "N/m" if self.direction[:3].any() else "N m/rad"
 
-    @property
-    def system(self) -> LinearSystem:
-        """From a wrench, force first, to the tool's displacement, position first, in world axes."""
-        lin = self.lin
-        rows = [*lin.rows("tip.p"), *lin.rows("tip.rotation")]
-        columns = lin.columns("disturbance.wrench")
-        return LinearSystem(
-            A=lin.A, B=lin.B[:, columns], C=lin.C[rows], D=lin.D[np.ix_(rows, columns)], dt=lin.dt,
-            states=lin.states, inputs=names("wrench", 6), outputs=names("displacement", 6),
-        )  # fmt: skip
-
-    def matrix(self, omega: ArrayLike) -> Complex:
-        """(k, 6, 6) predicted response of `system`."""
-        return self.system.frequency_response(omega, input="wrench", output="displacement")
-
     def Y(self, omega: ArrayLike) -> Complex:
         """(k,) predicted admittance X / F [m/N | rad/(N m)].
 
         Raises:
             RangeError: A frequency beyond half the rate, or negative.
         """
-        d, tool = self.direction, self.system
-        along = LinearSystem(
-            A=tool.A, B=(tool.B @ d)[:, np.newaxis], C=(d @ tool.C)[np.newaxis], D=[[d @ tool.D @ d]], dt=tool.dt,
-            inputs=("force",), outputs=("displacement",),
-        )  # fmt: skip
-        return along.frequency_response(omega, input="force", output="displacement")
+        lin, d = self.lin, self.direction
+        rows = [*lin.rows("tip.p"), *lin.rows("tip.rotation")]
+        columns = lin.columns("disturbance.wrench")
+        B, C, D = lin.B[:, columns] @ d, d @ lin.C[rows], d @ lin.D[np.ix_(rows, columns)] @ d
+        return lin.response(omega, B[:, np.newaxis], C[np.newaxis], np.array([[D]]))[:, 0, 0]
 
     def Z(self, omega: ArrayLike) -> Complex:
         """(k,) predicted impedance F / X [N/m | N m/rad]; infinite where the tool does not move, as of stiff drives.
@@ -157,11 +126,11 @@ class ToolImpedance(Result):
             RangeError: A frequency beyond half the rate, or negative.
         """
         Y = self.Y(omega)
-        size = float(np.abs(self.Y(np.geomspace(1e-5, 1.0, 5)[:-1] * np.pi / self.lin.dt)).max())
+        size = float(np.abs(self.Y(np.geomspace(1e-5, 1.0, 5)[:-1] * np.pi / self.lin.period)).max())
         return _inverse(np.where(np.abs(Y) < NO_MOTION * size, 0.0, Y))
 
-    def specified_Y(self, omega: ArrayLike) -> Complex:
-        """(k,) admittance of the law's closed loop in continuous time.
+    def specified_Z(self, omega: ArrayLike) -> Complex:
+        """(k,) impedance of the law's closed loop in continuous time.
 
         Raises:
             UsageError: The law has none in closed form.
@@ -173,19 +142,15 @@ class ToolImpedance(Result):
                 name="specified",
             )
         s = np.asarray(1j * self._above_zero(omega), dtype=np.complex128)
-        return np.asarray(self.specified(s) @ self.direction @ self.direction, dtype=np.complex128)
+        return _inverse(np.asarray(self.specified(s) @ self.direction @ self.direction, dtype=np.complex128))
 
-    def specified_Z(self, omega: ArrayLike) -> Complex:
-        """(k,) 1 / specified_Y."""
-        return _inverse(self.specified_Y(omega))
+    def measured_Z(self, omega: ArrayLike) -> Complex:
+        """(k,) by a sine sweep in simulation, one run for each frequency: the motion fitted over whole periods.
 
-    def measure(self, omega: ArrayLike, *, amplitude: float | None = None) -> ToolMeasurement:
-        """A sine sweep in simulation, one run for each frequency: the tool's motion fitted over whole periods.
+        The force is one that moves the tool by 0.1 mm or 0.1 mrad, and 1 where it does not move.
 
         Args:
             omega: (k,) or one [rad/s], above zero and below half the rate.
-            amplitude: Of the force [N | N m]; one that moves the tool by 0.1 mm or 0.1 mrad if left out, and 1 where
-                it does not move.
 
         Raises:
             RangeError: A frequency without meaning; an unstable loop, whose response grows without end.
@@ -193,21 +158,18 @@ class ToolImpedance(Result):
         w = self._above_zero(omega)
         if not self.lin.stable:
             raise RangeError(
-                f"the loop is not stable ({self.lin.system.unstable_because}), so that no sine settles; measure a "
+                f"the loop is not stable ({self.lin.unstable_because}), so that no sine settles; measure a "
                 "stable loop",
                 name="loop",
                 value=self.lin.radius,
             )
-        if amplitude is None:
-            Z = np.abs(self.Z(w))
-            amplitudes = np.where(np.isfinite(Z), AMPLITUDE * Z, 1.0)
-        else:
-            amplitudes = np.full(len(w), positive_scalar("amplitude", amplitude, unit="N | N m"))
-        return ToolMeasurement(omega=w, Y=_sine_sweep(self.loop, self.lin, self.direction, w, amplitudes))
+        Z = np.abs(self.Z(w))
+        amplitudes = np.where(np.isfinite(Z), AMPLITUDE * Z, 1.0)
+        return _inverse(_sine_sweep(self.loop, self.lin, self.direction, w, amplitudes))
 
     def _above_zero(self, omega: ArrayLike) -> Float64Array:
         w = np.atleast_1d(finite_array("omega", omega, unit="rad/s"))
-        highest = HIGHEST * np.pi / self.lin.dt
+        highest = HIGHEST * np.pi / self.lin.period
         if w.ndim != 1 or not ((w > 0.0) & (w <= highest)).all():
             raise RangeError(
                 f"omega must be one frequency or (k,) of them, above 0 and at most {highest:.6g} rad/s, below half "
@@ -220,7 +182,7 @@ class ToolImpedance(Result):
     def content(self) -> Content:
         """Size of the impedance over frequency, and its Bode diagram."""
         omega = HERTZ * np.array([0.1, 1.0, 3.0, 10.0, 30.0])
-        omega = omega[omega < HIGHEST * np.pi / self.lin.dt]
+        omega = omega[omega < HIGHEST * np.pi / self.lin.period]
         rows: list[list[Cell]] = [[w / HERTZ, abs(z)] for w, z in zip(omega.tolist(), self.Z(omega), strict=True)]
         columns = ["frequency [Hz]", f"|Z| [{self.unit}]"]
         if self.specified is not None:
@@ -233,8 +195,12 @@ class ToolImpedance(Result):
             figures={"Bode diagram of the impedance": self.plot},
         )
 
-    def plot(self, measured: ToolMeasurement | None = None) -> Figure:
-        """Bode diagram of Z: specified, predicted and, after a sweep, measured."""
+    def plot(self, measured: ArrayLike | None = None) -> Figure:
+        """Bode diagram of Z: specified and predicted.
+
+        Args:
+            measured: (k,) frequencies [rad/s] at which it shows a sine sweep too.
+        """
         from matplotlib.figure import Figure
 
         from taut.base.plot_style import DASHED, INK, SMALL, WIDTH, colour, prepared
@@ -243,23 +209,22 @@ class ToolImpedance(Result):
         above, below = figure.subplots(2, 1, sharex=True)
         prepared(above, "impedance at the tool, Z = F / X", f"|Z| [{self.unit}]")
         prepared(below, "", "phase of Z [deg]", "frequency [Hz]")
-        omega = HIGHEST * np.pi / self.lin.dt * np.logspace(-DECADES, 0.0, POINTS)
-        lines: list[tuple[Complex, Any, str, str]] = [
-            (self.Z(omega), "solid", colour(0), "predicted, of the sampled loop")
+        omega = HIGHEST * np.pi / self.lin.period * np.logspace(-DECADES, 0.0, POINTS)
+        curves: list[tuple[Float64Array, Complex, str, dict[str, Any]]] = [
+            (omega, self.Z(omega), "predicted, of the sampled loop", {"color": colour(0)})
         ]
         if self.specified is not None:
-            lines.append((self.specified_Z(omega), DASHED, INK, "specified"))
-        for Z, style, shade, name in lines:
-            above.loglog(omega / HERTZ, np.abs(Z), color=shade, linestyle=style, linewidth=1.4, label=name)
-            below.semilogx(omega / HERTZ, np.degrees(np.unwrap(np.angle(Z))), color=shade, linestyle=style)
+            curves.append((omega, self.specified_Z(omega), "specified", {"color": INK, "linestyle": DASHED}))
         if measured is not None:
-            hertz, phase = measured.omega / HERTZ, np.angle(measured.Z)
-            above.loglog(
-                hertz, np.abs(measured.Z), "o", color=colour(1), markersize=4.0, label="measured, sine sweep"
-            )
-            predicted = np.interp(measured.omega, omega, np.unwrap(np.angle(lines[0][0])))
-            phase += 2.0 * np.pi * np.round((predicted - phase) / (2.0 * np.pi))
-            below.semilogx(hertz, np.degrees(phase), "o", color=colour(1), markersize=4.0)
+            w = np.atleast_1d(np.asarray(measured, dtype=np.float64))
+            style = {"color": colour(1), "linestyle": "none", "marker": "o", "markersize": 4.0}
+            curves.append((w, self.measured_Z(w), "measured, sine sweep", style))
+        predicted = np.unwrap(np.angle(curves[0][1]))
+        for w, Z, name, style in curves:
+            phase, near = np.angle(Z), np.interp(w, omega, predicted)
+            above.loglog(w / HERTZ, np.abs(Z), linewidth=1.4, label=name, **style)
+            whole = 2.0 * np.pi * np.round((near - phase) / (2.0 * np.pi))
+            below.semilogx(w / HERTZ, np.degrees(phase + whole), linewidth=1.4, **style)
         above.legend(fontsize=SMALL, frameon=False)
         return figure
 
@@ -288,7 +253,7 @@ def tool_impedance(
         >>> abs(tool.Z(0.01)).round(2).tolist(), abs(tool.specified_Z(0.01)).round(2).tolist()
         ([800.0], [800.0])
     """
-    d = direction_of(direction)
+    d = _unit_vector(direction)
     lin = linearise(loop, at=at, within=within)
     if not any(name.startswith("disturbance.wrench") for name in lin.inputs):
         raise UsageError(
@@ -297,7 +262,7 @@ def tool_impedance(
             name="loop",
         )
     payload = PayloadValues.of(subtree(loop.parameters, "model.payload"))
-    x = Snapshot(loop.side.model, q=lin.q, v=np.zeros(len(lin.q)), payload=payload)
+    x = Snapshot(loop.side.model, q=lin.point.q, v=np.zeros(loop.side.arm.n), payload=payload)
     axes, sizes, _ = np.linalg.svd(np.asarray(x.J(), dtype=np.float64), full_matrices=False)
     reach = axes[:, sizes > REACH * sizes[0]]
     if np.linalg.norm(reach.T @ d) < REACH:
@@ -310,7 +275,7 @@ def tool_impedance(
     return ToolImpedance(loop=loop, lin=lin, direction=d, specified=_specified_admittance(law, x, reach))
 
 
-def direction_of(direction: ArrayLike) -> Float64Array:
+def _unit_vector(direction: ArrayLike) -> Float64Array:
     """(6,) unit vector of a force or motion, (3,), or of a translation or rotation, (6,).
 
     Raises:
@@ -339,10 +304,9 @@ def _specified_admittance(law: Law, x: Snapshot, reach: Float64Array) -> Admitta
                   Y = J (M (s^2 + kd s + kp + ki / s))^-1 J^T of ComputedTorque,
                   Y = J (M s^2 + kd s + J^T K J)^-1 J^T of Stiffness,
                   Y = (s^2 + kd s + kp + ki / s)^-1 Lambda^-1 of TaskComputedTorque,
-                  Y = (Lambda s^2 + kdamp s)^-1 (1 + kfp + kfi / s) of ForceControl,
                   Y = (D s^2 + B s + K)^-1 of Impedance and Admittance, in the directions that the tool can move in
 
-    None where there is no closed form: laws for drives that do not yield, hybrid control, gains that are functions,
+    None where there is no closed form: laws for drives that do not yield, force control, gains that are functions,
     sums with anything but friction compensation or feedforward, another tool than the arm's, an inertia D for a tool
     that would have to leave the motions it can make.
 
@@ -376,8 +340,6 @@ def _specified_admittance(law: Law, x: Snapshot, reach: Float64Array) -> Admitta
         return lambda s: np.asarray(J @ _over(_polynomial(s, M, kd, kp, ki), J.T), dtype=np.complex128)
     if isinstance(law, TaskComputedTorque):
         return _of_task(law, reach, mobility)
-    if isinstance(law, ForceControl):
-        return _of_force(law, reach, mobility)
     apparent, D = felt_impedance(law, x), vars(bare(law)).get("D")
     if apparent is None:
         return None
@@ -427,25 +389,11 @@ def _of_task(law: TaskComputedTorque, reach: Float64Array, mobility: Float64Arra
     return lambda s: _over(_polynomial(s, np.eye(6), kd, kp, ki), mobility)
 
 
-def _of_force(law: ForceControl, reach: Float64Array, mobility: Float64Array) -> Admittance | None:
-    if law.frame != "world" or law.feedback == "joint_torque":
-        return None
-    Lambda = np.asarray(np.linalg.inv(reach.T @ mobility @ reach), dtype=np.float64)
-    damping, zero = reach.T @ _matrix(law, "kdamp", 6) @ reach, np.zeros((6, 6))
-    kfp, kfi = (_matrix(law, name, 6) if law.measures else zero for name in ("kfp", "kfi"))
-
-    def admittance(s: Complex) -> Complex:
-        moved = _over(_polynomial(s, Lambda, damping, np.zeros_like(Lambda)), reach.T)
-        return np.asarray(reach @ moved @ _polynomial(s, zero, zero, np.eye(6) + kfp, kfi), dtype=np.complex128)
-
-    return admittance
-
-
 # -------------------------------------------------------------------- a sine sweep in simulation
 
 
 def _sine_sweep(
-    loop: Loop, lin: Linearisation, direction: Float64Array, omega: Float64Array, amplitudes: Float64Array
+    loop: Loop, lin: LinearSystem, direction: Float64Array, omega: Float64Array, amplitudes: Float64Array
 ) -> Complex:
     """(k,) X / F along a direction, by runs of the loop under a force that is held from tick to tick.
 
@@ -461,23 +409,23 @@ def _sine_sweep(
     """
     map_ = loop_map(loop)
     # The reference is held at the start of the model's own search, not where a law with a steady-state error rests.
-    within = WITHIN + float(np.abs(lin.moved).max())
-    point = rest_of(loop, map_, lin.q - lin.moved, within).point
+    within = WITHIN + float(np.abs(lin.point.moved).max())
+    point = rest_of(loop, map_, lin.point.q - lin.point.moved, within).point
     period = StepLoop(map_.period, (point.inputs, point.parameters, point.memory), engine=loop.engine)
     decaying = np.abs(lin.poles)[np.abs(lin.poles) < NO_DECAY]
     settling = math.ceil(math.log(TRANSIENT) / math.log(decaying.max(initial=0.5)))
     rest = map_.recorded(map_.derivative(point))
     out = np.zeros(len(omega), dtype=np.complex128)
     for i, (w, amplitude) in enumerate(zip(omega, amplitudes, strict=True)):
-        count = settling + math.ceil(PERIODS * 2.0 * math.pi / (w * lin.dt))
+        count = settling + math.ceil(PERIODS * 2.0 * math.pi / (w * lin.period))
         if count > MAX_TICKS:
             raise RangeError(
-                f"a sweep at {w:.3g} rad/s would take {count * lin.dt:.3g} s of simulation, at most "
-                f"{MAX_TICKS * lin.dt:g} s are allowed; ask for higher frequencies, or damp slow modes of the loop",
+                f"a sweep at {w:.3g} rad/s would take {count * lin.period:.3g} s of simulation; the maximum is "
+                f"{MAX_TICKS * lin.period:g} s; ask for higher frequencies, or damp slow modes of the loop",
                 name="omega",
                 value=float(w),
             )
-        wave = amplitude * np.exp(1j * w * lin.dt * np.arange(count))
+        wave = amplitude * np.exp(1j * w * lin.period * np.arange(count))
         memory, displacement = point.memory.copy(), np.zeros(count)
         for k in range(0, count, BLOCK):
             part = wave[k : k + BLOCK]

@@ -21,7 +21,7 @@ from taut.maths.snapshot import Snapshot
 
 __all__ = ["Coupling", "coupling"]
 
-ROUNDING: Final = 1e-12  # [rad | m] of a droop
+MIN_DROOP: Final = 1e-12  # [rad | m] of a droop
 MAX_CROSSTALK: Final = 0.1  # [-] of decentralised control
 
 
@@ -68,7 +68,7 @@ class Coupling(Result):
                 f"limit is {100.0 * self.max_crosstalk:g} %"
             )
         apart = self.crosstalk - np.diag(np.diag(self.crosstalk))
-        droop = np.where(np.abs(self.droop) > ROUNDING, self.droop, 0.0)
+        droop = np.where(np.abs(self.droop) > MIN_DROOP, self.droop, 0.0)
         rows = list(zip(self.joints, (100.0 * apart.max(axis=1)).tolist(), droop.tolist(), strict=True))
         return Content(
             title="coupling of the joints",
@@ -125,21 +125,21 @@ def coupling(
         )
     if not lin.stable:
         raise UsageError(
-            f"crosstalk is that of a stable loop; this one is {lin.system.unstable_because}; lower the gains",
+            f"crosstalk is that of a stable loop; this one is {lin.unstable_because}; lower the gains",
             name="loop",
         )
     payload = PayloadValues.of(subtree(loop.parameters, "plant.payload"))
-    M = np.array(Snapshot(model_of(loop.plant.arm), q=lin.q, v=np.zeros(len(lin.q)), payload=payload).M, dtype=float)
+    arm, q = loop.plant.arm, lin.point.q
+    M = np.array(Snapshot(model_of(arm), q=q, v=np.zeros(arm.n), payload=payload).M, dtype=float)
     root = np.sqrt(np.diag(M))
     scaled = M / np.outer(root, root)
-    omega = frequency_grid(lin.dt, np.abs(np.angle(lin.poles)) / lin.dt)
-    columns, rows = list(lin.columns("ref.q")), list(lin.rows("q"))
-    T = lin.system.response(omega, lin.B[:, columns], lin.C[rows], lin.D[np.ix_(rows, columns)])
+    omega = frequency_grid(lin.period, np.abs(np.angle(lin.poles)) / lin.period)
+    T = lin.frequency_response(omega, input="ref.q", output="q")
     return Coupling(
-        joints=lin.joints,
+        joints=lin.point.joints,
         inertia=1.0 - float(np.linalg.eigvalsh(scaled)[0]),
         crosstalk=np.abs(T).max(axis=0),
-        droop=lin.moved,
+        droop=lin.point.moved,
         max_crosstalk=max_crosstalk,
         unit=units[0],
     )

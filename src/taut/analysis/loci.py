@@ -17,7 +17,6 @@ from taut.base.plot_style import INK, SMALL, WIDTH, colour, prepared
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
 from taut.linear.linear_system import Complex, LinearSystem
-from taut.linear.linearise import Linearisation
 from taut.linear.plots import pole_axes
 
 if TYPE_CHECKING:
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
 
 __all__ = ["LocusPoint", "RootLocus", "StabilityMap", "bisected", "root_locus", "stability_map"]
 
-System = LinearSystem | Linearisation
 LOCUS_TOLERANCE: Final = 1e-12  # [-] of a value, between two of a locus
 MAP_TOLERANCE: Final = 1e-3  # [-] likewise of a map, each point of which is a system
 NEAR_ZERO: Final = 1e-6  # [-] of the distance of two values, below which a boundary is at zero
@@ -138,7 +136,9 @@ class RootLocus(Result):
             )  # fmt: skip
 
 
-def root_locus(system_of: Callable[[float], System], values: ArrayLike, *, label: str = "parameter") -> RootLocus:
+def root_locus(
+    system_of: Callable[[float], LinearSystem], values: ArrayLike, *, label: str = "parameter"
+) -> RootLocus:
     """Root locus: the poles of a linear system as one parameter takes increasing values.
 
     Args:
@@ -191,11 +191,11 @@ def _matched(before: Complex, poles: Complex) -> Complex:
     return out
 
 
-def _complex_poles(system: System) -> int:
+def _complex_poles(system: LinearSystem) -> int:
     return int((system.poles.imag != 0.0).sum())
 
 
-def _crossing(system: System) -> complex:
+def _crossing(system: LinearSystem) -> complex:
     """The pole nearest to the stability boundary, but for those that rest at z = 1 or s = 0; the upper of a pair."""
     distance = np.abs(np.abs(system.poles) - 1.0) if system.dt else np.abs(system.poles.real)
     apart = np.abs(system.poles - (1.0 if system.dt else 0.0))
@@ -302,7 +302,7 @@ class StabilityMap(Result):
 
 
 def stability_map(
-    system_of: Callable[[float, float], System],
+    system_of: Callable[[float, float], LinearSystem],
     x: ArrayLike,
     y: ArrayLike,
     *,

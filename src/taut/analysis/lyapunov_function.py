@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -15,8 +14,8 @@ from taut.base.paths import subtree
 from taut.base.result import Content, Result, Table
 from taut.base.types import Float64Array, Vector
 from taut.codegen.engine import Steps, best_engine
-from taut.codegen.layout import Block
 from taut.codegen.loop import StepLoop
+from taut.codegen.program import Block
 from taut.maths import dynamics as dyn
 from taut.maths.model import PayloadValues, model_of
 from taut.record.run import Run
@@ -26,8 +25,8 @@ __all__ = ["Lyapunov", "lyapunov"]
 
 LAWS: Final = ("GravityPID", "GravityCompensation")
 VISCOUS: Final = "plant.friction.viscous"
-ROUNDING: Final = 1e-12  # of V
-SAME: Final = 1e-9  # of torques, by which those of two ways differ that are the same
+ENERGY_ROUNDING: Final = 1e-12  # of V
+MAX_TORQUE_DIFFERENCE: Final = 1e-9  # of torques, by which those of two ways differ that are the same
 GEARS: Final = "actuation.transmission."
 
 
@@ -58,13 +57,13 @@ class Lyapunov(Result):
         off = float(np.abs(self.rate - self.expected).max(initial=0.0))
         size = max(float(np.abs(x).max(initial=0.0)) for x in (self.expected, self.rate))
         ticks = np.diff(self.t)
-        rounding = ROUNDING * float(self.V.max()) / float(ticks[0]) if len(ticks) else 0.0
+        rounding = ENERGY_ROUNDING * float(self.V.max()) / float(ticks[0]) if len(ticks) else 0.0
         return off / size if size > rounding else 0.0
 
     @property
     def decreases(self) -> bool:
         """V never grows from one tick to the next by more than rounding."""
-        return bool((np.diff(self.V) <= ROUNDING * max(float(self.V[0]), 1e-300)).all())
+        return bool((np.diff(self.V) <= ENERGY_ROUNDING * max(float(self.V[0]), 1e-300)).all())
 
     def content(self) -> Content:
         """V at the start and at the end, and whether it decreases as the proof requires."""
@@ -114,7 +113,7 @@ def lyapunov(run: Run) -> Lyapunov:
     """
     if not isinstance(run, Run):  # callers without a type checker
         raise UsageError(f"lyapunov takes a taut.Run; got {type(run).__name__}", name="run")
-    law, values = str(run.info.get("law", "")).partition("(")[0], run.info.get("parameters", {})
+    law, values = run.info.law.partition("(")[0], run.info.parameters
     _check(run, law, values)
     n = run.n
     assert run.arm is not None
@@ -122,7 +121,7 @@ def lyapunov(run: Run) -> Lyapunov:
     kd = _matrix(values["law.kd"], n) + np.diag(viscous)
     e = np.zeros_like(run.q) if law == "GravityCompensation" else run.error
     assert e is not None
-    kinetic, rate, g = _energies(run.arm).of(run, viscous, subtree(values, "plant.payload"))
+    kinetic, rate, g = _energies(run, run.arm, viscous, subtree(values, "plant.payload"))
     if g.any() and not run.terms["gravity"].any():
         raise UsageError(
             "eq. 10.24 is of a law that compensates gravity, and in this run the plant did; make both without adds",
@@ -144,7 +143,10 @@ def _broken(run: Run, g: Float64Array) -> Iterator[str]:
         yield f"the run ended in a fault: {run.outcome}"
 
     def far(one: Float64Array, other: Float64Array) -> bool:
-        return bool(np.abs(one - other).max(initial=0.0) > SAME * max(1.0, float(np.abs(other).max(initial=0.0))))
+        return bool(
+            np.abs(one - other).max(initial=0.0)
+            > MAX_TORQUE_DIFFERENCE * max(1.0, float(np.abs(other).max(initial=0.0)))
+        )
 
     if far(run.terms["gravity"], g):
         yield "the law's g is not that of the arm: masses, a payload or a direction of gravity that it does not know"
@@ -154,85 +156,62 @@ def _broken(run: Run, g: Float64Array) -> Iterator[str]:
         yield "the torque is not what is commanded: the drives give it late, or not all of it"
 
 
-class _Energies:
-    """The kinetic energy of an arm, its rate under the torques that act, and its weight, of all ticks at once."""
+def _energies(
+    run: Run, arm: Arm, viscous: Float64Array, payload: Mapping[str, Any]
+) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """(k,) kinetic energy [J], (k,) its rate under the torques that act [W], (k, n) the weight [N m | N]."""
+    n, model = arm.n, model_of(arm)
+    inputs = Block.of({"q": (n,), "v": (n,), "tau": (n,)})
+    numbers = Block.of({"viscous": (n,), "mass": (), "com": (3,), "inertia": (6,)})
 
-    def __init__(self, arm: Arm) -> None:
-        n = arm.n
-        self._inputs = Block.of({"q": (n,), "v": (n,), "tau": (n,)})
-        self._numbers = Block.of({"viscous": (n,), "mass": (), "com": (3,), "inertia": (6,)})
-        self._model = model_of(arm)
-        example = np.cos(np.arange(self._inputs.size)), np.ones(self._numbers.size), np.zeros(0)
-        steps = Steps(self._step, self._inputs, self._numbers, Block())
-        self._loop = StepLoop(steps, example, engine=best_engine())
-
-    def _step(
-        self, inputs: Mapping[str, Any], numbers: Mapping[str, Any], memory: Mapping[str, Any]
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
-        q, v = inputs["q"], inputs["v"]
-        payload = PayloadValues.of(numbers)
+    def step(x: Mapping[str, Any], given: Mapping[str, Any], memory: Mapping[str, Any]) -> tuple[Any, Any]:
+        q, v, load = x["q"], x["v"], PayloadValues.of(given)
 
         def kinetic(s: Vector) -> Any:
-            return 0.5 * (v @ (dyn.mass_matrix(self._model, q + s[0] * v, payload) @ v))
+            return 0.5 * (v @ (dyn.mass_matrix(model, q + s[0] * v, load) @ v))
 
-        push = inputs["tau"] - dyn.bias(self._model, q, v, payload) - numbers["viscous"] * v
+        push = x["tau"] - dyn.bias(model, q, v, load) - given["viscous"] * v
         moved = jacobian(kinetic, np.zeros(1))[0]  # v . M-dot v / 2
-        g = dyn.gravity_torque(self._model, q, payload)
+        g = dyn.gravity_torque(model, q, load)
         return {"kinetic": kinetic(np.zeros(1)), "rate": v @ push + moved, "g": g}, {**memory}
 
-    def of(
-        self, run: Run, viscous: Float64Array, payload: Mapping[str, Any]
-    ) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """(k,) [J] and (k,) [W], and (k, n) the weight [N m | N]."""
-        rows, found = np.hstack([run.q, run.v, run.tau]), np.zeros((len(run), self._loop.outputs.size))
-        numbers = self._numbers.pack({"viscous": viscous, **payload})
-        self._loop.run(rows, numbers, np.zeros(0), found)
-        views = self._loop.outputs.views(found)
-        return views["kinetic"], views["rate"], views["g"]
+    example = np.cos(np.arange(inputs.size)), np.ones(numbers.size), np.zeros(0)
+    loop = StepLoop(Steps(step, inputs, numbers, Block()), example, engine=best_engine())
+    found = np.zeros((len(run), loop.outputs.size))
+    values = numbers.pack({"viscous": viscous, **payload})
+    loop.run(np.hstack([run.q, run.v, run.tau]), values, np.zeros(0), found)
+    views = loop.outputs.views(found)
+    return views["kinetic"], views["rate"], views["g"]
 
 
-_ENERGIES: Final[WeakKeyDictionary[Arm, _Energies]] = WeakKeyDictionary()
-
-
-def _energies(arm: Arm) -> _Energies:
-    """Those of an arm, compiled once however often they are asked for."""
-    known = _ENERGIES.get(arm)
-    if known is None:
-        known = _ENERGIES[arm] = _Energies(arm)
-    return known
-
-
-def _check(run: Run, law: str, values: Any) -> None:
+def _check(run: Run, law: str, values: Mapping[str, Any]) -> None:
+    """Refuse a run that the proof is not about."""
     if law not in LAWS or "law.kd" not in values:
         raise UsageError(
             f"eq. 10.24 is for PD control with gravity compensation, {' or '.join(LAWS)} alone; this run is of "
-            f"{run.info.get('law', '?')}",
+            f"{run.info.law or '?'}",
             name="run",
         )
     if np.any(np.asarray(values.get("law.ki", 0.0))):
         raise UsageError(f"eq. 10.24 is for ki = 0; this run has law.ki = {values['law.ki']}", name="law.ki")
-    if run.arm is None:
-        raise UsageError("this run was loaded from a file and has no arm; make it anew with taut.run", name="run")
-    if run.info.get("events"):
-        raise UsageError("eq. 10.24 is for gains that stay, and this run has events; run it without", name="run")
-    wanted, rate = getattr(run.reference, "q", None), getattr(run.reference, "v", None)
-    moves = wanted is not None and np.ptp(wanted, axis=0).max() > 0.0
-    if law == "GravityPID" and (moves or (rate is not None and np.any(rate))):
-        raise UsageError("eq. 10.24 is for a set-point, and the reference of this run moves", name="run")
+    q, v = getattr(run.reference, "q", np.zeros(1)), getattr(run.reference, "v", 0.0)
     dry = [path for path in values if path.startswith("plant.friction.") and path != VISCOUS]
-    if dry:
-        raise UsageError(
-            f"eq. 10.27 is without dry friction, and the plant has {', '.join(sorted(dry))}; run it with "
-            "friction=None",
-            name="run",
-        )
-    if any(path.startswith(GEARS) for path in values):
-        raise UsageError(
-            "eq. 10.27 is without losses, backlash and elasticity of gears; run it on a plant without a transmission",
-            name="run",
-        )
-    if any(path.startswith(("environment.", "contact.")) for path in values):
-        raise UsageError("eq. 10.27 is of an arm without contact, and this plant has an environment", name="run")
+    refused = {
+        "is for runs that hold their arm; this one was loaded from a file": run.arm is None,
+        "is for gains that stay, and this run has events; run it without": bool(run.info.events),
+        "is for a set-point, and the reference of this run moves": law == "GravityPID"
+        and bool(np.ptp(q, axis=0).any() or np.any(v)),
+        f"is without dry friction, and the plant has {', '.join(sorted(dry))}; run it with friction=None": bool(dry),
+        "is without losses, backlash and elasticity of gears; run it on a plant without a transmission": any(
+            path.startswith(GEARS) for path in values
+        ),
+        "is of an arm without contact, and this plant has an environment": any(
+            path.startswith(("environment.", "contact.")) for path in values
+        ),
+    }
+    for rule, broken in refused.items():
+        if broken:
+            raise UsageError(f"the proof of eqs. 10.24 to 10.27 {rule}", name="run")
 
 
 def _matrix(value: Any, n: int) -> Float64Array:

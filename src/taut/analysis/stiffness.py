@@ -7,21 +7,27 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final
+from typing import Final
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from taut.base.checks import finite_array, finite_scalar, positive_scalar, rate_in_hertz, require_at_least
+from taut.base.checks import (
+    finite_array,
+    non_negative_scalar,
+    positive_scalar,
+    rate_in_hertz,
+    require_at_least,
+)
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.paths import subtree
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.describe import all_laws
-from taut.control.laws.friction import FrictionCompensation
 from taut.controller import Controller
+from taut.linear.equilibrium import driven_states, observed_states
 from taut.linear.joint_loop import VelocityKind, joint_matrix, pid
+from taut.linear.judgement import directions, largest_factor, without_dry_friction
 from taut.linear.linear_system import LinearSystem, names
 from taut.linear.period import Period
 from taut.loop import Loop
@@ -38,17 +44,13 @@ LawOf = Callable[[float], LinearSystem]
 
 STIFFNESS: Final = ("K", "kp")  # names of stiffness gains
 OF_JOINTS: Final = "viscous friction of the joints"
-AXES: Final = tuple(f"{kind} {axis}" for kind in ("translation", "rotation") for axis in "xyz")
 NO_GROWTH: Final = 1e-2  # [1/s] a growth that rounding of central differences may show: a factor e in 100 s
-NO_COMPENSATION: Final = 1e12  # [rad/s] of speed over which dry friction is compensated: none is
-REACH: Final = 1e-9  # of the largest mobility: below it the tool cannot move in a direction
 SHOWN: Final = 0.2  # [-] smallest fraction of a mode that a sentence names
 POINTS: Final = 256  # frequencies of a grid, for each period of delay
 LOWEST: Final = 1e-4  # [rad] omega T: below it the condition has reached its limit for slow motion
 ZOOMS: Final = 3  # each is 64 times finer
-ROUNDING: Final = 1e-9  # of the largest damping
-MIN_FACTOR: Final = 2.0**-14
-MAX_FACTOR: Final = 2.0**40
+ROUNDING: Final = 1e-9  # of the largest damping, physical or of the law: a redundant arm has directions without any
+MAX_FACTOR: Final = 2.0**40  # [-] on a stiffness, up to which a limit is searched
 INTEGRATOR: Final = 1e-9  # [-] distance in z of a pole to 1
 
 
@@ -106,7 +108,7 @@ class StiffnessCheck(Result):
 
         The first limit on a grid of factors of 2 from 1 on: a loop that is stable again above it is not counted.
         """
-        return _largest_factor(lambda factor: self._is_stable(self._closed(self.law_of(factor))), self.tolerance)
+        return self._largest_factor(lambda law: self._is_stable(self._closed(law)))
 
     @cached_property
     def damping_margin(self) -> float:
@@ -126,7 +128,7 @@ class StiffnessCheck(Result):
         """Largest factor on the stiffness up to which the loop is passive; 0 where no factor helps."""
         if self.damping_margin == -math.inf:
             return 0.0
-        factor = _largest_factor(lambda f: self._margin(self.law_of(f)) >= -self._rounding, self.tolerance)
+        factor = self._largest_factor(lambda law: self._margin(law) >= -self._rounding)
         return factor if self.band is None else min(factor, self.limit)
 
     @cached_property
@@ -137,22 +139,24 @@ class StiffnessCheck(Result):
         bare = dataclasses.replace(self, damping=np.zeros_like(self.damping))
         return (self.source,) if (self.stable, self.passive) != (bare.stable, bare.passive) else ()
 
-    @cached_property
+    @property
     def direction(self) -> Mapping[str, float]:
         """Fraction of each joint in the mode that becomes unstable first, by name, the largest first."""
-        participation = self._critical_mode[0]
-        parts = [sum(participation.get(f"plant.{x}[{i}]", 0.0) for x in "qv") for i in range(len(self.joints))]
-        return _sorted_fractions(self.joints, np.array(parts))
+        return self._directions[0]
 
-    @cached_property
+    @property
     def tool_direction(self) -> Mapping[str, float]:
         """Fraction of each axis of the tool in that mode, by kinetic energy (world axes); empty without an arm."""
-        if self.J is None:
-            return {}
-        velocity = np.abs(self.J @ self._critical_mode[1]) ** 2  # of a mode, v = (z - 1) q / dt in every joint
-        mobility = np.diag(self.J @ np.linalg.solve(self.M, self.J.T))
-        energy = np.divide(velocity, mobility, out=np.zeros(6), where=mobility > REACH * mobility.max())
-        return _sorted_fractions(AXES, energy)
+        return self._directions[1] if self.J is not None else {}
+
+    @cached_property
+    def _directions(self) -> tuple[Mapping[str, float], Mapping[str, float]]:
+        system = self.system
+        if self.stable and 0.0 < self.limit < math.inf:
+            system = self._closed(self.law_of(1.01 * self.limit))
+        mode = next((mode for mode in system.modes if not mode.resting), None)
+        J = np.zeros((6, len(self.M))) if self.J is None else self.J
+        return ({}, {}) if mode is None else directions(system, mode, self.joints, self.M, J)
 
     def content(self) -> Content:
         """Verdicts, limits and the direction that limits the stiffness."""
@@ -168,7 +172,7 @@ class StiffnessCheck(Result):
         notes = [where] if parts else []
         notes += [f"the verdict relies on the {each}" for each in self.relies_on]
         return Content(
-            title=f"stiffness of a loop sampled at {1.0 / self._dt:g} Hz",
+            title=f"stiffness of a loop sampled at {1.0 / self.law.period:g} Hz",
             faults=[] if self.stable else ["the loop is unstable by itself"],
             summary=[yes for good, yes, _ in verdicts if good],
             tables=[Table(columns=("", "holds", "largest factor on the stiffness"), rows=rows)],
@@ -178,13 +182,13 @@ class StiffnessCheck(Result):
     # ---------------------------------------------------------------- its parts
 
     @property
-    def _dt(self) -> float:
-        assert self.law.dt is not None
-        return self.law.dt
-
-    @property
     def _rounding(self) -> float:
-        return ROUNDING * float(np.abs(self.damping).max())
+        sampled = np.abs(self.law.D[self.law.rows("command")])
+        of_law = [
+            T * float(sampled[:, self.law.columns(name)].max(initial=0.0))
+            for name, T in (("q", self.law.period), ("v", 1.0))
+        ]
+        return ROUNDING * max(float(np.abs(self.damping).max()), *of_law)
 
     @cached_property
     def _plant(self) -> LinearSystem:
@@ -194,7 +198,7 @@ class StiffnessCheck(Result):
             A=np.block([[np.zeros((n, n)), np.eye(n)], [rates[:, : 2 * n]]]),
             B=np.vstack([np.zeros((n, n)), rates[:, 2 * n :]]), C=np.eye(2 * n), inputs=names("command", n),
             states=(*names("plant.q", n), *names("plant.v", n)), outputs=(*names("q", n), *names("v", n)),
-        ).zoh(self._dt, self.delay)  # fmt: skip
+        ).zoh(self.law.period, self.delay)  # fmt: skip
 
     def _closed(self, law: LinearSystem) -> LinearSystem:
         return self._plant.feedback(law)
@@ -205,40 +209,8 @@ class StiffnessCheck(Result):
     def _margin(self, law: LinearSystem) -> float:
         return passivity_margin(law, self.damping, delay=self.delay, band=self.band)
 
-    @cached_property
-    def _critical_mode(self) -> tuple[Mapping[str, float], Complex]:
-        """Participation of the states, and the shape of the joints (n,), of the mode that grows first."""
-        system = self.system
-        if self.stable and 0.0 < self.limit < math.inf:
-            system = self._closed(self.law_of(1.01 * self.limit))
-        modes = [mode for mode in system.modes if not mode.resting]
-        if not modes:
-            return {}, np.zeros(len(self.M), dtype=np.complex128)
-        return modes[0].participation, modes[0].shape[system.state_places("plant.q")]
-
-
-def _sorted_fractions(labels: tuple[str, ...], parts: Float64Array) -> dict[str, float]:
-    total = float(parts.sum()) or 1.0
-    return {labels[i]: float(parts[i] / total) for i in np.argsort(-parts)}
-
-
-def _largest_factor(holds: Callable[[float], bool], tolerance: float) -> float:
-    """The first limit of factors that hold, from 1 on by factors of 2 and by bisection; 0 or infinite without one."""
-    low, high = 1.0, 1.0
-    if holds(1.0):
-        while holds(high := 2.0 * low):
-            low = high
-            if low > MAX_FACTOR:
-                return math.inf
-    else:
-        while not holds(low := 0.5 * high):
-            high = low
-            if high < MIN_FACTOR:
-                return 0.0
-    while high / low > 1.0 + tolerance:
-        middle = math.sqrt(low * high)
-        low, high = (middle, high) if holds(middle) else (low, middle)
-    return low
+    def _largest_factor(self, holds: Callable[[LinearSystem], bool]) -> float:
+        return largest_factor(lambda factor: holds(self.law_of(factor)), self.tolerance, MAX_FACTOR)
 
 
 # -------------------------------------------------------------------- passivity
@@ -277,8 +249,7 @@ def passivity_margin(
         theorem 1. Its proof for a fraction of a period is ours: the aliases of the environment's response are discs,
         their weighted sum is one, and its centre moves with the fraction while its radius stays.
     """
-    assert law.dt is not None
-    T = law.dt
+    T = law.period
     if (np.abs(law.poles - 1.0) < INTEGRATOR).any():
         return -math.inf
     periods = delay / T
@@ -326,9 +297,8 @@ def _smallest(function: Callable[[Float64Array], Float64Array], top: float, coun
 
 def _response(law: LinearSystem, theta: Float64Array, input: str) -> Complex:
     """(k, n, n) from an input to the command, at the angles theta = omega T."""
-    assert law.dt is not None
-    response = law.frequency_response(theta / law.dt, input=input, output="command")
-    return response.reshape(len(theta), len(law.rows("command")), -1)
+    columns, rows = law.columns(input), law.rows("command")
+    return law.response(theta / law.period, law.B[:, columns], law.C[rows], law.D[np.ix_(rows, columns)])
 
 
 def _matrices(numbers: ArrayLike) -> Complex:
@@ -382,31 +352,19 @@ def check_virtual_wall(
         Colgate and Schenkel, Passivity of a class of sampled-data systems (1997). Chapter, section 10.5.1.
     """
     n = max((len(np.atleast_1d(np.asarray(x))) for x in (mass, damping, K, B) if np.ndim(x)), default=1)
-    M, b = joint_matrix("mass", mass, n, "kg"), joint_matrix("damping", damping, n, "N s/m")
-    for name, matrix, positive in (("mass", M, True), ("damping", b, False), ("K", joint_matrix("K", K, n), False)):
-        smallest = float(np.linalg.eigvalsh(matrix)[0])
-        if smallest < 0.0 or (positive and smallest == 0.0):
-            rule = "positive definite" if positive else "positive semidefinite"
-            raise RangeError(
-                f"{name} must be {rule}; its smallest eigenvalue is {smallest:g}",
-                name=name,
-                value=smallest,
-                rule=rule,
-            )
+    M, b = joint_matrix("mass", mass, n, "kg", above=0.0), joint_matrix("damping", damping, n, "N s/m", minimum=0.0)
+    spring = joint_matrix("K", K, n, "N/m", minimum=0.0)
     rate = rate_in_hertz(rate)
-    if not isinstance(velocity, str) or velocity in ("measured", "difference"):
-        spring, none = joint_matrix("K", K, n, "N/m"), np.zeros((n, n))
-        return StiffnessCheck(
-            M=M, damping=b, gravity=none, delay=_checked_delay(delay),
-            band=_checked_band(band, rate),
-            law_of=lambda factor: pid(n, kp=factor * spring, kd=B, rate=rate, velocity=velocity),
-            joints=("mass",) if n == 1 else tuple(f"direction {i + 1}" for i in range(n)),
-        )  # fmt: skip
-    raise UsageError(
-        "velocity must be 'measured', 'difference', taut.sensors.LowPass(...) or taut.sensors.Difference(...); got "
-        f"{velocity!r}",
-        name="velocity",
-    )
+
+    def law_of(factor: float) -> LinearSystem:
+        return pid(n, kp=factor * spring, kd=B, rate=rate, velocity=velocity)
+
+    law_of(1.0)  # refuses what has no meaning
+    return StiffnessCheck(
+        M=M, damping=b, gravity=np.zeros((n, n)), law_of=law_of,
+        delay=non_negative_scalar("delay", delay, unit="s"), band=_checked_band(band, rate),
+        joints=("mass",) if n == 1 else tuple(f"direction {i + 1}" for i in range(n)),
+    )  # fmt: skip
 
 
 def _checked_band(band: float | None, rate: float) -> float | None:
@@ -417,12 +375,6 @@ def _checked_band(band: float | None, rate: float) -> float | None:
         raise RangeError(
             f"band must be at most {0.5 * rate:g} [Hz], half the rate; got {value:g}", name="band", value=value
         )
-    return value
-
-
-def _checked_delay(delay: float) -> float:
-    value = finite_scalar("delay", delay, unit="s")
-    require_at_least("delay", np.array(value), 0.0, unit="s")
     return value
 
 
@@ -496,8 +448,8 @@ def check_stiffness(
     return StiffnessCheck(
         M=np.asarray(x.M, dtype=np.float64), damping=np.diag(np.broadcast_to(friction, (arm.n,))),
         gravity=none if compensates or ctrl.side.adds.gravity else gravity, law_of=law.times,
-        delay=_checked_delay(delay), band=_checked_band(band, ctrl.rate), joints=arm.joint_names,
-        J=np.asarray(x.J(), dtype=np.float64), growth=NO_GROWTH, tolerance=1e-3,
+        delay=non_negative_scalar("delay", delay, unit="s"), band=_checked_band(band, ctrl.rate),
+        joints=arm.joint_names, J=np.asarray(x.J(), dtype=np.float64), growth=NO_GROWTH, tolerance=1e-3,
         source=OF_JOINTS,
     )  # fmt: skip
 
@@ -519,10 +471,7 @@ class _LawAtPose:
         if loop is None:
             plant = RigidPlant(ctrl.arm, friction=None, adds=ctrl.side.adds)
             loop = _LOOPS[ctrl] = Loop(ctrl, plant, duration=1.0)
-        values: dict[str, Any] = dict(ctrl.parameters)
-        for path, law in all_laws(ctrl.law, "law"):
-            if isinstance(law, FrictionCompensation):
-                values[f"{path}.width"] = NO_COMPENSATION
+        values = {**ctrl.parameters, **without_dry_friction(ctrl.side, ctrl.parameters)}
         self._period = Period(loop, q, values)
         self._stiffness = {
             path: np.asarray(value)
@@ -546,7 +495,9 @@ class _LawAtPose:
         motion = [*range(coordinates.places["plant.q"].start, coordinates.places["plant.q"].stop)]
         motion += range(coordinates.places["plant.v"].start, coordinates.places["plant.v"].stop)
         C[:, motion[:n]] -= self.compensated
-        states = _memory_of_law(found.A, C, motion)
+        law = np.setdiff1d(np.arange(len(found.A)), motion)
+        own = found.A[np.ix_(law, law)]  # of its memory, without constants such as a posture at rest
+        states = law[driven_states(own, found.A[np.ix_(law, motion)]) & observed_states(own, C[:, law])]
         return LinearSystem(
             A=found.A[np.ix_(states, states)], B=found.A[np.ix_(states, motion)], C=C[:, states], D=C[:, motion],
             dt=period.dt, states=[coordinates.names[i] for i in states],
@@ -555,15 +506,3 @@ class _LawAtPose:
 
 
 _LOOPS: Final[WeakKeyDictionary[Controller, Loop]] = WeakKeyDictionary()
-
-
-def _memory_of_law(A: Float64Array, C: Float64Array, motion: list[int]) -> list[int]:
-    """The states through which motion reaches the command; no constants, such as a posture at rest."""
-    law = np.ones(len(A), dtype=bool)
-    law[motion] = False
-    reached = law & (A[:, motion] != 0.0).any(axis=1)
-    shown = law & (C != 0.0).any(axis=0)
-    for _ in range(len(A)):
-        reached |= law & (A[:, reached] != 0.0).any(axis=1)
-        shown |= law & (A[shown] != 0.0).any(axis=0)
-    return np.flatnonzero(reached & shown).tolist()

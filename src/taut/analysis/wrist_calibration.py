@@ -10,12 +10,12 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from taut.arm.description import STANDARD_GRAVITY, Arm
-from taut.base.checks import finite_array, finite_scalar, one_of, read_only, vector
+from taut.base.checks import finite_array, one_of, positive_scalar, read_only, vector, whole_number
 from taut.base.errors import NumericalError, RangeError, ShapeError, UsageError
 from taut.base.quantity import FORCE_AND_MOMENT, Quantity, six_of
 from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.sensing.wrist import Wrist
+from taut.control.sensing.sensing import Wrist
 from taut.maths import dynamics as dyn
 from taut.maths.model import PayloadValues, model_of
 from taut.maths.wrist import sensor_place
@@ -33,7 +33,7 @@ RANGE: Final = Quantity(unit=FORCE_AND_MOMENT, rule="> 0", infinite=True)
 # Of suggested poses.
 CANDIDATES: Final = 400
 SEED: Final = 0
-MARGIN: Final = 0.05  # of a joint's range, to its limits
+JOINT_LIMIT_MARGIN: Final = 0.05  # of a joint's range, to its limits
 MAX_LOAD: Final = 0.9  # of a joint's torque limit, under the weight of the arm in a pose
 TRAVEL_WEIGHT: Final = 0.5  # of the displacement from the start, against the logarithm of the information
 MIN_SUGGESTED_SPREAD: Final = 0.1  # [rad] RMS
@@ -356,14 +356,8 @@ def calibration_poses(
         >>> calibration_poses(taut.load_arm("planar3"), count=4).shape
         (4, 3)
     """
-    if isinstance(count, bool) or not isinstance(count, int):
-        raise UsageError(f"count must be a whole number; got {count!r}", name="count")
-    if count < 3:
-        raise RangeError(
-            f"count must be >= 3: three directions of gravity determine all numbers; got {count}", name="count"
-        )
-    if finite_scalar("travel", travel, unit="rad | m") <= 0.0:
-        raise RangeError(f"travel must be > 0 [rad | m]; got {travel!r}", name="travel")
+    count = whole_number("count", count, minimum=3)  # directions of gravity that determine all numbers
+    travel = positive_scalar("travel", travel, unit="rad | m")
     start = arm.home if q is None else finite_array("q", q, shape=(arm.n,), joints=arm.joint_names, unit="rad | m")
     place, model = sensor_place(arm, frame, "calibration_poses"), model_of(arm)
     near = _candidates(arm, start, travel)
@@ -395,8 +389,8 @@ def _candidates(arm: Arm, start: Float64Array, travel: float) -> Float64Array:
     """The start, and positions around it in which the torque limits hold the weight."""
     rng = np.random.default_rng(SEED)
     span = np.where(np.isfinite(arm.upper - arm.lower), arm.upper - arm.lower, 0.0)
-    low = np.maximum(arm.lower + MARGIN * span, start - travel)
-    high = np.minimum(arm.upper - MARGIN * span, start + travel)
+    low = np.maximum(arm.lower + JOINT_LIMIT_MARGIN * span, start - travel)
+    high = np.minimum(arm.upper - JOINT_LIMIT_MARGIN * span, start + travel)
     low, high = np.minimum(low, start), np.maximum(high, start)  # for a start that is closer to a limit
     drawn = rng.uniform(low, high, size=(CANDIDATES, arm.n))
     drawn[: CANDIDATES // 2, : max(arm.n - 3, 0)] = start[: max(arm.n - 3, 0)]  # half of them move the wrist alone

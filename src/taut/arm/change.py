@@ -14,7 +14,15 @@ from taut.arm.gears import doubt_rotors, reflected_inertia, rotor_doubts
 from taut.arm.loaders.tree import LinkInertia, Tree, TreeJoint, TreeLink, TreeVisual, assemble, require_within_limits
 from taut.arm.parts import BASE, Body
 from taut.arm.rules import check_inertia, value_problems
-from taut.base.checks import entry_names, finite_array, finite_scalar, require_at_least, require_positive, vector
+from taut.base.checks import (
+    entry_names,
+    finite_array,
+    finite_scalar,
+    require_at_least,
+    require_positive,
+    vector,
+    whole_number,
+)
 from taut.base.errors import ModelError, Problem, RangeError, ShapeError, UsageError, quoted_list, unknown_name
 from taut.base.types import ArrayLike, Float64Array
 
@@ -254,8 +262,7 @@ def perturbed_copy(arm: Arm, *, seed: int, mass: float, com: float, inertia: flo
     acts on the second moment of mass, S = tr(I)/2 1 - I, axis by axis: any positive S is a rigid body, so the
     triangle inequality holds by construction.
     """
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
-        raise UsageError(f"seed must be an integer >= 0; got {seed!r}", name="seed", value=seed)
+    seed = whole_number("seed", seed)
     for name, value in (("mass", mass), ("com", com), ("inertia", inertia), ("friction", friction)):
         if not 0.0 <= finite_scalar(name, value) <= 1.0:
             spread = "a spread of 1 is 100 %, or 1 m"

@@ -31,7 +31,7 @@ from taut.arm.parts import (
 )
 from taut.base.checks import finite_array, one_of, read_only, vector
 from taut.base.errors import UsageError, count_of, unknown_name
-from taut.base.types import Array, ArrayLike, Float64Array, Vector
+from taut.base.types import Array, ArrayLike, Float64Array, Point3, Vector
 from taut.trace.pose import Pose
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ class Arm:
     frames: tuple[Frame, ...]
     tool: str  # name of the frame that carries the payload and that tasks mean
     home: Float64Array  # (n,) a pose to start from
-    gravity: Float64Array = field(default_factory=lambda: np.array(STANDARD_GRAVITY))  # (3,) in W
+    gravity: Point3 = field(default_factory=lambda: np.array(STANDARD_GRAVITY))  # [m/s^2] in W
     T_WB: Pose = field(default_factory=Pose.identity)
     payload: Payload = field(default_factory=Payload)
     commands: tuple[CommandKind, ...] = ("torque",)  # what the real arm takes

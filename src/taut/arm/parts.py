@@ -9,7 +9,7 @@ import numpy as np
 
 from taut.base.checks import finite_array, finite_scalar, read_only, require_at_least, symmetric_psd, vector
 from taut.base.errors import RangeError
-from taut.base.types import Array, ArrayLike, Float64Array, Matrix
+from taut.base.types import Array, ArrayLike, Float64Array, Matrix, Matrix3, Point3
 from taut.trace import math as tm
 from taut.trace.pose import Pose
 
@@ -46,8 +46,8 @@ class Body:
     """
 
     mass: float  # [kg]
-    com: Float64Array  # (3,) [m]
-    inertia: Float64Array  # (3, 3) [kg m^2]
+    com: Point3  # [m]
+    inertia: Matrix3  # [kg m^2]
     links: tuple[str, ...] = ()  # the links that were lumped into it
 
     def __post_init__(self) -> None:
@@ -62,7 +62,7 @@ class Joint:
     kind: JointKind
     parent: int  # the joint that moves the parent body; BASE at the root
     placement: Pose  # the joint's frame in the parent's body frame, at q = 0
-    axis: Float64Array  # (3,) unit vector in the joint's frame
+    axis: Point3  # unit vector in the joint's frame
     lower: float = -np.inf  # [rad | m]
     upper: float = np.inf  # [rad | m]
     velocity: float = np.inf  # largest speed [rad/s | m/s]

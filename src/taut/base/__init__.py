@@ -1,1 +1,3 @@
-"""What every room may use: errors, checks, poses, the traced scalar and its graph, taut.math."""
+"""What every room may use: errors, checks, declared fields, paths, results; and the version of the package."""
+
+__version__ = "0.1.0"

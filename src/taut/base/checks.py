@@ -19,16 +19,19 @@ __all__ = [
     "finite_scalar",
     "float_array",
     "in_compiled_shape",
+    "non_negative_scalar",
     "one_of",
     "positive_scalar",
     "rate_in_hertz",
     "read_only",
     "readable_file",
     "require_at_least",
-    "require_at_most",
     "require_positive",
+    "rounded_up",
+    "symmetric",
     "symmetric_psd",
     "vector",
+    "whole_number",
 ]
 
 T = TypeVar("T", bound=str)
@@ -183,6 +186,22 @@ def positive_scalar(name: str, value: object, *, unit: str = "") -> float:
     return number
 
 
+def non_negative_scalar(name: str, value: object, *, unit: str = "") -> float:
+    """A finite float that is zero or above."""
+    number = finite_scalar(name, value, unit=unit)
+    require_at_least(name, np.array(number), 0.0, unit=unit)
+    return number
+
+
+def whole_number(name: str, value: object, *, minimum: int = 0, maximum: int | None = None) -> int:
+    """A whole number in a range; True and False are none."""
+    rule = f">= {minimum}" if maximum is None else f"from {minimum} to {maximum}"
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not whole or value < minimum or (maximum is not None and value > maximum):  # type: ignore[operator]
+        raise RangeError(f"{name} must be a whole number {rule}; got {value!r}", name=name, value=value, rule=rule)
+    return int(value)  # type: ignore[call-overload,no-any-return]
+
+
 def rate_in_hertz(value: object) -> float:
     """A rate of ticks [Hz]; a number below 1 is a period in seconds that was taken for one."""
     rate = positive_scalar("rate", value, unit="Hz")
@@ -229,11 +248,6 @@ def require_at_least(
     _require(name, array, lambda a: a >= minimum, f">= {minimum:g}", unit, joints)
 
 
-def require_at_most(name: str, array: Float64Array, maximum: float, *, unit: str = "") -> None:
-    """No entry is above `maximum`."""
-    _require(name, array, lambda a: a <= maximum, f"<= {maximum:g}", unit, None)
-
-
 def require_positive(name: str, array: Float64Array, *, unit: str = "", joints: Sequence[str] | None = None) -> None:
     """Every entry is above zero."""
     _require(name, array, lambda a: a > 0.0, "> 0", unit, joints)
@@ -252,8 +266,8 @@ def rounded_up(value: float) -> str:
     return f"{math.ceil(value / digit * (1.0 - 1e-12)) * digit:.4g}"
 
 
-def symmetric_psd(name: str, matrix: Float64Array, *, unit: str = "") -> None:
-    """A symmetric positive semidefinite matrix, within rounding."""
+def symmetric(name: str, matrix: Float64Array, *, unit: str = "") -> float:
+    """The largest entry of a matrix that is symmetric within rounding."""
     scale = max(float(np.abs(matrix).max(initial=0.0)), np.finfo(float).tiny)
     skew = float(np.abs(matrix - matrix.T).max(initial=0.0))
     if skew > SYMMETRY_TOLERANCE * scale:
@@ -263,13 +277,20 @@ def symmetric_psd(name: str, matrix: Float64Array, *, unit: str = "") -> None:
             value=skew,
             rule="symmetric",
         )
+    return scale
+
+
+def symmetric_psd(name: str, matrix: Float64Array, *, unit: str = "", definite: bool = False) -> None:
+    """A symmetric positive semidefinite matrix, within rounding, or a positive definite one."""
+    scale = symmetric(name, matrix, unit=unit)
     smallest = float(np.linalg.eigvalsh(matrix)[0])
-    if smallest < -SYMMETRY_TOLERANCE * scale:
+    if smallest < -SYMMETRY_TOLERANCE * scale or (definite and smallest <= 0.0):
+        rule = "positive definite" if definite else "positive semidefinite"
         raise RangeError(
-            f"{name} must be positive semidefinite{_unit(unit)}; its smallest eigenvalue is {smallest:g}",
+            f"{name} must be {rule}{_unit(unit)}; its smallest eigenvalue is {smallest:g}",
             name=name,
             value=smallest,
-            rule="positive semidefinite",
+            rule=rule,
         )
 
 

@@ -13,11 +13,22 @@ from taut.base.checks import entry_names, float_array, read_only, symmetric_psd
 from taut.base.errors import RangeError, ShapeError, TautError, UnknownNameError, UsageError, count_of, quoted_list
 from taut.base.types import ArrayLike, Float64Array
 
-__all__ = ["REQUIRED", "Choice", "Declaration", "Field", "Part", "Parts", "Plain", "Refusal", "unknown_field"]
+__all__ = [
+    "REQUIRED",
+    "Choice",
+    "Declaration",
+    "Field",
+    "Part",
+    "Parts",
+    "Plain",
+    "Refusal",
+    "Whole",
+    "unknown_field",
+]
 
 T = TypeVar("T")
 REQUIRED: Final = object()
-Shape = str | int | tuple[int, ...]
+Shape = str | int | tuple[int | str, ...]
 Joints = Sequence[str] | int | None
 IN_WORDS: Final[Mapping[Any, str]] = {
     bool: "True or False",
@@ -61,14 +72,12 @@ class Refusal(Exception):  # noqa: N818  (an error for the user is made of it)
 
 
 class Declaration(Generic[T]):
-    """One declared field. Abstract: use Field, Choice, Part, Parts or Plain.
+    """One declared field. Abstract: use Field, Whole, Choice, Part or Plain.
 
     Args:
         default: Value where none is given; without it the field must be given, or may be None if `optional`.
         optional: Whether it may be None.
         convert: Makes the value of something shorter, such as a Pose of a point; raises a TautError.
-        from_data: Makes the value of what a TOML file has under the key, where that is no table of fields and no
-            value that the field takes as it is: called with the data and the path of the key.
         doc: One sentence; the entry of the docstring's Args serves where it is left out.
     """
 
@@ -81,11 +90,10 @@ class Declaration(Generic[T]):
         *,
         optional: bool = False,
         convert: Callable[[Any], Any] | None = None,
-        from_data: Callable[[Any, str], Any] | None = None,
         doc: str = "",
     ) -> None:
         self.default = None if optional and default is REQUIRED else default
-        self.optional, self.convert, self.from_data, self.doc, self.name = optional, convert, from_data, doc, ""
+        self.optional, self.convert, self.doc, self.name = optional, convert, doc, ""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
@@ -147,7 +155,7 @@ class Field(Declaration[Any]):
         unit: Shown in messages and tables.
         shape: "scalar"; "n" for one entry per joint, of which one number alone stands for all; a length (3, 6); the
             name of an attribute of the object with the length, such as "dimensions"; any other name for a length
-            that only the owner of the part knows; or the whole shape, (6, 6).
+            that only the owner of the part knows; or the whole shape, (6, 6), with names for lengths of any size.
         accepts: Short forms: "scalar" for all entries (of "n" always), "pair" (linear, angular) for six or
             as two, "force" for six with a moment of zero, "matrix" for a symmetric positive semidefinite matrix.
         minimum: Smallest allowed entry.
@@ -159,7 +167,6 @@ class Field(Declaration[Any]):
         run_time: Whether it may change between ticks; then it is a parameter by its path.
         optional: Whether it may be None.
         convert: As in `Declaration`.
-        from_data: As in `Declaration`.
         doc: As in `Declaration`.
     """
 
@@ -179,10 +186,9 @@ class Field(Declaration[Any]):
         run_time: bool = True,
         optional: bool = False,
         convert: Callable[[Any], Any] | None = None,
-        from_data: Callable[[Any, str], Any] | None = None,
         doc: str = "",
     ) -> None:
-        super().__init__(default, optional=optional, convert=convert, from_data=from_data, doc=doc)
+        super().__init__(default, optional=optional, convert=convert, doc=doc)
         if shape == "n":
             accepts = ("scalar", *accepts)
         self.unit, self.shape, self.accepts, self.run_time = unit, shape, frozenset(accepts), run_time
@@ -192,6 +198,10 @@ class Field(Declaration[Any]):
     if TYPE_CHECKING:
 
         def __set__(self, obj: object, value: ArrayLike | None) -> None: ...
+
+    def stored(self, value: Any) -> Any:
+        """An array; a plain number of a scalar that never changes."""
+        return value if self.run_time or self.shape != "scalar" else float(value)
 
     @property
     def unit_words(self) -> str:
@@ -249,14 +259,18 @@ class Field(Declaration[Any]):
             return np.concatenate([array, np.zeros(3)])
         k = size or self.shape
         fits = array.size > 0 and array.ndim > 0 and size in (None, len(array))
-        whole, pair = isinstance(self.shape, tuple), "pair" in self.accepts
+        whole, pair = self.shape if isinstance(self.shape, tuple) else (), "pair" in self.accepts
         forms = {  # in words: (taken by this field, true of the array)
             "a number": (self.shape == "scalar" or "scalar" in self.accepts, array.ndim == 0),
             "(linear, angular)": (pair and size in (2, 6, None), size != 6 and array.shape == (2,)),
             "a force (3,)": ("force" in self.accepts, False),
             f"({k},)": (self.shape != "scalar" and not whole and not (pair and size == 2), array.ndim == 1 and fits),
             f"({k}, {k})": ("matrix" in self.accepts, array.ndim == 2 and len(set(array.shape)) == 1 and fits),
-            f"{self.shape}": (whole, array.shape == self.shape),
+            f"({', '.join(map(str, whole))})": (
+                bool(whole),
+                len(whole) == array.ndim
+                and all(isinstance(a, str) or a == b for a, b in zip(whole, array.shape, strict=True)),
+            ),
         }
         taken = {words: true for words, (takes, true) in forms.items() if takes}
         if not any(taken.values()):
@@ -294,6 +308,40 @@ class Field(Declaration[Any]):
             raise Refusal(RangeError, self.name, str(cause).removeprefix(f"{self.name} "), cause.value) from None
 
 
+class Whole(Declaration[int]):
+    """A whole number in a range.
+
+    Args:
+        default: As in `Declaration`.
+        minimum: Smallest value.
+        maximum: Largest value.
+        optional: Whether it may be None.
+        doc: As in `Declaration`.
+    """
+
+    def __init__(
+        self,
+        default: Any = REQUIRED,
+        *,
+        minimum: int = 0,
+        maximum: float = math.inf,
+        optional: bool = False,
+        doc: str = "",
+    ) -> None:
+        super().__init__(default, optional=optional, doc=doc)
+        self.minimum, self.maximum = minimum, maximum
+
+    def rule(self) -> str:
+        bound = f" and <= {self.maximum:g}" if self.maximum < math.inf else ""
+        return f"a whole number >= {self.minimum}{bound}"
+
+    def checked(self, value: Any, owner: Any = None, joints: Joints = None) -> int:  # noqa: ARG002
+        whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+        if not whole or not self.minimum <= value <= self.maximum:
+            raise Refusal(RangeError, self.name, f"must be {self.rule()}; got {value!r}", value)
+        return int(value)
+
+
 class Choice(Declaration[T]):
     """One of a few words (or whole numbers); the first one is the default.
 
@@ -324,10 +372,8 @@ class Part(Declaration[T]):
         of: The classes that it may have.
         default: As in `Declaration`.
         optional: Whether it may be None.
-        kinds: In a file: classes by name, of which the key `kind` chooses one.
         inline: Whether the paths of its parameters and memory are those of the owner, as of a law in a wrapper.
         convert: As in `Declaration`.
-        from_data: As in `Declaration`.
         doc: As in `Declaration`.
     """
 
@@ -336,14 +382,12 @@ class Part(Declaration[T]):
         *of: type[T],
         default: Any = REQUIRED,
         optional: bool = False,
-        kinds: Mapping[str, type[Any]] | None = None,
         inline: bool = False,
         convert: Callable[[Any], Any] | None = None,
-        from_data: Callable[[Any, str], Any] | None = None,
         doc: str = "",
     ) -> None:
-        super().__init__(default, optional=optional, convert=convert, from_data=from_data, doc=doc)
-        self.of, self.kinds, self.inline = of, kinds, inline
+        super().__init__(default, optional=optional, convert=convert, doc=doc)
+        self.of, self.inline = of, inline
 
     def rule(self) -> str:
         return " or ".join(IN_WORDS.get(kind, f"a {kind.__name__}") for kind in self.of)

@@ -14,7 +14,6 @@ A sentence begins with the name of the field and contains no Python syntax, so t
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import inspect
 import re
 from collections.abc import Mapping, Sequence
@@ -31,9 +30,10 @@ from taut.base.declarations import (
     Parts,
     Plain,
     Refusal,
+    Whole,
     unknown_field,
 )
-from taut.base.errors import TautError, UnknownNameError, UsageError
+from taut.base.errors import TautError, UsageError
 from taut.base.types import Float64Array
 
 __all__ = [
@@ -47,7 +47,7 @@ __all__ = [
     "Plain",
     "Refusal",
     "Row",
-    "read",
+    "Whole",
 ]
 
 
@@ -412,58 +412,3 @@ def _argument_docs(cls: type) -> dict[str, str]:
         elif name and line.strip():
             out[name] += f" {line.strip()}"
     return out
-
-
-def read(kinds: type[Any] | Mapping[str, type[Any]], table: Mapping[str, Any], path: str) -> Any:
-    """The object that a TOML table describes, with the sentences of the constructor and the paths of its keys.
-
-    Args:
-        kinds: The class; or classes by name, of which the key `kind` chooses one. Below it, a part is read by the
-            `kinds` or `from_data` of its own declaration, else by one of these that fits.
-        table: Keys and values; tables below are parts.
-        path: Of the table in the file, such as "control.law".
-
-    Raises:
-        TautError: A key that does not exist or is missing, a value that its field does not take.
-    """
-    values, families = dict(table), kinds if isinstance(kinds, Mapping) else {}
-    try:
-        cls: type[Declared] = kinds if isinstance(kinds, type) else _kind(kinds, values.pop("kind", None))
-        for name, data in values.items():
-            field = cls.declared.get(name)
-            if field is not None:
-                values[name] = _read_field(field, data, f"{path}.{name}" if path else name, families)
-        made = object.__new__(cls)
-        made._build(values)
-    except Refusal as refusal:
-        raise refusal.error(path or "the file", f"{path}." if path else "") from None
-    return made
-
-
-def _kind(families: Mapping[str, type[Any]], name: Any) -> type[Any]:
-    if name is None:
-        raise Refusal(UsageError, "", f"needs kind, one of {', '.join(map(repr, families))}")
-    if name not in families:
-        close = difflib.get_close_matches(str(name), families, n=1)
-        hint = f"; did you mean '{close[0]}'?" if close else f"; one of {', '.join(map(repr, families))}"
-        raise Refusal(UnknownNameError, "kind", f"{name!r} is not known{hint}", name)
-    return families[name]
-
-
-def _read_field(field: Declaration[Any], data: Any, path: str, families: Mapping[str, type[Any]]) -> Any:
-    """The value that a file has under a path: a table of fields, or what the field takes as it is."""
-    if field.from_data is not None:
-        return field.from_data(data, path)
-    if isinstance(field, Parts) and isinstance(data, list):
-        return [_read_table(field, one, f"{path}[{i}]", families) for i, one in enumerate(data)]
-    return _read_table(field, data, path, families) if isinstance(field, Part) else data
-
-
-def _read_table(field: Part[Any], data: Any, path: str, families: Mapping[str, type[Any]]) -> Any:
-    if not isinstance(data, Mapping):
-        return data
-    if field.kinds is not None:
-        return read(field.kinds, data, path)
-    fitting = {word: kind for word, kind in families.items() if field.of and issubclass(kind, field.of)}
-    declared = [kind for kind in field.of if issubclass(kind, Declared)]
-    return read(fitting or declared[0], data, path) if fitting or declared else data

@@ -1,20 +1,25 @@
 """Front doors: modules that give the public names of a room, each loaded when it is first used.
 
 A front door lists its names once, as imports below `if TYPE_CHECKING:`, which type checkers follow and Python reads
-as
-text. So `import taut` loads nothing, and a controller loads what it uses.
+as text. So `import taut` loads hardly anything, and a controller loads what it uses.
 """
 
 from __future__ import annotations
 
+import enum
+import functools
 import importlib
+import inspect
 import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import FunctionType, ModuleType
 from typing import Any, Final
 
-__all__ = ["lazy_names", "public_name"]
+from taut.base.errors import FileError, TautError, UsageError, unknown_name
+
+__all__ = ["checked_arguments", "lazy_names", "public_name"]
 
 ROOMS: Final = ("analysis", "drives", "dynamics", "environments", "guards", "laws", "sensors", "trajectories")
 _IMPORT: Final = re.compile(r"^    from (taut[.\w]*) import (\w+) as \2$", re.MULTILINE)
@@ -38,14 +43,10 @@ def lazy_names(module: str, file: str) -> tuple[Callable[[str], Any], Callable[[
 
     def load(name: str) -> Any:
         if name not in homes:
-            from taut.base.errors import unknown_name
-
             raise AttributeError(str(unknown_name(module, "public name", name, names)), name=name, obj=None)
         try:
             value = _value(homes[name], name)
         except OSError as cause:  # no file descriptor left
-            from taut.base.errors import FileError
-
             raise FileError(f"{module}.{name} cannot be loaded: {cause.strerror}", name=name) from cause
         if name != "math":  # whose functions are too quick to wrap
             value = _checked(module, name, value)
@@ -70,11 +71,103 @@ def _value(home: str, name: str) -> Any:
 
 def _checked(module: str, name: str, value: Any) -> Any:
     """A public name whose arguments are checked, as are those of the classes whose objects it may give."""
-    from taut.base.signatures import checked_arguments
-
     for home in [home for home in _UNCHECKED if home in sys.modules and home != "taut"]:
         for door, other in _UNCHECKED.pop(home):
             thing = getattr(sys.modules[home], other, None)
             if isinstance(thing, type):
                 checked_arguments(thing, door, other)
     return checked_arguments(value, module, name)
+
+
+# -------------------------------------------------------------------- arguments of public names
+# One that does not exist, or is missing, gets a sentence with the nearest that do. A call that succeeds costs one
+# Python frame more; the signature is read only where Python itself refuses the arguments of that very call.
+
+
+_CHECKED: Final = "_taut_checked"
+_NAMED = inspect.Parameter.VAR_KEYWORD
+_LISTED = inspect.Parameter.VAR_POSITIONAL
+
+
+def checked_arguments(thing: Any, module: str, name: str) -> Any:
+    """A public function that refuses arguments in words; a class, whose constructors and methods then do.
+
+    Args:
+        thing: The value of the public name; a class stays the object it is, a module of functions too.
+        module: The front door that has the name, where pickle finds a function again.
+        name: Its public name.
+    """
+    if isinstance(thing, FunctionType):
+        function = _refusing(thing)
+        function.__module__, function.__qualname__ = module, name
+        return function
+    if isinstance(thing, ModuleType):
+        for word in thing.__all__:
+            member = vars(thing).get(word)
+            if isinstance(member, FunctionType):
+                setattr(thing, word, _refusing(member))
+            elif isinstance(member, type):
+                checked_arguments(member, module, word)
+    if isinstance(thing, type) and not issubclass(thing, (Exception, enum.Enum)):
+        for cls in thing.__mro__:
+            if cls.__module__.startswith("taut.") and not vars(cls).get("_is_protocol"):
+                _check_class(cls)
+    return thing
+
+
+def _check_class(cls: type) -> None:
+    for name, member in list(vars(cls).items()):
+        kind = type(member) if isinstance(member, (classmethod, staticmethod)) else None
+        function = member.__func__ if kind is not None else member
+        if not isinstance(function, FunctionType) or hasattr(function, _CHECKED):
+            continue
+        by_name = function.__defaults__ or function.__code__.co_kwonlyargcount
+        if name == "__init__" or (by_name and not name.startswith("_")):
+            setattr(cls, name, _refusing(function) if kind is None else kind(_refusing(function)))
+
+
+def _refusing(function: FunctionType) -> FunctionType:
+    """The function, in which a refusal of its arguments becomes a UsageError."""
+
+    @functools.wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        try:
+            return function(*args, **kwargs)
+        except TypeError as error:
+            trace = error.__traceback__
+            if isinstance(error, TautError) or trace is None or trace.tb_next is not None:
+                raise  # from inside the function, which Python did enter
+            made = function.__name__ == "__init__"
+            wrong = _wrong(function, type(args[0]).__name__ if made else function.__qualname__, args, kwargs)
+            if wrong is None:
+                raise
+            raise wrong from None
+
+    setattr(call, _CHECKED, True)
+    return call  # type: ignore[return-value]  # a wrapper is a plain function
+
+
+def _wrong(
+    function: Callable[..., Any], name: str, args: tuple[Any, ...], kwargs: dict[str, Any]
+) -> UsageError | None:
+    """What is wrong with the arguments of a call."""
+    parameters = list(inspect.signature(function).parameters.values())
+    if parameters[:1] and parameters[0].name in ("self", "cls"):
+        parameters, args = parameters[1:], args[1:]
+    named = [p.name for p in parameters if p.kind not in (_NAMED, _LISTED, inspect.Parameter.POSITIONAL_ONLY)]
+    open_ended = any(p.kind is _NAMED for p in parameters)
+    for word in kwargs:
+        if word not in named and not open_ended:
+            return UsageError(str(unknown_name(name, "argument", word, named)), name=word, value=kwargs[word])
+    places = [p.name for p in parameters if p.kind < _LISTED]
+    if len(args) > len(places) and not any(p.kind is _LISTED for p in parameters):
+        taken = f"takes {', '.join(places)} by position" if places else "takes its arguments by name"
+        rest = [word for word in named if word not in places and word not in kwargs]
+        how = f"; name the others: {', '.join(f'{word}=' for word in rest)}" if rest else ""
+        return UsageError(f"{name} {taken}; got {len(args)} arguments without a name{how}", name=name)
+    for word in places[: len(args)]:
+        if word in kwargs:
+            return UsageError(f"{name} got {word} twice: by position and by name", name=word)
+    needed = [p.name for p in parameters if p.default is p.empty and p.kind not in (_NAMED, _LISTED)]
+    missing = [word for word in needed if word not in kwargs and word not in places[: len(args)]]
+    return UsageError(f"{name} needs {', '.join(missing)}", name=missing[0]) if missing else None

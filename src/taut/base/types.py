@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,6 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 Float64Array: TypeAlias = NDArray[np.float64]
 Array: TypeAlias = NDArray[Any]
 """Floats, or our traced scalars: what law code, dynamics and plants compute with."""
+
+Point3: TypeAlias = Annotated[Float64Array, (3,)]
+Matrix3: TypeAlias = Annotated[Float64Array, (3, 3)]
+Matrix6: TypeAlias = Annotated[Float64Array, (6, 6)]
+"""Floats of a shape that is checked where they are read from a file."""
 
 Vector: TypeAlias = Array  # (n,)
 Vector3: TypeAlias = Array  # (3,)
@@ -23,6 +28,9 @@ __all__ = [
     "ArrayLike",
     "Float64Array",
     "Matrix",
+    "Matrix3",
+    "Matrix6",
+    "Point3",
     "Rotation",
     "Twist",
     "Vector",

@@ -5,78 +5,26 @@ from __future__ import annotations
 import csv
 import difflib
 import io
-import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from importlib import import_module
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from rich.table import Table
 
-from taut.base.errors import FileError, NumericalError, StabilityWarning, unknown_name
-from taut.book import (
-    claims,
-    constraints,
-    display,
-    dither,
-    error_dynamics,
-    feedforward,
-    force,
-    friction,
-    gearing,
-    high_low,
-    hybrid,
-    impedance,
-    integral,
-    multi_joint,
-    other_topics,
-    overview,
-    single_joint,
-    task_errors,
-    task_space,
-)
-from taut.book.page import Entry, Page, Row
+from taut.base.errors import FileError, unknown_name
+from taut.book.page import CONTENTS, Entry, Page, Row
 
-__all__ = ["CONTENTS", "Made", "chosen", "made", "prepared_folder", "table", "write"]
+__all__ = ["CONTENTS", "chosen", "prepared_folder", "table", "write"]
 
-CONTENTS: Final[tuple[Entry, ...]] = (
-    *overview.ENTRIES,
-    *single_joint.ENTRIES,
-    *error_dynamics.ENTRIES,
-    *integral.ENTRIES,
-    *claims.ENTRIES,
-    *feedforward.ENTRIES,
-    *friction.ENTRIES,
-    *dither.ENTRIES,
-    *gearing.ENTRIES,
-    *multi_joint.ENTRIES,
-    *task_space.ENTRIES,
-    *task_errors.ENTRIES,
-    *force.ENTRIES,
-    *constraints.ENTRIES,
-    *hybrid.ENTRIES,
-    *display.ENTRIES,
-    *impedance.ENTRIES,
-    *high_low.ENTRIES,
-    *other_topics.ENTRIES,
-)
-"""In the order of the chapter."""
+for _chapter in (
+    "overview", "single_joint", "integral", "feedforward", "friction", "multi_joint", "task_space", "force", "hybrid",
+    "impedance", "display", "other_topics",
+):  # fmt: skip
+    import_module(f"taut.book.{_chapter}")  # each lists its entries in CONTENTS, here in the order of the chapter
 DPI: Final = 150
 WIDE: Final = 130  # columns of a terminal that shows the whole table
 HEAD: Final = ("id", "quantity", "unit", "states", "computed", "expected", "difference", "within", "source")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Made:
-    """An entry, computed."""
-
-    entry: Entry
-    page: Page
-
-    @property
-    def rows(self) -> Iterator[tuple[str, Row]]:
-        """Its rows, with its id."""
-        return ((self.entry.id, each) for each in self.page.rows)
 
 
 def chosen(ids: Sequence[str]) -> list[Entry]:
@@ -92,33 +40,10 @@ def chosen(ids: Sequence[str]) -> list[Entry]:
     return [entry for entry in CONTENTS if not ids or entry.id in ids]
 
 
-def made(entries: Iterable[Entry], say: Callable[[str], None] = lambda _: None) -> list[Made]:
-    """The pages of entries, one after the other.
-
-    Args:
-        entries: Which.
-        say: Takes a line of progress.
-
-    Raises:
-        NumericalError: A number that is none.
-    """
-    pages = []
-    for entry in entries:
-        say(f"{entry.id}: {entry.title}")
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", StabilityWarning)  # the chapter shows what lies beyond its bounds too
-            page = entry.make()
-        for each in page.rows:
-            if not (abs(each.computed) < float("inf") and abs(each.expected) < float("inf")):
-                raise NumericalError(f"{entry.id}: {each.quantity} is {each.computed}, and should be {each.expected}")
-        pages.append(Made(entry=entry, page=page))
-    return pages
-
-
 # -------------------------------------------------------------------- to look at
 
 
-def table(pages: Iterable[Made], width: int = WIDE) -> Table:
+def table(pages: Iterable[Page], width: int = WIDE) -> Table:
     """All rows, for a terminal of so many columns; a narrow one does not say by which way it is expected."""
     wide = width >= WIDE
     out = Table("id", "quantity", "unit", title="the chapter, computed")
@@ -129,9 +54,9 @@ def table(pages: Iterable[Made], width: int = WIDE) -> Table:
     if wide:
         out.add_column("expected is")
     for page in pages:
-        for k, (name, each) in enumerate(page.rows):
+        for k, each in enumerate(page.rows):
             quantity = each.quantity if wide or not each.states else f"{each.quantity}\n(chapter: {each.states})"
-            cells = [name if not k else "", quantity, each.unit, *([each.states] if wide else [])]
+            cells = [page.entry.id if not k else "", quantity, each.unit, *([each.states] if wide else [])]
             cells += [number(each.computed), number(each.expected), difference(each)]
             out.add_row(*cells, *([each.source] if wide else []))
         out.add_section()
@@ -171,7 +96,7 @@ def prepared_folder(folder: Path) -> Path:
     return folder
 
 
-def write(pages: Sequence[Made], folder: Path) -> dict[str, Path]:
+def write(pages: Sequence[Page], folder: Path) -> dict[str, Path]:
     """The files of the book: a picture for each figure, book.csv and book.md; what each is, and where.
 
     Raises:
@@ -180,9 +105,9 @@ def write(pages: Sequence[Made], folder: Path) -> dict[str, Path]:
     written = {}
     try:
         for each in pages:
-            if each.page.figure is not None:
+            if each.figure is not None:
                 path = folder / f"{each.entry.name}.png"
-                each.page.figure.savefig(path, dpi=DPI)
+                each.figure.savefig(path, dpi=DPI)
                 written[each.entry.name] = path
         for name, text in (("book.csv", _csv(pages)), ("book.md", _markdown(pages))):
             (folder / name).write_text(text, encoding="utf-8")
@@ -192,29 +117,27 @@ def write(pages: Sequence[Made], folder: Path) -> dict[str, Path]:
     return written
 
 
-def _csv(pages: Iterable[Made]) -> str:
+def _csv(pages: Iterable[Page]) -> str:
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(HEAD)
     for page in pages:
-        for name, each in page.rows:
-            values: dict[str, Any] = {head: getattr(each, head) for head in HEAD if head != "id"}
-            writer.writerow([name, *(values[head] for head in HEAD[1:])])
+        for each in page.rows:
+            writer.writerow([page.entry.id, *(getattr(each, head) for head in HEAD[1:])])
     return out.getvalue()
 
 
-def _markdown(pages: Iterable[Made]) -> str:
+def _markdown(pages: Iterable[Page]) -> str:
     lines = ["# The chapter, computed", ""]
     for page in pages:
-        entry, made_page = page.entry, page.page
-        lines += [f"## {entry.id}: {entry.title}", ""]
-        if made_page.note:
-            lines += [made_page.note, ""]
-        if made_page.figure is not None:
-            lines += [f"![{entry.title}]({entry.name}.png)", ""]
+        lines += [f"## {page.entry.id}: {page.entry.title}", ""]
+        if page.note:
+            lines += [page.note, ""]
+        if page.figure is not None:
+            lines += [f"![{page.entry.title}]({page.entry.name}.png)", ""]
         lines += ["| quantity | unit | chapter | computed | expected | difference | expected is |"]
         lines += ["|---|---|---|--:|--:|--:|---|"]
-        for _, each in page.rows:
+        for each in page.rows:
             cells = (
                 each.quantity, each.unit, each.states, number(each.computed), number(each.expected),
                 difference(each), each.source,

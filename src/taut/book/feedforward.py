@@ -12,8 +12,7 @@ from scipy.linalg import expm
 
 from taut.base.plot_style import DASHED, INK, SMALL, colour, prepared
 from taut.base.types import Float64Array
-from taut.book.drawing import law_diagram, legend, panels
-from taut.book.link import (
+from taut.book.models import (
     KD,
     KI,
     KP,
@@ -25,12 +24,14 @@ from taut.book.link import (
     controller,
     link,
     on_link,
+    rms,
     solved,
     task,
+    ticked,
+    total,
     weight,
 )  # fmt: skip
-from taut.book.page import BY_HAND, ODE, Entry, Page, Row, row
-from taut.book.simulation import rms, ticked, total
+from taut.book.page import BY_HAND, ODE, Row, Shown, entry, law_diagram, legend, panels, row
 from taut.book.single_joint import WANTED, angles
 from taut.control.law import Law
 from taut.control.laws.friction import FrictionCompensation
@@ -40,7 +41,7 @@ from taut.control.trajectories.reference import JointMotion
 from taut.maths.snapshot import snapshot
 from taut.record.run import Run
 
-__all__ = ["ENTRIES"]
+__all__: list[str] = []
 
 LINE_BY_LINE: Final = "the pseudocode, line by line"
 STATE: Final = JointMotion(q=[0.9], v=[0.5], a=[-1.2])  # desired, chosen
@@ -53,25 +54,27 @@ def model_torque(theta: float, v: float, a: float, r: float = WRONG_R) -> float:
     return M * a + float(weight(theta, r)) + B * v
 
 
-def eq_10_15() -> Page:
+@entry("eq-10.15", "the controller's model")
+def eq_10_15() -> Shown:
     x = snapshot(link(r=WRONG_R), [THETA], [V])
     h = x.h[0] + float(x.viscous[0]) * V
-    rows = (
-        row("the model's M", "kg m^2", x.M[0, 0], M, "section 10.2.1"),
-        row("the model's h, with r = 0.08 m", "N m", h, model_torque(THETA, V, 0.0), BY_HAND),
-    )
-    return Page(rows=rows, note="The model of figure 10.10 at theta = 0.7 rad, theta-dot = 1.3 rad/s.")
+    yield row("the model's M", "kg m^2", x.M[0, 0], M, "section 10.2.1")
+    yield row("the model's h, with r = 0.08 m", "N m", h, model_torque(THETA, V, 0.0), BY_HAND)
+    yield "The model of figure 10.10 at theta = 0.7 rad, theta-dot = 1.3 rad/s."
 
 
-def eq_10_16() -> Page:
+@entry("eq-10.16", "feedforward control")
+def eq_10_16() -> Shown:
     law = FeedForward() + FrictionCompensation(at="ref")
     ctrl = ticked(law, link(r=WRONG_R), [THETA], [V], STATE)
     tau = total(ctrl.terms)[0]
     wanted = model_torque(0.9, 0.5, -1.2)
-    return Page(rows=(row("torque at theta_d = 0.9, 0.5, -1.2", "N m", tau, wanted, BY_HAND),), note=FRICTION)
+    yield row("torque at theta_d = 0.9, 0.5, -1.2", "N m", tau, wanted, BY_HAND)
+    yield FRICTION
 
 
-def fig_10_9() -> Page:
+@entry("fig-10.9", "pseudocode of feedforward control")
+def fig_10_9() -> Shown:
     ctrl = controller(FeedForward() + FrictionCompensation(at="ref"), link(r=WRONG_R), rate=100.0, differenced=True)
     got = [ctrl.step([q], ref=WANTED.at(k / 100.0))[0] for k, q in enumerate(angles(100, 0.01))]
     written = []
@@ -80,11 +83,9 @@ def fig_10_9() -> Page:
         qd, qdotd = 0.2 + 0.5 * math.sin(w * 0.01 * k), 0.5 * w * math.cos(w * 0.01 * k)
         written.append(model_torque(qd, qdotd, -0.5 * w * w * math.sin(w * 0.01 * k)))
     worst = int(np.argmax(np.abs(np.subtract(got, written))))
-    rows = (
-        row("last torque of 100 ticks at 100 Hz", "N m", got[-1], written[-1], LINE_BY_LINE, rel=1e-11),
-        row("the torque that differs most", "N m", got[worst], written[worst], LINE_BY_LINE),
-    )
-    return Page(rows=rows, note="Chosen: a sine as trajectory.")
+    yield row("last torque of 100 ticks at 100 Hz", "N m", got[-1], written[-1], LINE_BY_LINE, rel=1e-11)
+    yield row("the torque that differs most", "N m", got[worst], written[worst], LINE_BY_LINE)
+    yield "Chosen: a sine as trajectory."
 
 
 # -------------------------------------------------------------------- figures 10.10 and 10.12
@@ -120,40 +121,41 @@ def of_run(name: str, run: Run, written: Solved, states: str = "") -> list[Row]:
     ]
 
 
-def fig_10_10() -> Page:
-    rows: list[Row] = []
+@entry("fig-10.10", "feedforward control with a wrong model")
+def fig_10_10() -> Shown:
     figure, axes = panels(2, 2.6)
     peaks, written_peaks = [], []
     for k, ax in enumerate(axes):
         number = k + 1
         run, written = fed_forward(number)
-        rows += of_run(f"Task {number}", run, written)
+        yield from of_run(f"Task {number}", run, written)
         peaks.append(np.abs(run.q[:, 0] - desired(number, run.t)[0]).max())
         written_peaks.append(np.abs(written.e).max())
         prepared(ax, f"Task {number}", "angle [rad]", "t [s]")
         ax.plot(run.t, desired(number, run.t)[0], color=INK, linewidth=0.9, linestyle=DASHED, label="desired")
         ax.plot(run.t, run.q[:, 0], color=colour(k), linewidth=1.5, label="actual")
         legend(ax)
-    rows.append(
-        row(
-            "largest error of Task 2 over that of Task 1", "",
-            peaks[1] / peaks[0], written_peaks[1] / written_peaks[0], ODE,
-            rel=2e-3, states="small in Task 1, larger in Task 2",
-        )
-    )  # fmt: skip
+    yield row(
+        "largest error of Task 2 over that of Task 1",
+        "",
+        peaks[1] / peaks[0],
+        written_peaks[1] / written_peaks[0],
+        ODE,
+        rel=2e-3,
+        states="small in Task 1, larger in Task 2",
+    )
     exact = fed_forward(2, 0.1)[0]
     assert exact.error is not None
-    rows.append(
-        row(
-            "Task 2 with r = 0.1 m: largest error",
-            "rad",
-            np.abs(exact.error).max(),
-            0.0,
-            "the chapter: follows exactly",
-            near=1e-3,
-        )
+    yield row(
+        "Task 2 with r = 0.1 m: largest error",
+        "rad",
+        np.abs(exact.error).max(),
+        0.0,
+        "the chapter: follows exactly",
+        near=1e-3,
     )
-    return Page(rows=tuple(rows), figure=figure, note=f"Numbers of the chapter. {FRICTION}")
+    yield figure
+    yield f"Numbers of the chapter. {FRICTION}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,8 +199,8 @@ def controllers() -> dict[str, Controlled]:
     }
 
 
-def fig_10_12() -> Page:
-    rows: list[Row] = []
+@entry("fig-10.12", "feedforward, feedback, and both")
+def fig_10_12() -> Shown:
     start = float(desired(2, np.zeros(1))[0][0])
     figure, axes = panels(3, 2.9, width_ratios=[1.0, 1.0, 0.8])
     prepared(axes[0], "Task 2", "angle [rad]", "t [s]")
@@ -209,7 +211,7 @@ def fig_10_12() -> Page:
         run = on_link(each.law, model=link(r=WRONG_R), plant=link(), ref=task(2), duration=math.pi, q0=[start])
         written = solved(each.tau, lambda t: desired(2, t)[0], times=run.t, q0=start)
         runs[name] = run, written
-        rows += of_run(name, run, written, "slip: gains are taken from figure 10.6" if "gains" in name else "")
+        yield from of_run(name, run, written, "slip: gains are taken from figure 10.6" if "gains" in name else "")
         assert run.error is not None
         axes[0].plot(run.t, run.q[:, 0], color=colour(k), linewidth=1.3)
         axes[1].plot(run.t, run.error[:, 0], color=colour(k), linewidth=1.3, label=name)
@@ -230,19 +232,21 @@ def fig_10_12() -> Page:
             ("effort", effort, "fb", "below 1"),
         ):
             got, wanted = (of[name][k] / of[other][k] for k in (0, 1))
-            rows.append(row(f"{name}: {measure} over that of {other}", "", got, wanted, ODE, rel=3e-3, states=claim))
-    note = (
+            yield row(f"{name}: {measure} over that of {other}", "", got, wanted, ODE, rel=3e-3, states=claim)
+
+    yield figure
+    yield (
         "Gains of figure 10.6 are torques, and those of 10.19 accelerations: both readings are here, the second with "
         "the gains over M. Both confirm the chapter: better tracking than either alone, less effort than feedback "
         "alone. " + FRICTION
     )
-    return Page(rows=tuple(rows), figure=figure, note=note)
 
 
 # -------------------------------------------------------------------- feedback linearisation
 
 
-def eq_10_17() -> Page:
+@entry("eq-10.17", "error dynamics along any trajectory")
+def eq_10_17() -> Shown:
     kp, kd, ki, at = 100.0, 20.0, 150.0, 0.3
     law = ComputedTorque(kp=kp, kd=kd, ki=ki) + FrictionCompensation(at="meas")
     sine = Sine(center=[0.3], amplitude=0.8, frequency=0.7)
@@ -251,17 +255,15 @@ def eq_10_17() -> Page:
     A = np.array([[0.0, 1.0, 0.0], [-kp, -kd, -ki], [1.0, 0.0, 0.0]])
     wanted = (expm(A * at) @ np.array([0.1, 0.0, 0.0]))[0]
     assert run.error is not None
-    rows = (
-        row(
-            "error 0.3 s after 0.1 rad, along a sine in gravity",
-            "rad",
-            run.error[-1, 0],
-            wanted,
-            "scipy.linalg.expm",
-            near=1e-4,
-        ),
+    yield row(
+        "error 0.3 s after 0.1 rad, along a sine in gravity",
+        "rad",
+        run.error[-1, 0],
+        wanted,
+        "scipy.linalg.expm",
+        near=1e-4,
     )
-    return Page(rows=rows, note=f"Chosen: Kp = 100, Kd = 20, Ki = 150, 0.8 rad at 0.7 Hz. {FRICTION}")
+    yield f"Chosen: Kp = 100, Kd = 20, Ki = 150, 0.8 rad at 0.7 Hz. {FRICTION}"
 
 
 def linearised() -> tuple[dict[str, Float64Array], float, float]:
@@ -272,35 +274,34 @@ def linearised() -> tuple[dict[str, Float64Array], float, float]:
     return dict(ctrl.terms), a, M * a + float(weight(THETA))
 
 
-def eq_10_18() -> Page:
+@entry("eq-10.18", "the commanded acceleration")
+def eq_10_18() -> Shown:
     terms, a, _ = linearised()
     got = sum(terms[name][0] for name in ("feedforward", "P", "I", "D")) / M
-    return Page(
-        rows=(row("commanded acceleration", "rad/s^2", got, a, BY_HAND),),
-        note="Chosen: Kp = 100, Kd = 20, Ki = 150, first tick of 1 ms.",
-    )
+    yield row("commanded acceleration", "rad/s^2", got, a, BY_HAND)
+    yield "Chosen: Kp = 100, Kd = 20, Ki = 150, first tick of 1 ms."
 
 
-def eq_10_19() -> Page:
+@entry("eq-10.19", "feedback linearisation")
+def eq_10_19() -> Shown:
     terms, _, tau = linearised()
-    return Page(
-        rows=(row("torque", "N m", total(terms)[0], tau, BY_HAND),),
-        note="Numbers of equation 10.18; without friction.",
-    )
+    yield row("torque", "N m", total(terms)[0], tau, BY_HAND)
+    yield "Numbers of equation 10.18; without friction."
 
 
-def fig_10_11() -> Page:
+@entry("fig-10.11", "block diagram of feedback linearisation")
+def fig_10_11() -> Shown:
     terms, a, tau = linearised()
-    rows = (
-        row("acceleration fed forward", "rad/s^2", terms["feedforward"][0] / M, -1.2, "theta-ddot_d"),
-        row("acceleration of the feedback", "rad/s^2", sum(terms[name][0] for name in "PID") / M, a + 1.2, BY_HAND),
-        row("all terms together", "N m", total(terms)[0], tau, BY_HAND),
-    )
+    yield row("acceleration fed forward", "rad/s^2", terms["feedforward"][0] / M, -1.2, "theta-ddot_d")
+    yield row("acceleration of the feedback", "rad/s^2", sum(terms[name][0] for name in "PID") / M, a + 1.2, BY_HAND)
+    yield row("all terms together", "N m", total(terms)[0], tau, BY_HAND)
     figure = law_diagram(list(terms), "feedback linearisation: the terms of taut.laws.ComputedTorque", inertia=True)
-    return Page(rows=rows, figure=figure, note="Numbers of equation 10.18; without friction.")
+    yield figure
+    yield "Numbers of equation 10.18; without friction."
 
 
-def fig_10_13() -> Page:
+@entry("fig-10.13", "pseudocode of feedback linearisation")
+def fig_10_13() -> Shown:
     rate, angle = 100.0, angles(200, 0.01)
     law = ComputedTorque(kp=100.0, kd=20.0, ki=150.0) + FrictionCompensation(at="meas")
     ctrl = controller(law, link(r=WRONG_R), rate=rate, differenced=True)
@@ -315,22 +316,6 @@ def fig_10_13() -> Page:
         eint = eint + e * dt
         written.append(model_torque(q, qdot, qdotdotd + 100.0 * e + 20.0 * edot + 150.0 * eint))
     worst = int(np.argmax(np.abs(np.subtract(got, written))))
-    rows = (
-        row("last torque of 200 ticks at 100 Hz", "N m", got[-1], written[-1], LINE_BY_LINE, rel=1e-10),
-        row("the torque that differs most", "N m", got[worst], written[worst], LINE_BY_LINE, rel=1e-8),
-    )
-    return Page(rows=rows, note="Chosen: recorded angles, a sine as trajectory, Kp = 100, Kd = 20, Ki = 150.")
-
-
-ENTRIES: Final = (
-    Entry(id="eq-10.15", title="the controller's model", make=eq_10_15),
-    Entry(id="eq-10.16", title="feedforward control", make=eq_10_16),
-    Entry(id="fig-10.9", title="pseudocode of feedforward control", make=fig_10_9),
-    Entry(id="fig-10.10", title="feedforward control with a wrong model", make=fig_10_10),
-    Entry(id="eq-10.17", title="error dynamics along any trajectory", make=eq_10_17),
-    Entry(id="eq-10.18", title="the commanded acceleration", make=eq_10_18),
-    Entry(id="eq-10.19", title="feedback linearisation", make=eq_10_19),
-    Entry(id="fig-10.11", title="block diagram of feedback linearisation", make=fig_10_11),
-    Entry(id="fig-10.12", title="feedforward, feedback, and both", make=fig_10_12),
-    Entry(id="fig-10.13", title="pseudocode of feedback linearisation", make=fig_10_13),
-)
+    yield row("last torque of 200 ticks at 100 Hz", "N m", got[-1], written[-1], LINE_BY_LINE, rel=1e-10)
+    yield row("the torque that differs most", "N m", got[worst], written[worst], LINE_BY_LINE, rel=1e-8)
+    yield "Chosen: recorded angles, a sine as trajectory, Kp = 100, Kd = 20, Ki = 150."

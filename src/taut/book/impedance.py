@@ -16,12 +16,9 @@ from taut.arm.load import load_arm
 from taut.base.errors import RangeError
 from taut.base.plot_style import DASHED, INK, colour, prepared
 from taut.base.types import Float64Array
-from taut.book.drawing import legend, panels
-from taut.book.link import M, link
+from taut.book.models import M, engine, link, looped, panda, simulated, ticked, total
 from taut.book.multi_joint import Q, V
-from taut.book.oracle import engine, panda
-from taut.book.page import MUJOCO, Entry, Page, Row, compared, row
-from taut.book.simulation import looped, simulated, ticked, total
+from taut.book.page import MUJOCO, Shown, compared, entry, legend, panels, row
 from taut.control.command import Torque
 from taut.control.gains import Gain, Memory
 from taut.control.law import Law, MemoryView
@@ -35,7 +32,7 @@ from taut.maths.snapshot import Snapshot, snapshot
 from taut.trace import math as tm
 from taut.trace.pose import Pose
 
-__all__ = ["ENTRIES", "FAST", "B", "K", "Pushed", "along_x", "slides", "still"]
+__all__ = ["FAST", "B", "K", "Pushed", "along_x", "slides", "still"]
 
 D, B, K = 2.0, 20.0, 400.0  # [kg], [N s/m], [N/m] chosen
 ANGULAR: Final = (0.05, 0.5, 10.0)  # [kg m^2], [N m s/rad], [N m/rad]
@@ -90,10 +87,11 @@ def answer(m: float, b: float, k: float, force: float, t: float) -> float:
     return float((expm(A * t) @ np.array([0.0, 0.0, 1.0]))[0])
 
 
-def eq_10_46() -> Page:
+@entry("eq-10.46", "an environment of one direction")
+def eq_10_46() -> Shown:
     arm = slides()
     out = simulated(VIRTUAL, arm, still(arm), rate=FAST, duration=0.5, environment=Pushed())
-    rows = [
+    yield from (
         row(
             f"where the tool is {t:g} s after a push of 10 N",
             "m",
@@ -103,11 +101,8 @@ def eq_10_46() -> Page:
             rel=5e-3,
         )
         for t in (0.1, 0.2, 0.4)
-    ]
-    return Page(
-        rows=tuple(rows),
-        note="Chosen: m = 2 kg, b = 20 N s/m, k = 400 N/m; a gantry of 21 kg along x, a wrist sensor, 10 kHz.",
     )
+    yield "Chosen: m = 2 kg, b = 20 N s/m, k = 400 N/m; a gantry of 21 kg along x, a wrist sensor, 10 kHz."
 
 
 def asked(w: Any) -> Any:
@@ -121,42 +116,42 @@ def along_x(law: Law, ref: Sample, rate: float = FAST) -> ToolImpedance:
     return tool_impedance(looped(law, slides(), ref, rate=rate, environment=wrist), direction=[1.0, 0.0, 0.0])
 
 
-def eq_10_47() -> Page:
+@entry("eq-10.47", "its impedance")
+def eq_10_47() -> Shown:
     ws = np.geomspace(1.5, 90.0, 5)
     tool = along_x(VIRTUAL, still(slides()))
-    measured, wanted = tool.measure(ws), asked(ws)
+    measured, wanted = tool.measured_Z(ws), asked(ws)
     claims = {0: "dominated by the spring", 4: "dominated by the mass"}
-    rows: list[Row] = []
-    for way, got in (("linearised", tool.Z(ws)), ("by a sweep of runs", measured.Z)):
+    for way, got in (("linearised", tool.Z(ws)), ("by a sweep of runs", measured)):
         for k in (0, 2, 4):
             name = f"Z at {ws[k]:.3g} rad/s, {way}"
             size, turn = (abs(got[k]), abs(wanted[k])), (np.angle(got[k]), np.angle(wanted[k]))
-            rows += [
-                row(f"|{name.replace(' at', '| at')}", "N/m", *size, POLYNOMIAL, rel=0.01, states=claims.get(k, "")),
-                row(f"phase of {name}", "rad", *turn, POLYNOMIAL, rel=0.01),
-            ]
+            yield row(f"|{name.replace(' at', '| at')}", "N/m", *size, POLYNOMIAL, rel=0.01, states=claims.get(k, ""))
+            yield row(f"phase of {name}", "rad", *turn, POLYNOMIAL, rel=0.01)
     for name, k, part in (("|Z| at 1.5 rad/s over k", 0, K), ("|Z| at 90 rad/s over m w^2", 4, D * ws[4] ** 2)):
-        got, want = abs(measured.Z[k]) / part, abs(wanted[k]) / part
-        rows.append(row(name, "", got, want, POLYNOMIAL, rel=0.01, states="near 1"))
+        got, want = abs(measured[k]) / part, abs(wanted[k]) / part
+        yield row(name, "", got, want, POLYNOMIAL, rel=0.01, states="near 1")
     figure, (ax,) = panels(1, 2.5)
     prepared(ax, "impedance at the tool", "|F / X| [N/m]", "w [rad/s]")
     fine = np.geomspace(1.0, 120.0, 200)
     ax.loglog(fine, np.abs(asked(fine)), color=INK, linewidth=0.9, label="|m s² + b s + k|")
-    ax.loglog(ws, np.abs(measured.Z), "o", color=colour(0), markersize=4.5, label="runs")
+    ax.loglog(ws, np.abs(measured), "o", color=colour(0), markersize=4.5, label="runs")
     ax.axhline(K, color=colour(2), linewidth=0.9, linestyle=DASHED, label="k")
     ax.loglog(fine, D * fine**2, color=colour(1), linewidth=0.9, linestyle=DASHED, label="m w²")
     ax.set_ylim(50.0, 4e4)
     legend(ax)
-    note = "Numbers of equation 10.46. taut.analysis.tool_impedance has both: the linearised loop, and a sine sweep."
-    return Page(rows=tuple(rows), figure=figure, note=note)
+
+    yield figure
+    yield "Numbers of equation 10.46. taut.analysis.tool_impedance has both: the linearised loop, and a sine sweep."
 
 
-def eq_10_48() -> Page:
+@entry("eq-10.48", "the behaviour that is asked of an arm")
+def eq_10_48() -> Shown:
     arm = panda()
     p = still(arm).p
     out = simulated(VIRTUAL, arm, still(arm), duration=2.0, environment=Pushed(axis=1, force=8.0))
     moved = out.task.p[:, 1] - p[1]
-    rows = [
+    yield from (
         row(
             f"tool of a Panda {t:g} s after a push of 8 N along y",
             "m",
@@ -166,24 +161,21 @@ def eq_10_48() -> Page:
             rel=0.03,
         )
         for t in (0.1, 0.3)
-    ]
-    rows += [
-        row("where it comes to rest", "m", moved[-1], 8.0 / K, "K^-1 F_ext", rel=5e-3),
-        row(
-            "what it moves across, in the end",
-            "m",
-            np.abs(out.task.p[-1, [0, 2]] - p[[0, 2]]).max(),
-            0.0,
-            "10.48: nothing",
-            near=2e-4,
-        ),
-    ]
-    return Page(
-        rows=tuple(rows), note="D, B and K of equation 10.46 in all directions, (0.05, 0.5, 10) for turning; 1 kHz."
     )
+    yield row("where it comes to rest", "m", moved[-1], 8.0 / K, "K^-1 F_ext", rel=5e-3)
+    yield row(
+        "what it moves across, in the end",
+        "m",
+        np.abs(out.task.p[-1, [0, 2]] - p[[0, 2]]).max(),
+        0.0,
+        "10.48: nothing",
+        near=2e-4,
+    )
+    yield "D, B and K of equation 10.46 in all directions, (0.05, 0.5, 10) for turning; 1 kHz."
 
 
-def eq_10_49() -> Page:
+@entry("eq-10.49", "impedance control")
+def eq_10_49() -> Shown:
     m = engine().at(Q, V)
     ref = TaskMotion(pose=Pose(m.p + np.array([0.02, -0.01, 0.03]), R=m.R), twist=[0.1, 0.2, -0.1, 0.0, 0.0, 0.0])
     ctrl = ticked(Impedance(B=(B, ANGULAR[1]), K=(K, ANGULAR[2]), null=None), panda(), Q, V, ref)
@@ -192,35 +184,31 @@ def eq_10_49() -> Page:
     gains = [np.array([each[0]] * 3 + [each[1]] * 3) for each in ((K, ANGULAR[2]), (B, ANGULAR[1]))]
     spring = gains[0] * X + gains[1] * (ref.twist - m.J @ V)
     wanted = m.J.T @ (spring - m.Lambda @ m.Jdot_v) + m.h
-    rows = compared(got, wanted, "N m", MUJOCO, "torque of the Panda, D left out", 1e-6)
+    yield from compared(got, wanted, "N m", MUJOCO, "torque of the Panda, D left out", 1e-6)
     for factor in (0.1, 1.9, 2.1):
-        rows.append(
-            row(
-                f"D = {factor:g} of the arm's inertia: accepted",
-                "0 or 1",
-                accepted(factor),
-                abs(1.0 - factor) < 1.0,
-                "|1 - Lambda^-1 D| < 1",
-                states="slip: D V-dot with the measured V-dot" if factor > 2.0 else "",
-            )
+        yield row(
+            f"D = {factor:g} of the arm's inertia: accepted",
+            "0 or 1",
+            accepted(factor),
+            abs(1.0 - factor) < 1.0,
+            "|1 - Lambda^-1 D| < 1",
+            states="slip: D V-dot with the measured V-dot" if factor > 2.0 else "",
         )
     for factor in (1.9, 2.1):
-        rows.append(
-            row(
-                f"error of the acceleration, one tick over the last, D = {factor:g} of M",
-                "",
-                echoed(factor),
-                1.0 - factor,
-                "1 - M^-1 D",
-                rel=1e-6,
-            )
+        yield row(
+            f"error of the acceleration, one tick over the last, D = {factor:g} of M",
+            "",
+            echoed(factor),
+            1.0 - factor,
+            "1 - M^-1 D",
+            rel=1e-6,
         )
-    note = (
+
+    yield (
         "With a measured acceleration D V-dot is an algebraic loop; a tick old it is stable only for 0 < "
         "eig(Lambda^-1 D) < 2, and refused elsewhere. Common practice, as the chapter says, leaves "
         "the inertia out: the first rows."
     )
-    return Page(rows=tuple(rows), note=note)
 
 
 class MeasuredInertia(Law):
@@ -261,7 +249,8 @@ def accepted(factor: float) -> bool:
     return True
 
 
-def eq_10_50() -> Page:
+@entry("eq-10.50", "admittance control")
+def eq_10_50() -> Shown:
     law = Admittance(
         inner=TaskComputedTorque(kp=2500.0, kd=100.0, singularity="plain"),
         D=(D, ANGULAR[0]), B=(B, ANGULAR[1]), K=(K, ANGULAR[2]),
@@ -276,26 +265,24 @@ def eq_10_50() -> Page:
         first[dt] = float(ctrl.memory["law.twist"][1]) / dt
     out = simulated(law, arm, rest, duration=2.0, environment=Pushed(axis=1, force=8.0))
     moved = out.task.p[:, 1] - rest.p[1]
-    rows = [
-        row(
-            "acceleration of the model in the first tick, 1 ms",
-            "m/s^2",
-            first[1e-3],
-            8.0 / (D + 0.5 * B * 1e-3 + 0.25 * K * 1e-6),
-            "D^-1 F_ext, implicit midpoint rule",
-            rel=1e-9,
-        ),
-        row(
-            "the same in a tick of 1 us",
-            "m/s^2",
-            first[1e-6],
-            8.0 / D,
-            "D^-1 F_ext",
-            rel=1e-5,
-            states="D^-1 (F_ext - B V - K X)",
-        ),
-    ]
-    rows += [
+    yield row(
+        "acceleration of the model in the first tick, 1 ms",
+        "m/s^2",
+        first[1e-3],
+        8.0 / (D + 0.5 * B * 1e-3 + 0.25 * K * 1e-6),
+        "D^-1 F_ext, implicit midpoint rule",
+        rel=1e-9,
+    )
+    yield row(
+        "the same in a tick of 1 us",
+        "m/s^2",
+        first[1e-6],
+        8.0 / D,
+        "D^-1 F_ext",
+        rel=1e-5,
+        states="D^-1 (F_ext - B V - K X)",
+    )
+    yield from (
         row(
             f"tool of a Panda {t:g} s after a push of 8 N along y",
             "m",
@@ -305,18 +292,6 @@ def eq_10_50() -> Page:
             rel=0.03,
         )
         for t in (0.1, 0.3)
-    ]
-    rows.append(row("where it comes to rest", "m", moved[-1], 8.0 / K, "K^-1 F_ext", rel=5e-3))
-    return Page(
-        rows=tuple(rows),
-        note="D, B and K of equation 10.48; the model's own motion is followed with kp = 2500, kd = 100.",
     )
-
-
-ENTRIES: Final = (
-    Entry(id="eq-10.46", title="an environment of one direction", make=eq_10_46),
-    Entry(id="eq-10.47", title="its impedance", make=eq_10_47),
-    Entry(id="eq-10.48", title="the behaviour that is asked of an arm", make=eq_10_48),
-    Entry(id="eq-10.49", title="impedance control", make=eq_10_49),
-    Entry(id="eq-10.50", title="admittance control", make=eq_10_50),
-)
+    yield row("where it comes to rest", "m", moved[-1], 8.0 / K, "K^-1 F_ext", rel=5e-3)
+    yield "D, B and K of equation 10.48; the model's own motion is followed with kp = 2500, kd = 100."

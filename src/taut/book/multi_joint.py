@@ -14,10 +14,8 @@ from taut.analysis.lyapunov_function import Lyapunov, lyapunov
 from taut.arm.load import load_arm
 from taut.base.plot_style import DASHED, INK, colour, prepared
 from taut.base.types import Float64Array
-from taut.book.drawing import legend, panels
-from taut.book.oracle import TWO_LINKS, engine, panda, two_links
-from taut.book.page import MUJOCO, TWO_BY_HAND, Entry, Page, Row, compared, row
-from taut.book.simulation import looped, simulated, ticked, total
+from taut.book.models import TWO_LINKS, engine, looped, panda, simulated, ticked, total, two_links
+from taut.book.page import MUJOCO, TWO_BY_HAND, Row, Shown, compared, entry, legend, panels, row
 from taut.control.laws.friction import FrictionCompensation
 from taut.control.laws.joint import PID, ComputedTorque, GravityPID
 from taut.control.trajectories.joint import Sine
@@ -25,7 +23,7 @@ from taut.control.trajectories.reference import JointMotion
 from taut.maths.snapshot import snapshot
 from taut.record.run import Run
 
-__all__ = ["ENTRIES", "Q", "V"]
+__all__ = ["Q", "V"]
 
 Q: Final = np.array([0.3, -0.5, 0.4, -1.9, 0.2, 1.6, 0.7])  # [rad] of the Panda, chosen
 V: Final = np.array([0.5, -0.3, 0.4, 0.2, -0.6, 0.7, -0.4])  # [rad/s]
@@ -35,68 +33,67 @@ REF: Final = JointMotion(q=Q + 0.05, v=V - 0.1, a=A)
 DIFFER: Final = "the joint that differs most"
 
 
-def eq_10_20() -> Page:
+@entry("eq-10.20", "dynamics of several joints")
+def eq_10_20() -> Shown:
     arm = panda().with_joints(viscous=B)
     tau = snapshot(arm, Q, V).inverse_dynamics(A)
     friction = ticked(FrictionCompensation(at="meas"), arm, Q, V, REF).terms["friction"]
     m = engine().at(Q, V)
-    rows = compared(np.asarray(tau) + friction, m.M @ A + m.h + B * V, "N m", MUJOCO, "torque of the Panda")
+    yield from compared(np.asarray(tau) + friction, m.M @ A + m.h + B * V, "N m", MUJOCO, "torque of the Panda")
     x = snapshot(two_links(), [0.3, 0.8], [1.0, -0.7])
     q, v = np.array([0.3, 0.8]), np.array([1.0, -0.7])
-    rows += compared(np.asarray(x.Cv), TWO_LINKS.Cv(q, v), "N m", TWO_BY_HAND, "C v of two links")
-    rows += compared(np.asarray(x.g), TWO_LINKS.g(q), "N m", TWO_BY_HAND, "g of two links")
-    return Page(rows=tuple(rows), note="Chosen: states, accelerations, and viscous friction of the Panda's joints.")
+    yield from compared(np.asarray(x.Cv), TWO_LINKS.Cv(q, v), "N m", TWO_BY_HAND, "C v of two links")
+    yield from compared(np.asarray(x.g), TWO_LINKS.g(q), "N m", TWO_BY_HAND, "g of two links")
+    yield "Chosen: states, accelerations, and viscous friction of the Panda's joints."
 
 
-def eq_10_21() -> Page:
+@entry("eq-10.21", "computed torque")
+def eq_10_21() -> Shown:
     ctrl = ticked(ComputedTorque(kp=100.0, kd=20.0, ki=50.0), panda(), Q, V, REF)
     got = total(ctrl.terms)
     m = engine().at(Q, V)
     e = REF.q - Q
     wanted = m.M @ (A + 100.0 * e + 50.0 * e * 1e-3 + 20.0 * (REF.v - V)) + m.h
-    return Page(
-        rows=tuple(compared(got, wanted, "N m", MUJOCO, "torque of the Panda")),
-        note="Chosen: kp = 100, kd = 20, ki = 50.",
-    )
+    yield from compared(got, wanted, "N m", MUJOCO, "torque of the Panda")
+    yield "Chosen: kp = 100, kd = 20, ki = 50."
 
 
-def eq_10_22() -> Page:
+@entry("eq-10.22", "PID with gravity compensation")
+def eq_10_22() -> Shown:
     ctrl = ticked(GravityPID(kp=80.0, kd=12.0, ki=30.0), panda(), Q, V, REF)
     got = total(ctrl.terms)
     e = REF.q - Q
     wanted = 80.0 * e + 30.0 * e * 1e-3 + 12.0 * (REF.v - V) + engine().at(Q, np.zeros(7)).h
-    return Page(
-        rows=tuple(compared(got, wanted, "N m", MUJOCO, "torque of the Panda")),
-        note="Chosen: kp = 80, kd = 12, ki = 30.",
-    )
+    yield from compared(got, wanted, "N m", MUJOCO, "torque of the Panda")
+    yield "Chosen: kp = 80, kd = 12, ki = 30."
 
 
 # -------------------------------------------------------------------- PD with gravity compensation
 
 KP, KD = np.array([40.0, 20.0]), np.array([3.0, 1.0])  # [N m/rad], [N m s/rad] of two links, chosen
 START, GOAL = np.array([1.2, -0.9]), np.array([-0.4, 0.8])  # [rad]
-LONG: Final = 8.0  # [s]
-RATE: Final = 20000.0  # [Hz]
+LYAPUNOV_DURATION: Final = 8.0  # [s]
+FAST_RATE: Final = 20000.0  # [Hz]
 
 
 @cache
 def falling() -> Run:
     """Two links under PD control with gravity compensation, from afar."""
     law, goal = GravityPID(kp=KP, kd=KD), JointMotion(q=GOAL)
-    return simulated(law, two_links(), goal, rate=RATE, duration=LONG, q0=START, integrator="rk4")
+    return simulated(law, two_links(), goal, rate=FAST_RATE, duration=LYAPUNOV_DURATION, q0=START, integrator="rk4")
 
 
 @cache
 def written() -> tuple[Float64Array, Float64Array]:
     """(k,) times, and (5, k) q, v and the integral of v . Kd v, by SciPy."""
-    times = np.linspace(0.0, LONG, 801)
+    times = np.linspace(0.0, LYAPUNOV_DURATION, 801)
 
     def rate(_: float, y: Float64Array) -> Float64Array:
         q, v = y[:2], y[2:4]
         a = np.linalg.solve(TWO_LINKS.M(q), KP * (GOAL - q) - KD * v - TWO_LINKS.Cv(q, v))
         return np.array([*v, *a, v @ (KD * v)])
 
-    got = solve_ivp(rate, (0.0, LONG), [*START, 0.0, 0.0, 0.0], "DOP853", times, rtol=1e-11, atol=1e-12)
+    got = solve_ivp(rate, (0.0, LYAPUNOV_DURATION), [*START, 0.0, 0.0, 0.0], "DOP853", times, rtol=1e-11, atol=1e-12)
     return times, got.y
 
 
@@ -112,10 +109,11 @@ def energy(q: Float64Array, v: Float64Array) -> float:
     return float(0.5 * e @ (KP * e) + 0.5 * v @ TWO_LINKS.M(q) @ v)
 
 
-def eq_10_23() -> Page:
+@entry("eq-10.23", "its closed loop")
+def eq_10_23() -> Shown:
     out, (times, y) = falling(), written()
-    k, at = round(0.4 * RATE), int(np.searchsorted(times, 0.4 - 1e-9))
-    rows = [
+    k, at = round(0.4 * FAST_RATE), int(np.searchsorted(times, 0.4 - 1e-9))
+    yield from (
         row(
             f"joint {i + 1} after 0.4 s",
             "rad",
@@ -126,51 +124,48 @@ def eq_10_23() -> Page:
             near=2e-4,
         )
         for i in (0, 1)
-    ]
-    return Page(
-        rows=tuple(rows),
-        note="Two links, from (1.2, -0.9) to (-0.4, 0.8) rad with kp = (40, 20), kd = (3, 1), without friction.",
     )
+    yield "Two links, from (1.2, -0.9) to (-0.4, 0.8) rad with kp = (40, 20), kd = (3, 1), without friction."
 
 
-def eq_10_24() -> Page:
-    out, k = falling(), round(0.15 * RATE)
+@entry("eq-10.24", "the error energy")
+def eq_10_24() -> Shown:
+    out, k = falling(), round(0.15 * FAST_RATE)
     wanted = energy(out.q[k], out.v[k])
-    return Page(
-        rows=(row("error energy V of two links, after 0.15 s", "J", found().V[k], wanted, TWO_BY_HAND),),
-        note="By taut.analysis.lyapunov. The run of equation 10.23.",
-    )
+    yield row("error energy V of two links, after 0.15 s", "J", found().V[k], wanted, TWO_BY_HAND)
+    yield "By taut.analysis.lyapunov. The run of equation 10.23."
 
 
-def eq_10_25() -> Page:
+@entry("eq-10.25", "the error energy of a set-point")
+def eq_10_25() -> Shown:
     times, y = written()
     at = int(np.searchsorted(times, 0.4 - 1e-9))
     ode = "SciPy's DOP853 of 10.23, written out"
     V, e = found().V, GOAL - START
-    rows = (
-        row("V at the start", "J", V[0], 0.5 * (e @ (KP * e)), TWO_BY_HAND),
-        row("V after 0.4 s", "J", V[round(0.4 * RATE)], energy(y[:2, at], y[2:4, at]), ode, rel=0.0, near=5e-3),
-    )
-    return Page(rows=rows, note="Numbers of equation 10.23.")
+    yield row("V at the start", "J", V[0], 0.5 * (e @ (KP * e)), TWO_BY_HAND)
+    yield row("V after 0.4 s", "J", V[round(0.4 * FAST_RATE)], energy(y[:2, at], y[2:4, at]), ode, rel=0.0, near=5e-3)
+    yield "Numbers of equation 10.23."
 
 
-def eq_10_26() -> Page:
-    out, k = falling(), round(0.15 * RATE)
+@entry("eq-10.26", "its rate")
+def eq_10_26() -> Shown:
+    out, k = falling(), round(0.15 * FAST_RATE)
     q, v = out.q[k], out.v[k]
     M, e = TWO_LINKS.M(q), GOAL - q
     a = np.linalg.solve(M, KP * e - KD * v - TWO_LINKS.Cv(q, v))
     wanted = -v @ (KP * e) + v @ M @ a + 0.5 * v @ TWO_LINKS.M_rate(q, v) @ v
     V = found().V
-    rows = (
-        row("rate of V at 0.15 s", "W", found().rate[k], wanted, TWO_BY_HAND),
-        row("the same by differences of V", "W", 0.5 * RATE * (V[k + 1] - V[k - 1]), wanted, TWO_BY_HAND, rel=2e-3),
+    yield row("rate of V at 0.15 s", "W", found().rate[k], wanted, TWO_BY_HAND)
+    yield row(
+        "the same by differences of V", "W", 0.5 * FAST_RATE * (V[k + 1] - V[k - 1]), wanted, TWO_BY_HAND, rel=2e-3
     )
-    return Page(rows=rows, note="Numbers of equation 10.23.")
+    yield "Numbers of equation 10.23."
 
 
-def eq_10_27() -> Page:
+@entry("eq-10.27", "it only falls")
+def eq_10_27() -> Shown:
     out, (times, y) = falling(), written()
-    k, some = round(0.15 * RATE), slice(None, None, round(0.01 * RATE))
+    k, some = round(0.15 * FAST_RATE), slice(None, None, round(0.01 * FAST_RATE))
     V = found().V
     q, v = np.array([0.3, 0.8]), np.array([1.0, -0.7])
     C = np.asarray(snapshot(two_links(), q, v).C)
@@ -178,30 +173,30 @@ def eq_10_27() -> Page:
     moved = simulated(GravityPID(kp=KP, kd=KD), two_links(), JointMotion(q=GOAL), duration=0.001, q0=START)
     a = moved.v[1] * moved.rate
     wanted = np.linalg.solve(TWO_LINKS.M(START), KP * (GOAL - START))
-    rows = [
-        row("rate of V at 0.15 s", "W", found().rate[k], -out.v[k] @ (KD * out.v[k]), "-v . Kd v", rel=1e-6),
-        row("both at their worst, apart, over the largest rate", "", found().worst, 0.0, "-v . Kd v", near=1e-6),
-        row("V lost in 0.4 s", "J", V[0] - V[round(0.4 * RATE)], y[4, 40], "integral of v . Kd v by SciPy", rel=1e-3),
-        row("ticks after which V is larger", "", int((np.diff(V) > 1e-9).sum()), 0, "the chapter: decreasing"),
-        row(
-            "largest entry of M-dot - 2 C, less its skew part",
-            "",
-            np.abs(skew + skew.T).max(),
-            0.0,
-            "skew-symmetric, with M-dot written out",
-            near=1e-12,
-        ),
-        row(
-            "where theta-dot = 0: acceleration of joint 1",
-            "rad/s^2",
-            a[0],
-            wanted[0],
-            "M^-1 Kp theta_e, written out",
-            rel=1e-9,
-            states="slip: ensures theta-dot != 0",
-        ),
-        row("error in the end", "rad", np.abs(out.q[-1] - GOAL).max(), 0.0, "the chapter: converges", near=1e-3),
-    ]
+    yield row("rate of V at 0.15 s", "W", found().rate[k], -out.v[k] @ (KD * out.v[k]), "-v . Kd v", rel=1e-6)
+    yield row("both at their worst, apart, over the largest rate", "", found().worst, 0.0, "-v . Kd v", near=1e-6)
+    yield row(
+        "V lost in 0.4 s", "J", V[0] - V[round(0.4 * FAST_RATE)], y[4, 40], "integral of v . Kd v by SciPy", rel=1e-3
+    )
+    yield row("ticks after which V is larger", "", int((np.diff(V) > 1e-9).sum()), 0, "the chapter: decreasing")
+    yield row(
+        "largest entry of M-dot - 2 C, less its skew part",
+        "",
+        np.abs(skew + skew.T).max(),
+        0.0,
+        "skew-symmetric, with M-dot written out",
+        near=1e-12,
+    )
+    yield row(
+        "where theta-dot = 0: acceleration of joint 1",
+        "rad/s^2",
+        a[0],
+        wanted[0],
+        "M^-1 Kp theta_e, written out",
+        rel=1e-9,
+        states="slip: ensures theta-dot != 0",
+    )
+    yield row("error in the end", "rad", np.abs(out.q[-1] - GOAL).max(), 0.0, "the chapter: converges", near=1e-3)
     figure, (left, right) = panels(2, 2.5)
     prepared(left, "error energy", "V [J]", "t [s]")
     left.plot(out.t[some], V[some], color=colour(0), linewidth=1.5, label="of the run")
@@ -213,11 +208,12 @@ def eq_10_27() -> Page:
     for i in (0, 1):
         right.plot(out.t[some], GOAL[i] - out.q[some, i], color=colour(i), linewidth=1.3, label=f"joint {i + 1}")
     legend(right)
-    note = (
+
+    yield figure
+    yield (
         "Where theta-dot = 0 off the goal, the spring ensures that theta-ddot is not zero, so that theta-dot becomes "
         "so; the chapter writes that theta-dot is not zero. Numbers of equation 10.23."
     )
-    return Page(rows=tuple(rows), figure=figure, note=note)
 
 
 # -------------------------------------------------------------------- decentralised control
@@ -231,64 +227,68 @@ def crosstalk(M: Float64Array, kp: Float64Array, kd: Float64Array) -> float:
     return worst
 
 
-def sec_10_2_2_1() -> Page:
+@entry("sec-10.2.2.1", "decentralised control")
+def sec_10_2_2_1() -> Shown:
     gantry = load_arm("gantry3").with_joints(viscous=0.0)
     goal = np.array([0.2, -0.1, 0.15])
     law, duration = PID(kp=400.0, kd=60.0, ki=100.0), 1.0
     whole = simulated(law, gantry, JointMotion(q=goal), duration=duration, q0=np.zeros(3))
-    rows = []
     for i, name in enumerate(gantry.joint_names):
         single = simulated(law, gantry.subset([name]), JointMotion(q=[goal[i]]), duration=duration, q0=[0.0])
         apart = np.abs(whole.q[:, i] - single.q[:, 0])
         worst = int(np.argmax(apart)) if apart.any() else -1
-        rows.append(
-            row(
-                f"axis {name} of the gantry, where it differs most from a single joint", "m",
-                whole.q[worst, i], single.q[worst, 0], "the joint alone",
-                rel=0.0, near=1e-12, states="equivalent to three single joints",
-            )
-        )  # fmt: skip
+        yield row(
+            f"axis {name} of the gantry, where it differs most from a single joint",
+            "m",
+            whole.q[worst, i],
+            single.q[worst, 0],
+            "the joint alone",
+            rel=0.0,
+            near=1e-12,
+            states="equivalent to three single joints",
+        )
     for G, rotor in ((1.0, 1e-3), (100.0, 1e-3)):
         arm = two_links().with_gears(G, rotor)
         q = np.array([0.3, 0.8])
         M, wanted = np.asarray(snapshot(arm, q).M), TWO_LINKS.M(q) + G**2 * rotor * np.eye(2)
         kp, kd = 400.0 * np.diag(M), 40.0 * np.diag(M)
         level = arm.with_gravity([0.0, 0.0, 0.0])
-        found = coupling(looped(PID(kp=kp, kd=kd), level, JointMotion(q=q), rate=RATE), at=q)
+        found = coupling(looped(PID(kp=kp, kd=kd), level, JointMotion(q=q), rate=FAST_RATE), at=q)
         by_hand = abs(wanted[0, 1]) / math.sqrt(wanted[0, 0] * wanted[1, 1])
         name, claim = "coupling |M12| / sqrt(M11 M22) of two links", "nearly diagonal" if G > 1.0 else ""
-        rows += [
-            row(f"{name}, G = {G:g}", "", found.inertia, by_hand, TWO_BY_HAND, states=claim),
-            row(
-                f"what a joint follows of the goal of another, at most, G = {G:g}", "", found.worst[0],
-                crosstalk(wanted, kp, kd), "(M s^2 + Kd s + Kp)^-1 Kp", rel=5e-3, states=claim,
-            ),
-        ]  # fmt: skip
+        yield row(f"{name}, G = {G:g}", "", found.inertia, by_hand, TWO_BY_HAND, states=claim)
+        yield row(
+            f"what a joint follows of the goal of another, at most, G = {G:g}",
+            "",
+            found.worst[0],
+            crosstalk(wanted, kp, kd),
+            "(M s^2 + Kd s + Kp)^-1 Kp",
+            rel=5e-3,
+            states=claim,
+        )
         stretched = np.array([0.3, 0.0])
         change = float(np.asarray(snapshot(arm, stretched).M)[0, 0] / M[0, 0] - 1.0)
         wanted_change = (TWO_LINKS.M(stretched)[0, 0] + G**2 * rotor) / wanted[0, 0] - 1.0
-        rows.append(
-            row(
-                f"M11 stretched over bent, less 1, G = {G:g}",
-                "",
-                change,
-                wanted_change,
-                TWO_BY_HAND,
-                states="small" if G > 1.0 else "",
-            )
+        yield row(
+            f"M11 stretched over bent, less 1, G = {G:g}",
+            "",
+            change,
+            wanted_change,
+            TWO_BY_HAND,
+            states="small" if G > 1.0 else "",
         )
     for law_name, control in (
         ("decentralised PD", PID(kp=KP * 10.0, kd=KD * 10.0)),
         ("computed torque", ComputedTorque(kp=100.0, kd=20.0)),
     ):
-        rows.append(_followed(law_name, control))
-    note = (
+        yield _followed(law_name, control)
+
+    yield (
         "A gantry is three single joints, to rounding; gears make the mass matrix nearly diagonal and nearly "
         "constant: by taut.analysis.coupling, for joints that PD control makes equally fast, without gravity. "
         "Chosen: PID "
         "with kp = 400, kd = 60, ki = 100; rotors of 1e-3 kg m^2."
     )
-    return Page(rows=tuple(rows), note=note)
 
 
 SINE: Final = Sine(center=GOAL, amplitude=0.5, frequency=0.5)
@@ -320,16 +320,3 @@ def _followed(name: str, law: PID | ComputedTorque) -> Row:
         return row(name, "rad", got, wanted, "SciPy's DOP853, written out", rel=2e-3, states=claim)
     assert wanted < 1e-8  # of SciPy's own solution
     return row(name, "rad", got, 0.0, "10.17: none with an exact model", near=1e-3)
-
-
-ENTRIES: Final = (
-    Entry(id="eq-10.20", title="dynamics of several joints", make=eq_10_20),
-    Entry(id="sec-10.2.2.1", title="decentralised control", make=sec_10_2_2_1),
-    Entry(id="eq-10.21", title="computed torque", make=eq_10_21),
-    Entry(id="eq-10.22", title="PID with gravity compensation", make=eq_10_22),
-    Entry(id="eq-10.23", title="its closed loop", make=eq_10_23),
-    Entry(id="eq-10.24", title="the error energy", make=eq_10_24),
-    Entry(id="eq-10.25", title="the error energy of a set-point", make=eq_10_25),
-    Entry(id="eq-10.26", title="its rate", make=eq_10_26),
-    Entry(id="eq-10.27", title="it only falls", make=eq_10_27),
-)

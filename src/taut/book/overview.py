@@ -9,14 +9,12 @@ import numpy as np
 from scipy.signal import butter, lfilter
 
 from taut.base.plot_style import COLOURS, INK, SMALL, colour, prepared
-from taut.book.drawing import arrow, block, box, canvas, legend, panels, words
-from taut.book.link import WRONG_R, B, M, controller, link, on_link, weight
-from taut.book.page import Entry, Page, Row, row
-from taut.book.simulation import rms, ticked, total
+from taut.book.models import WRONG_R, B, M, controller, link, on_link, rms, ticked, total, weight
+from taut.book.page import Shown, arrow, block, box, canvas, entry, legend, panels, row, words
 from taut.control.laws.friction import FrictionCompensation
 from taut.control.laws.joint import PID, ComputedTorque
+from taut.control.sensing.filters import Difference
 from taut.control.sensing.sensing import Sensing
-from taut.control.sensing.velocity import Difference
 from taut.control.trajectories.joint import Sine
 from taut.control.trajectories.reference import JointMotion
 from taut.controller import compile
@@ -24,14 +22,16 @@ from taut.controller import compile
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["ENTRIES"]
+__all__: list[str] = []
+
 
 RATES: Final = (100.0, 200.0, 500.0, 1000.0, 2000.0, 5000.0)  # [Hz]
 KP, KD = 400.0, 40.0  # [1/s^2], [1/s]
 SIZE, PACE, LONG = 0.8, 4.0, math.pi  # [rad], [rad/s], [s] of the sine that is followed
 
 
-def fig_10_1() -> Page:
+@entry("fig-10.1", "a robot control system")
+def fig_10_1() -> Shown:
     ctrl = ticked(ComputedTorque(kp=KP, kd=KD, ki=1.0), link(), [0.1], [0.2], JointMotion(q=[0.3]))
     figure, ax = canvas(9.6, 4.3, 0.78)
     words(ax, 0.1, 4.15, "(a) a robot control system", ha="left")
@@ -40,16 +40,15 @@ def fig_10_1() -> Page:
     _simplified(ax, 1.0)
     tau = total(ctrl.terms)[0]
     a = KP * 0.2 - KD * 0.2 + 0.2 * 1e-3
-    rows = (
-        row(
-            "torque of the controller drawn, all terms together",
-            "N m",
-            tau,
-            M * a + weight(0.1),
-            "equation 10.19, written out",
-        ),
+    yield row(
+        "torque of the controller drawn, all terms together",
+        "N m",
+        tau,
+        M * a + weight(0.1),
+        "equation 10.19, written out",
     )
-    return Page(rows=rows, figure=figure, note="In the controller stand the terms of taut.laws.ComputedTorque.")
+    yield figure
+    yield "In the controller stand the terms of taut.laws.ComputedTorque."
 
 
 def _whole(ax: Axes, y: float, terms: list[str]) -> None:
@@ -117,7 +116,8 @@ def written(rate: float) -> float:
     return rms(np.array(errors))
 
 
-def sec_10_1() -> Page:
+@entry("sec-10.1", "higher servo rates stop paying", part="rates")
+def sec_10_1() -> Shown:
     sine = Sine(center=[0.0], amplitude=SIZE, frequency=PACE / (2.0 * math.pi))
     got, wanted = [], []
     for rate in RATES:
@@ -128,19 +128,17 @@ def sec_10_1() -> Page:
         got.append(rms(run.error[:, 0]))
         wanted.append(written(rate))
     tick_by_tick = "the loop tick by tick, the link by RK4"
-    rows: list[Row] = [
+    yield from (
         row(f"RMS error at {rate:g} Hz", "rad", mine, theirs, tick_by_tick, rel=1e-6)
         for rate, mine, theirs in zip(RATES, got, wanted, strict=True)
-    ]
+    )
     for (low, high), states in (
         ((0, 3), "hundreds to a few thousands of Hz"),
         ((3, 5), "of limited benefit"),
         ((4, 5), "of limited benefit"),
     ):
         name = f"error at {RATES[high]:g} Hz over that at {RATES[low]:g} Hz"
-        rows.append(
-            row(name, "", got[high] / got[low], wanted[high] / wanted[low], tick_by_tick, rel=1e-6, states=states)
-        )
+        yield row(name, "", got[high] / got[low], wanted[high] / wanted[low], tick_by_tick, rel=1e-6, states=states)
     figure, (ax,) = panels(1, 2.5)
     prepared(ax, "following a sine with a model that is 20 % off", "RMS error [mrad]", "servo rate [Hz]")
     ax.plot(RATES, 1e3 * np.array(wanted), color=INK, linewidth=0.9, label="tick by tick, written out")
@@ -150,12 +148,13 @@ def sec_10_1() -> Page:
     ax.set_xticks(RATES, [f"{rate:g}" for rate in RATES])
     ax.minorticks_off()
     legend(ax)
-    note = (
+
+    yield figure
+    yield (
         "The chapter: higher update rates are of limited benefit. What is left at high rates is the error of the "
         "model. Chosen: feedback linearisation and FrictionCompensation, Kp = 400, Kd = 40, differenced positions, "
         "r = 0.08 m in the model, 0.8 rad at 4 rad/s."
     )
-    return Page(rows=tuple(rows), figure=figure, note=note)
 
 
 # -------------------------------------------------------------------- velocity by differences
@@ -163,13 +162,13 @@ def sec_10_1() -> Page:
 STEP, PACE_SLOW, CUTOFF, TICKS = 1e-3, 0.05, 20.0, 2000  # [rad] of an encoder, [rad/s], [Hz], of 1 ms
 
 
-def jitter() -> Page:
+@entry("sec-10.1", "jitter of differenced positions", part="jitter")
+def jitter() -> Shown:
     """A joint that turns slowly, seen by a coarse encoder, differenced with and without a low-pass."""
     seen = STEP * np.round(PACE_SLOW * 1e-3 * np.arange(TICKS) / STEP)
     rest, half = JointMotion(q=[0.0]), TICKS // 2
     differenced = np.diff(seen, prepend=seen[0]) * 1e3
     wanted = {"differenced": differenced, "with a low-pass": lfilter(*butter(1, CUTOFF, fs=1e3), differenced)}
-    rows: list[Row] = []
     figure, (ax,) = panels(1, 2.3)
     prepared(ax, "velocity by differences, from an encoder of 1 mrad", "velocity [rad/s]", "t [s]")
     ways = (
@@ -180,18 +179,12 @@ def jitter() -> Page:
         ctrl = compile(PID(kp=0.0, kd=1.0), link(), rate=1e3, sensing=Sensing(velocity=velocity))
         got = -np.array([ctrl.step([q], ref=rest)[0] for q in seen])
         what, want = f"RMS of the velocity's jitter, {name}", wanted[name][half:].std()
-        rows.append(row(what, "rad/s", got[half:].std(), want, source, rel=1e-6, states=claim))
+        yield row(what, "rad/s", got[half:].std(), want, source, rel=1e-6, states=claim)
         t = 1e-3 * np.arange(half, half + 200)
         ax.plot(t, got[half : half + 200], color=colour(k), linewidth=0.8 + 0.8 * k, label=name)
     ax.axhline(PACE_SLOW, color=INK, linewidth=0.9, label="true")
     ax.set_ylim(-0.1, 1.4)
     legend(ax, ncols=3)
-    note = "Chosen: 0.05 rad/s, an encoder of 1 mrad, 1 kHz, a low-pass of 20 Hz."
-    return Page(rows=tuple(rows), figure=figure, note=note)
 
-
-ENTRIES: Final = (
-    Entry(id="fig-10.1", title="a robot control system", make=fig_10_1),
-    Entry(id="sec-10.1", title="higher servo rates stop paying", make=sec_10_1, part="rates"),
-    Entry(id="sec-10.1", title="jitter of differenced positions", make=jitter, part="jitter"),
-)
+    yield figure
+    yield "Chosen: 0.05 rad/s, an encoder of 1 mrad, 1 kHz, a low-pass of 20 Hz."

@@ -1,21 +1,20 @@
-"""Section 10.2.3: motion control in task space, by way of the joints or directly."""
+"""Section 10.2.3: motion control in task space, through the joints or directly, and three choices of the error."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
 
-from taut.base.plot_style import INK, colour, prepared
+from taut.base.plot_style import DASHED, INK, colour, prepared
 from taut.base.types import Float64Array
-from taut.book.drawing import legend, panels
+from taut.book.models import TWO_LINKS, engine, panda, simulated, ticked, total, two_links, two_poles
 from taut.book.multi_joint import Q, V
-from taut.book.oracle import TWO_LINKS, engine, panda, two_links
-from taut.book.page import MUJOCO, TWO_BY_HAND, Entry, Page, Row, compared, row
-from taut.book.simulation import simulated, ticked, total, two_poles
+from taut.book.page import MUJOCO, TWO_BY_HAND, Shown, compared, entry, legend, panels, row
 from taut.codegen.inverse_kinematics import inverse_kinematics
 from taut.control.command import Torque
 from taut.control.gains import Gain
@@ -33,7 +32,10 @@ from taut.record.run import Run
 from taut.trace import math as tm
 from taut.trace.pose import Pose
 
-__all__ = ["ENTRIES", "AsWritten"]
+if TYPE_CHECKING:
+    from taut.control.laws.task_error import ErrorKind
+
+__all__ = ["AsWritten"]
 
 W: Final = 1.5  # [rad/s] of the circle that two links follow
 CENTRE, RADIUS = np.array([0.55, 0.1]), 0.1  # [m] x and z
@@ -71,7 +73,8 @@ def followed() -> tuple[Controller, float]:
     return ctrl, t
 
 
-def eq_10_28() -> Page:
+@entry("eq-10.28", "inverse kinematics")
+def eq_10_28() -> Shown:
     p = around(0.0)[0]
     found = inverse_kinematics(
         two_links(), Pose([p[0], 0.0, p[1]]), q0=[0.1, 0.9], directions="position", tolerance=(1e-10, 1e-6)
@@ -79,10 +82,10 @@ def eq_10_28() -> Page:
     wanted = TWO_LINKS.ik(p)
     ctrl, t = followed()
     along, later = ctrl.memory["law.q_des"], joints(t)[0]
-    rows = [
+    yield from (
         row(f"joint {i + 1} of two links", "rad", found.q[i], wanted[i], "law of cosines", near=1e-9) for i in (0, 1)
-    ]
-    rows += [
+    )
+    yield from (
         row(
             f"joint {i + 1} of a law that follows a circle, after 0.4 s",
             "rad",
@@ -92,26 +95,26 @@ def eq_10_28() -> Page:
             near=1e-6,
         )
         for i in (0, 1)
-    ]
-    return Page(
-        rows=tuple(rows), note="Chosen: the tool at (0.65, 0.1) m, then a circle of 0.1 m radius at 1.5 rad/s."
     )
+    yield "Chosen: the tool at (0.65, 0.1) m, then a circle of 0.1 m radius at 1.5 rad/s."
 
 
-def eq_10_29() -> Page:
+@entry("eq-10.29", "joint speeds of a motion of the tool")
+def eq_10_29() -> Shown:
     ctrl, t = followed()
     got, wanted = ctrl.memory["law.v_des"], joints(t)[1]
-    rows = [
+    yield from (
         row(f"speed of joint {i + 1} after 0.4 s", "rad/s", got[i], wanted[i], f"J^-1 V, {TWO_BY_HAND}", near=1e-5)
         for i in (0, 1)
-    ]
-    return Page(rows=tuple(rows), note="The circle of equation 10.28.")
+    )
+    yield "The circle of equation 10.28."
 
 
-def eq_10_30() -> Page:
+@entry("eq-10.30", "joint accelerations of a motion of the tool")
+def eq_10_30() -> Shown:
     ctrl, t = followed()
     got, wanted = ctrl.memory["law.a_des"], joints(t)[2]
-    rows = [
+    yield from (
         row(
             f"acceleration of joint {i + 1} after 0.4 s",
             "rad/s^2",
@@ -121,8 +124,8 @@ def eq_10_30() -> Page:
             near=1e-4,
         )
         for i in (0, 1)
-    ]
-    return Page(rows=tuple(rows), note="The circle of equation 10.28.")
+    )
+    yield "The circle of equation 10.28."
 
 
 def target() -> TaskMotion:
@@ -136,7 +139,8 @@ def target() -> TaskMotion:
     )
 
 
-def eq_10_31() -> Page:
+@entry("eq-10.31", "computed torque in task space")
+def eq_10_31() -> Shown:
     """The decoupled error, with Lambda, gamma and eta of MuJoCo."""
     ref = target()
     ctrl = ticked(TaskComputedTorque(kp=100.0, kd=20.0, ki=50.0, null=None), panda(), Q, V, ref)
@@ -148,25 +152,21 @@ def eq_10_31() -> Page:
     gamma_eta = J_bar.T @ m.h - m.Lambda @ m.Jdot_v
     wanted = m.J.T @ (m.Lambda @ a + gamma_eta)
     free = (np.eye(7) - m.J.T @ J_bar.T) @ m.h  # what of h the free motion has, which the law adds too
-    rows = compared(got, wanted + free, "N m", MUJOCO, "torque of the Panda", 1e-6)
+    yield from compared(got, wanted + free, "N m", MUJOCO, "torque of the Panda", 1e-6)
     stretched, bent = (snapshot(two_links(), [0.3, q2]) for q2 in (0.0, 1.2))
     for name, x, q in (("stretched", stretched, np.array([0.3, 0.0])), ("bent", bent, np.array([0.3, 1.2]))):
         J = np.asarray(x.J())[[0, 2]]
         told_M, wanted_M = (np.linalg.eigvalsh(np.asarray(M))[0] for M in (x.M, TWO_LINKS.M(q)))
         states = "slip: M is singular at a dynamic singularity" if name == "stretched" else ""
-        rows.append(
-            row(f"two links, {name}: least eigenvalue of M", "kg m^2", told_M, wanted_M, TWO_BY_HAND, states=states)
-        )
+        yield row(f"two links, {name}: least eigenvalue of M", "kg m^2", told_M, wanted_M, TWO_BY_HAND, states=states)
         told_J, wanted_J = (np.linalg.svd(each)[1][-1] for each in (J, TWO_LINKS.J(q)))
-        rows.append(
-            row(f"two links, {name}: least singular value of J", "m", told_J, wanted_J, TWO_BY_HAND, near=1e-12)
-        )
-    note = (
+        yield row(f"two links, {name}: least singular value of J", "m", told_J, wanted_J, TWO_BY_HAND, near=1e-12)
+
+    yield (
         "The chapter speaks of a dynamic singularity where M is singular. M never is: J is singular there, and "
         "Lambda is unbounded. Chosen: the error of the third choice, a Panda, kp = 100, kd = 20, ki = 50; h "
         "goes to all joints, so that the free motion carries its own weight."
     )
-    return Page(rows=tuple(rows), note=note)
 
 
 # -------------------------------------------------------------------- a target that spins
@@ -232,8 +232,8 @@ def sampled(kd: complex) -> Any:
     return poles[np.argsort(poles.imag)]
 
 
-def transported() -> Page:
-    rows: list[Row] = []
+@entry("sec-10.2.3", "the body error at a target that spins", part="spin")
+def transported() -> Shown:
     figure, (ax,) = panels(1, 2.6)
     prepared(ax, "error about the tool's x axis, at a target that spins", "error [mrad]", "t [s]")
     laws: dict[str, tuple[Law, complex]] = {
@@ -249,43 +249,88 @@ def transported() -> Page:
         states = "slip: V-dot_d fed as it is, the poles as designed" if name == "fed as it is" else ""
         for i in (0, 1):
             source = f"s^2 + {kd:g} s + 100, sampled at 1 kHz; {design[i]:.3g} in continuous time"
-            rows.append(
-                row(
-                    f"{name}: pole {i + 1}, real part",
-                    "1/s",
-                    got[i].real,
-                    wanted[i].real,
-                    source,
-                    rel=0.0,
-                    near=0.1,
-                    states=states,
-                )
+            yield row(
+                f"{name}: pole {i + 1}, real part",
+                "1/s",
+                got[i].real,
+                wanted[i].real,
+                source,
+                rel=0.0,
+                near=0.1,
+                states=states,
             )
-            rows.append(
-                row(
-                    f"{name}: pole {i + 1}, imaginary part",
-                    "1/s",
-                    got[i].imag,
-                    wanted[i].imag,
-                    source,
-                    rel=0.0,
-                    near=0.1,
-                )
+            yield row(
+                f"{name}: pole {i + 1}, imaginary part", "1/s", got[i].imag, wanted[i].imag, source, rel=0.0, near=0.1
             )
         ax.plot(out.t, 1e3 * errors.real, color=colour(k), linewidth=1.4, label=name)
     ax.axhline(0.0, color=INK, linewidth=0.6)
     legend(ax)
-    note = (
+
+    yield figure
+    yield (
         "With the body error the desired acceleration must be transported to the tool, Ad V-dot_d + ad_{V_e}(Ad "
         "V_d). Fed as it is, a target that spins at 3 rad/s adds +-3j to kd = 16 across its axis. A Panda, kp = 100."
     )
-    return Page(rows=tuple(rows), figure=figure, note=note)
 
 
-ENTRIES: Final = (
-    Entry(id="eq-10.28", title="inverse kinematics", make=eq_10_28),
-    Entry(id="eq-10.29", title="joint speeds of a motion of the tool", make=eq_10_29),
-    Entry(id="eq-10.30", title="joint accelerations of a motion of the tool", make=eq_10_30),
-    Entry(id="eq-10.31", title="computed torque in task space", make=eq_10_31),
-    Entry(id="sec-10.2.3", title="the body error at a target that spins", make=transported, part="spin"),
-)
+SHIFT, TURN = np.array([0.05, 0.15, -0.05]), np.array([0.0, 0.7, 0.4])  # [m], rotation vector [rad], chosen
+KP_E, KD_E = 100.0, 20.0  # [1/s^2], [1/s]
+ALONE: Final = "(1 + 10 t) exp(-10 t) of what was to go"
+
+
+def screw(T0: Pose, T1: Pose) -> Float64Array:
+    """(k, 3) the tool's origin on the one screw motion from a pose to another, by SciPy's logm and expm."""
+    one, other = T0.matrix, T1.matrix
+    log = np.real(logm(np.linalg.solve(one, other)))
+    return np.array([(one @ expm(s * log))[:3, 3] for s in np.linspace(0.0, 1.0, 400)])
+
+
+def aside(way: Float64Array) -> Float64Array:
+    """(k,) how far a way is from the straight line along SHIFT [m]."""
+    ahead = SHIFT / np.linalg.norm(SHIFT)
+    moved = way - way[0]
+    return np.asarray(np.linalg.norm(moved - np.outer(moved @ ahead, ahead), axis=1))
+
+
+@entry("sec-10.2.3", "three choices of the error", part="choices")
+def choices() -> Shown:
+    arm = panda()
+    T0 = snapshot(arm, arm.home).T()
+    T1 = Pose(np.asarray(T0.p) + SHIFT, R=np.asarray(T0.R) @ Rotation.from_rotvec(TURN).as_matrix())
+    bow = aside(screw(T0, T1))
+    figure, (ax,) = panels(1, 2.6)
+    prepared(ax, "the tool on its way to another place and orientation", "aside of a straight line [mm]", "way [mm]")
+    kinds: tuple[ErrorKind, ...] = ("body", "space", "decoupled")
+    for k, kind in enumerate(kinds):
+        law = TaskComputedTorque(kp=KP_E, kd=KD_E, error=kind, null=None, singularity="plain")
+        out = simulated(law, arm, TaskMotion(pose=T1), duration=1.5)
+        off = aside(out.task.p)
+        name = f"{kind}: farthest from a straight line"
+        if kind == "decoupled":
+            turned = Rotation.from_matrix(np.swapaxes(np.asarray(out.task.R), 1, 2) @ np.asarray(T1.R)).magnitude()
+            at = round(0.2 * out.rate)
+            wanted = np.linalg.norm(TURN) * (1.0 + 10.0 * 0.2) * math.exp(-10.0 * 0.2)
+            claim = "decouples rotational and linear terms"
+            yield row(name, "m", off.max(), 0.0, "each by itself: straight", near=2e-4, states=claim)
+            yield row(f"{kind}: angle left after 0.2 s", "rad", turned[at], wanted, ALONE, rel=0.02, states=claim)
+            yield row(
+                f"{kind}: way left after 0.2 s",
+                "m",
+                np.linalg.norm(np.asarray(T1.p) - out.task.p[at]),
+                wanted / np.linalg.norm(TURN) * np.linalg.norm(SHIFT),
+                ALONE,
+                rel=0.02,
+                states=claim,
+            )
+        else:
+            yield row(name, "m", off.max(), bow.max(), "the screw motion between both poses", rel=0.01)
+        way = np.linalg.norm(out.task.p - out.task.p[0], axis=1)
+        ax.plot(1e3 * way, 1e3 * off, color=colour(k), linewidth=1.4, linestyle=DASHED if k == 1 else "-", label=kind)
+    ax.axhline(0.0, color=INK, linewidth=0.6)
+    legend(ax)
+
+    yield figure
+    yield (
+        "The errors of body and space lead the tool along the screw motion from one pose to the other, the third "
+        "straight ahead. Chosen: a Panda, kp = 100, kd = 20, 0.17 m and 0.81 rad."
+    )

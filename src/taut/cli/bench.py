@@ -20,8 +20,8 @@ from taut.base.errors import count_of
 from taut.base.types import Float64Array
 from taut.cli.command import Answer, Command, Say
 from taut.codegen.engine import Steps
-from taut.codegen.layout import Block
 from taut.codegen.loop import StepLoop
+from taut.codegen.program import Block
 from taut.control.laws.joint import ComputedTorque
 from taut.control.trajectories.joint import Sine
 from taut.control.trajectories.reference import JointMotion

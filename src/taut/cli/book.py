@@ -34,15 +34,18 @@ def _book(arguments: argparse.Namespace, say: Say) -> Answer:
 
     entries = contents.chosen(arguments.ids)
     folder = contents.prepared_folder(arguments.out or Path("out") / "book")
-    pages = contents.made(entries, say)
-    rows = [pair for page in pages for pair in page.rows]
+    pages = []
+    for entry in entries:
+        say(f"{entry.id}: {entry.title}")
+        pages.append(entry.page())
+    rows = [(page.entry.id, each) for page in pages for each in page.rows]
     missed = [f"{name}: {each.quantity}" for name, each in rows if not each.ok]
     text, data = [_table(pages)], [each.json(name) for name, each in rows]
     try:
         written = contents.write(pages, folder)
     except FileError as wrong:
         return Answer(text=text[0], data=data, status=FAILED, remarks=[str(wrong)])
-    text += [f"{page.entry.id}: {page.page.note}" for page in pages if page.page.note]
+    text += [f"{page.entry.id}: {page.note}" for page in pages if page.note]
     text += [f"{name:20} {path}" for name, path in written.items()]
     text += [f"missed: {each}" for each in missed]
     text.append(f"{len(rows) - len(missed)} of {len(rows)} numbers are what they should be")

@@ -95,9 +95,11 @@ def design_of(arguments: argparse.Namespace) -> Design:
 
 def _in_file(path: Path) -> dict[str, Any]:
     """arm, plant, rate and sensing of a file: [arm], [plant] and [control] of a scenario, which may have more."""
-    from taut.scenarios.scenario import read_control_side_and_plant
+    from taut.scenarios.experiment import read_control_side_and_plant
+    from taut.scenarios.reading import read_toml
 
-    return read_control_side_and_plant(path)
+    read_in = read_control_side_and_plant(read_toml(path, f"plant '{path}'"))
+    return {name: value for name, value in read_in.items() if name != "limits"}
 
 
 def _law(name: str, constraint: str | None) -> type[Law] | Law:
@@ -139,7 +141,7 @@ def _constraint(text: str | None) -> Any:
     """
     from taut.base.errors import UsageError
     from taut.scenarios.laws import read_constraint
-    from taut.scenarios.toml import table_of
+    from taut.scenarios.reading import table_of
 
     if text is None:
         raise UsageError(

@@ -72,12 +72,12 @@ def _report_arguments(command: argparse.ArgumentParser) -> None:
 def _report(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
     from taut.record.log.files import checked_target
     from taut.record.log.reading import load_run
-    from taut.record.report.report import report
-    from taut.record.report.run_report import faults_of
+    from taut.record.report import report
+    from taut.record.run_report import faults_of
 
     checked_target("report", arguments.out, (".html", ".htm"))
     run = load_run(arguments.run)
-    report(run, arguments.out, title=arguments.title, log=Path(arguments.run).name)
+    report(run, arguments.out, title=arguments.title)
     faults = faults_of(run)
     return Answer(
         text=f"report   {arguments.out}",

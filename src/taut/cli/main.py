@@ -57,7 +57,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _parser() -> argparse.ArgumentParser:
-    from taut.base.version import __version__
+    from taut.base import __version__
 
     parser = _Parser(
         prog="taut",

@@ -73,8 +73,8 @@ def _scenarios_arguments(command: argparse.ArgumentParser) -> None:
 
 
 def _scenarios(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
+    from taut.scenarios.reading import read_toml
     from taut.scenarios.scenario import built_in_scenarios, scenario_file
-    from taut.scenarios.toml import read_toml
 
     if arguments.name is not None:
         path = scenario_file(arguments.name)

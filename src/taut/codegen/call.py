@@ -20,9 +20,9 @@ from typing import Any, Final
 import numpy as np
 
 from taut.base.types import Float64Array
-from taut.codegen.layout import Block
+from taut.codegen.llvm import Writer
 from taut.codegen.native import NativeModule
-from taut.codegen.text import Writer
+from taut.codegen.program import Block
 
 __all__ = [
     "METH_FASTCALL_KEYWORDS",

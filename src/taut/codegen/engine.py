@@ -14,9 +14,8 @@ from taut.base.checks import one_of
 from taut.base.errors import TraceError, UsageError
 from taut.base.types import Float64Array
 from taut.codegen import native
-from taut.codegen.layout import Block
 from taut.codegen.native import NativeModule
-from taut.codegen.program import Function, Program, trace
+from taut.codegen.program import Block, Function, Program, trace
 
 __all__ = [
     "Engine",

@@ -14,10 +14,9 @@ from taut.arm.description import Arm
 from taut.base.checks import one_of, positive_scalar, require_at_least, vector
 from taut.base.errors import RangeError, UsageError, count_of
 from taut.base.types import ArrayLike, Float64Array
-from taut.codegen.function import NativeFunction, native
+from taut.codegen.kernel import NativeFunction, native
 from taut.maths import dynamics as dyn
-from taut.maths.ik import DIRECTIONS, Directions, IkOutcome, Task, task_of
-from taut.maths.ik_search import posture_step, search_step
+from taut.maths.ik import DIRECTIONS, Directions, IkOutcome, Task, posture_step, search_step, task_of
 from taut.maths.model import model_of
 from taut.trace.pose import Pose
 

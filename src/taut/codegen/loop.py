@@ -13,11 +13,9 @@ import numpy as np
 
 from taut.base.types import Float64Array
 from taut.codegen.engine import Engine, Flat, Steps, verified
-from taut.codegen.layout import Block, Field
-from taut.codegen.llvm import declarations, kernel
+from taut.codegen.llvm import Writer, declarations, kernel
 from taut.codegen.native import NativeModule, compiled, level_for
-from taut.codegen.program import Program, trace
-from taut.codegen.text import Writer
+from taut.codegen.program import Block, Field, Program, trace
 from taut.loop import Loop
 
 __all__ = ["StepLoop", "TracedSteps", "compiled_loop", "write_period"]

@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from taut.base import __version__
 from taut.base.errors import TautError, warn
-from taut.base.version import __version__
 from taut.codegen import cache
 from taut.codegen.llvm import LIBM
 from taut.trace import graph

@@ -14,11 +14,10 @@ import numpy as np
 
 from taut.base.types import Float64Array
 from taut.codegen.engine import Engine, Steps
-from taut.codegen.layout import Block
+from taut.codegen.llvm import Writer
 from taut.codegen.loop import TracedSteps, write_period
 from taut.codegen.native import QUICK, available, compiled
-from taut.codegen.program import Function, Program, Values
-from taut.codegen.text import Writer
+from taut.codegen.program import Block, Function, Program, Values
 from taut.trace.array import traced_array
 from taut.trace.derivative import tangents
 from taut.trace.graph import Op

@@ -24,7 +24,7 @@ BRAKING_TICKS: Final = 10.0  # [ticks] default time constant in which a joint co
 LIMIT_TERMS: Final = ("rate_limit", "speed_limit", "torque_limit")
 """Terms that limits add to a command, in the order in which they act."""
 TERM_OF: Final = {"blend": "blend", "tau_dot": "rate_limit", "v": "speed_limit", "tau": "torque_limit"}
-TINY: Final = 1e-9  # [rad/s, N m] so that nothing is divided by zero
+SPEED_FLOOR: Final = 1e-9  # [rad/s, N m] so that nothing is divided by zero
 
 
 class Limits(Declared):
@@ -77,6 +77,9 @@ class Limits(Declared):
 
     def _stated(self) -> set[str]:
         return {name for name in self.declared if self.__dict__[name] is not None}
+
+    def __str__(self) -> str:
+        return ", ".join(f"{name} = {np.asarray(getattr(self, name)).tolist()}" for name in sorted(self._stated()))
 
     @classmethod
     def of(cls, arm: Arm, *, rate: bool = False, speed: bool = False, blend: float | None = None) -> Limits:
@@ -229,7 +232,7 @@ def _slowed(tau: Vector, x: Snapshot, parameters: Mapping[str, Array], dt: Any) 
         return out
     # A joint that lacks the torque for it would be driven on by the others: then all of them accelerate less.
     motion, bound = out - x.h, parameters["tau"]
-    up, down = (bound - x.h) / tm.maximum(motion, TINY), (bound + x.h) / tm.maximum(-motion, TINY)
+    up, down = (bound - x.h) / tm.maximum(motion, SPEED_FLOOR), (bound + x.h) / tm.maximum(-motion, SPEED_FLOOR)
     parts = tm.clip(tm.where(out > bound, up, tm.where(out < -bound, down, 1.0)), 0.0, 1.0)
     least = functools.reduce(tm.minimum, [parts[i] for i in range(x.n)])
     fitting: Vector = out - (1.0 - least) * motion
@@ -242,7 +245,7 @@ def room(speed: Vector, v_max: Array, v_gain: Array, dt: Any) -> Vector:
     Near the limit v_gain (v_max - speed). It grows towards rest, where the direction of motion is nothing to go by,
     to what takes the joint to its limit within a tick.
     """
-    growth = tm.clip(v_max / tm.maximum(speed, TINY), 1.0, 1.0 / (v_gain * dt))
+    growth = tm.clip(v_max / tm.maximum(speed, SPEED_FLOOR), 1.0, 1.0 / (v_gain * dt))
     out: Vector = v_gain * (v_max - speed) * growth
     return out
 

@@ -14,8 +14,7 @@ from taut.codegen import native
 from taut.codegen.call import Argument
 from taut.codegen.engine import Engine, Flat
 from taut.codegen.kernel import Blocks, Call, Kernel
-from taut.codegen.layout import Block
-from taut.codegen.program import Values, failure
+from taut.codegen.program import Block, Values, failure
 from taut.control.command import WildTerm, wild_term
 from taut.control.lawside import HELD, KNOWN, LawSide, Probe
 from taut.control.trajectories.reference import Sample

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from taut.base.errors import RangeError
 from taut.base.types import Float64Array
-from taut.linear.loop_map import finite_derivative
-from taut.linear.period import Derivative, PeriodMap, Point
+from taut.linear.period import Derivative, PeriodMap, Point, finite_derivative
 
 __all__ = ["WITHIN", "Flags", "Rest", "driven_states", "equilibrium", "observed_states", "standing_states"]
 

@@ -12,12 +12,21 @@ import scipy.linalg
 import scipy.signal
 from scipy.optimize import brentq
 
-from taut.base.checks import finite_array, finite_scalar, positive_scalar, rate_in_hertz, require_at_least, rounded_up
-from taut.base.checks import symmetric_psd as require_symmetric_psd
+from taut.base.checks import (
+    finite_array,
+    finite_scalar,
+    non_negative_scalar,
+    positive_scalar,
+    rate_in_hertz,
+    require_at_least,
+    require_positive,
+    rounded_up,
+    symmetric,
+    symmetric_psd,
+)
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.sensing.filters import LowPass, check_filter
-from taut.control.sensing.velocity import Difference
+from taut.control.sensing.filters import Difference, LowPass, check_filter
 from taut.linear.linear_system import LinearSystem, names
 from taut.linear.step_response import BAND
 
@@ -26,6 +35,7 @@ __all__ = ["Case", "SecondOrder", "VelocityKind", "error_dynamics", "joint_matri
 Case = Literal["overdamped", "critically damped", "underdamped"]
 VelocityKind = Literal["measured", "difference"] | LowPass | Difference
 CRITICAL: Final = 1e-14  # [-] of zeta^2 about 1: rounding of a critically damped design
+DETERMINE_ONE: Final = ({"kp", "omega_n"}, {"zeta", "overshoot"}, {"kd", "settling"})  # quantity, not two
 FASTEST: Final = math.log(1.0 / BAND) / math.hypot(math.log(1.0 / BAND), math.pi)
 """The damping ratio, 0.78, whose overshoot is the settling band: none settles earlier at its natural frequency."""
 
@@ -115,26 +125,33 @@ def second_order(
     References:
         Chapter, section 10.2.1.1, equations 10.8 to 10.10.
     """
-    M = positive_scalar("M", M, unit="kg m^2")
-    b = finite_scalar("b", b, unit="N m s/rad")
-    require_at_least("b", np.array(b), 0.0, unit="N m s/rad")
+    M, b = positive_scalar("M", M, unit="kg m^2"), non_negative_scalar("b", b, unit="N m s/rad")
     units = {"kp": "N m/rad", "kd": "N m s/rad", "zeta": "", "omega_n": "rad/s", "settling": "s", "overshoot": "%"}
-    values = zip(units, (kp, kd, zeta, omega_n, settling, overshoot), strict=True)
-    given = {name: finite_scalar(name, value, unit=units[name]) for name, value in values if value is not None}
-    _require_two(given)
-    for name, value in given.items():
-        if name in ("omega_n", "settling"):
-            positive_scalar(name, value, unit=units[name])
-        require_at_least(name, np.array(value), 0.0, unit=units[name])
+    values = zip(units.items(), (kp, kd, zeta, omega_n, settling, overshoot), strict=True)
+    given = {
+        name: (positive_scalar if name in ("omega_n", "settling") else non_negative_scalar)(name, value, unit=unit)
+        for (name, unit), value in values
+        if value is not None
+    }
+    if len(given) != 2 or any(pair <= {*given} for pair in DETERMINE_ONE):
+        raise UsageError(
+            "two of kp, kd, zeta, omega_n, settling and overshoot determine the gains, but not kp with omega_n, "
+            f"zeta with overshoot or kd with settling; got {', '.join(given) if given else 'none'}",
+            name=[*given][-1] if given else None,
+        )
     if given.get("overshoot", 0.0) >= 100.0:
-        raise RangeError("overshoot must be below 100 %, that of no damping", name="overshoot", value=overshoot)
+        raise RangeError(
+            f"overshoot must be below 100 %, that of no damping; got {overshoot:g}", name="overshoot", value=overshoot
+        )
     zeta, omega_n = given.get("zeta"), given.get("omega_n")
     if "overshoot" in given:
         zeta = _zeta_of_overshoot(given["overshoot"])
     if "kp" in given:
         omega_n = math.sqrt(given["kp"] / M)
     if zeta == 0.0 and ("settling" in given or "kd" in given):
-        raise RangeError("zeta must be > 0 with settling or kd: without damping nothing settles", name="zeta")
+        raise RangeError(
+            "zeta must be > 0 with settling or kd: without damping nothing settles; got 0.0", name="zeta", value=0.0
+        )
     if "settling" in given and zeta is not None:
         omega_n = settling_angle(zeta) / given["settling"]
     elif "settling" in given and omega_n is not None:
@@ -157,23 +174,6 @@ def second_order(
             value=zeta,
         )
     return SecondOrder(M=M, b=b, kp=kp, kd=kd)
-
-
-def _require_two(given: dict[str, float]) -> None:
-    """Refuse what does not determine two gains, by name."""
-    for one, other in (("kp", "omega_n"), ("zeta", "overshoot"), ("kd", "settling")):
-        if one in given and other in given:
-            raise UsageError(
-                f"{one} and {other} do not determine both gains; leave one of them out and give another of kp, kd, "
-                "zeta, omega_n, settling and overshoot",
-                name=one,
-            )
-    if len(given) != 2:
-        raise UsageError(
-            "two of kp, kd, zeta, omega_n, settling and overshoot determine the gains; got "
-            f"{', '.join(given) if given else 'none'}",
-            name=[*given][-1] if given else None,
-        )
 
 
 def _zeta_of_overshoot(percent: float) -> float:
@@ -231,19 +231,42 @@ def _zeta_that_settles(angle: float) -> float:
 # -------------------------------------------------------------------- joints under PID
 
 
-def joint_matrix(name: str, value: ArrayLike, n: int, unit: str = "") -> Float64Array:
+def joint_matrix(
+    name: str,
+    value: ArrayLike,
+    n: int,
+    unit: str = "",
+    *,
+    minimum: float | None = None,
+    above: float | None = None,
+) -> Float64Array:
     """(n, n) of a number, of one number for each joint, or of a symmetric matrix.
 
+    Args:
+        name: What messages call it.
+        value: The numbers.
+        n: Number of joints.
+        unit: Of them.
+        minimum: 0 for numbers of zero or more, and a positive semidefinite matrix; None for any.
+        above: 0 for numbers above zero, and a positive definite matrix.
+
     Raises:
-        ShapeError, RangeError: Another shape, not finite, or not symmetric.
+        ShapeError, RangeError: Another shape, not finite, not symmetric, or not in the range.
     """
     given = finite_array(name, value, unit=unit)
     if given.shape not in ((), (n,), (n, n)):
         raise ShapeError(f"{name} must be a number, ({n},) or ({n}, {n}); got shape {given.shape}", name=name)
-    matrix = given if given.ndim == 2 else np.diag(np.broadcast_to(given, (n,)))
-    if not np.allclose(matrix, matrix.T, rtol=0.0, atol=1e-9 * float(np.abs(matrix).max(initial=0.0))):
-        raise RangeError(f"{name} must be a symmetric matrix", name=name, value=given, rule="symmetric")
-    return 0.5 * (matrix + matrix.T)
+    if given.ndim == 2:
+        if minimum is None and above is None:
+            symmetric(name, given, unit=unit)
+        else:
+            symmetric_psd(name, given, unit=unit, definite=above is not None)
+        return 0.5 * (given + given.T)
+    if above is not None:
+        require_positive(name, given, unit=unit)
+    elif minimum is not None:
+        require_at_least(name, given, minimum, unit=unit)
+    return np.diag(np.broadcast_to(given, (n,)))
 
 
 def pid(
@@ -273,60 +296,42 @@ def pid(
         Inputs q, v, ref.q, ref.v; outputs command, e.
     """
     P, D = joint_matrix("kp", kp, n, "N m/rad"), joint_matrix("kd", kd, n, "N m s/rad")
-    Ki, eye, none = joint_matrix("ki", ki, n, "N m/(rad s)"), np.eye(n), np.zeros((n, n))
-    q, v, q_des, v_des = (np.hstack([eye if i == k else none for i in range(4)]) for k in range(4))
-    e = q_des - q
-    blocks: list[tuple[str, Float64Array, Float64Array, Float64Array]] = []  # states, A, B, their part of command
-    command = P @ e + D @ (v_des - v)
-    if rate is not None:
-        dt, differenced = 1.0 / rate, velocity == "difference" or isinstance(velocity, Difference)
-        if differenced:
-            command = P @ e + D @ (v_des - q / dt)
-            blocks.append(("sensing.q_last", none, q, D / dt))
-        if Ki.any():
-            command = command + dt * Ki @ e
-            blocks.append(("law.e_int", eye, dt * e, Ki))
-    elif Ki.any():
-        blocks.append(("law.e_int", none, e, Ki))
-    A = scipy.linalg.block_diag(*(block[1] for block in blocks)) if blocks else np.zeros((0, 0))
-    B = np.vstack([np.zeros((0, 4 * n)), *(block[2] for block in blocks)])
-    C = np.hstack([np.zeros((n, 0)), *(block[3] for block in blocks)])
-    law = LinearSystem(
-        A=A, B=B, C=np.vstack([C, np.zeros((n, len(A)))]), D=np.vstack([command, e]),
-        dt=None if rate is None else 1.0 / rate,
-        states=tuple(name for block in blocks for name in names(block[0], n)),
-        inputs=(*names("q", n), *names("v", n), *names("ref.q", n), *names("ref.v", n)),
+    Ki = joint_matrix("ki", ki, n, "N m/(rad s)")
+    if not isinstance(velocity, (LowPass, Difference)) and velocity not in ("measured", "difference"):
+        raise UsageError(
+            "velocity must be 'measured', 'difference', taut.sensors.LowPass(...) or "
+            f"taut.sensors.Difference(...); got {velocity!r}",
+            name="velocity",
+        )
+    differenced = velocity == "difference" or isinstance(velocity, Difference)
+    a, b, c, d = _velocity_filter(n, rate, velocity)
+    memories = {"sensing.q_last": n * differenced, "sensing.velocity": len(a), "law.e_int": n * bool(Ki.any())}
+    # Rows of matrices by all states, and behind them q, v, ref.q and ref.v.
+    m = sum(memories.values())
+    rows = np.split(np.eye(m + 4 * n), np.cumsum([*memories.values(), n, n, n]))
+    q_last, filtered, e_int, q, v, q_des, v_des = rows
+    raw = (q - q_last) * (rate or 0.0) if differenced else v
+    e, estimate = q_des - q, c @ filtered + d @ raw
+    summed = e_int if rate is None or not len(e_int) else e_int + e / rate
+    command = P @ e + D @ (v_des - estimate) + Ki[:, : len(e_int)] @ summed
+    after = np.vstack([q[: len(q_last)], a @ filtered + b @ raw, (e if rate is None else summed)[: len(e_int)]])
+    shown = np.vstack([command, e])
+    return LinearSystem(
+        A=after[:, :m], B=after[:, m:], C=shown[:, :m], D=shown[:, m:], dt=None if rate is None else 1.0 / rate,
+        states=[each for name, count in memories.items() for each in names(name, count)],
+        inputs=[each for name in ("q", "v", "ref.q", "ref.v") for each in names(name, n)],
         outputs=(*names("command", n), *names("e", n)),
     )  # fmt: skip
-    return law if rate is None else _filtered(law, n, D, rate, velocity)
 
 
-def _filtered(law: LinearSystem, n: int, D: Float64Array, rate: float, velocity: VelocityKind) -> LinearSystem:
-    """The law with a low-pass in the velocity that it sees: v_filtered in the place of v in its command."""
-    if isinstance(velocity, str) or velocity.cutoff is None:
-        return law
+def _velocity_filter(n: int, rate: float | None, velocity: VelocityKind) -> tuple[Float64Array, ...]:
+    """(A, B, C, D) of the low-pass of n velocities; a direct path alone where there is none."""
+    if rate is None or isinstance(velocity, str) or velocity.cutoff is None:
+        return np.zeros((0, 0)), np.zeros((0, n)), np.zeros((n, 0)), np.eye(n)
     check_filter(velocity, "velocity", rate, n)
     cutoffs = np.broadcast_to(np.asarray(velocity.cutoff, dtype=float), (n,))
-    if (cutoffs != cutoffs[0]).any():
-        raise UsageError("velocity.cutoff must be one number here, for all joints", name="velocity")
-    one = scipy.signal.tf2ss(*scipy.signal.butter(velocity.order, float(cutoffs[0]), fs=rate))
-    a, b, c, d = (np.kron(np.asarray(part), np.eye(n)) for part in one)
-    differenced = isinstance(velocity, Difference)
-    raw_state, raw = np.zeros((n, len(law.A))), np.zeros((n, law.B.shape[1]))  # the velocity before the filter
-    if differenced:
-        raw_state[:, law.state_places("sensing.q_last")] = -rate * np.eye(n)
-        raw[:, law.columns("q")] = rate * np.eye(n)
-    else:
-        raw[:, law.columns("v")] = np.eye(n)
-    C, feed = law.C.copy(), law.D.copy()
-    C[:n] -= D @ (d - np.eye(n)) @ raw_state
-    feed[:n] -= D @ (d - np.eye(n)) @ raw
-    shown = np.vstack([-D @ c, np.zeros((n, len(a)))])
-    return LinearSystem(
-        A=np.block([[law.A, np.zeros((len(law.A), len(a)))], [b @ raw_state, a]]), B=np.vstack([law.B, b @ raw]),
-        C=np.hstack([C, shown]), D=feed, dt=law.dt,
-        states=(*law.states, *names("sensing.velocity", len(a))), inputs=law.inputs, outputs=law.outputs,
-    )  # fmt: skip
+    each = [scipy.signal.tf2ss(*scipy.signal.butter(velocity.order, cutoff, fs=rate)) for cutoff in cutoffs.tolist()]
+    return tuple(scipy.linalg.block_diag(*parts) for parts in zip(*each, strict=True))
 
 
 def error_dynamics(
@@ -399,22 +404,12 @@ def error_dynamics(
     kd = 0.0 if kd is None else kd
     shapes = [np.asarray(value).shape for value in (M, b, kp, kd, ki)]
     n = max((shape[0] for shape in shapes if shape), default=1)
-    inertia, damping = joint_matrix("M", M, n, "kg m^2"), joint_matrix("b", b, n, "N m s/rad")
-    smallest = float(np.linalg.eigvalsh(inertia)[0])
-    if smallest <= 0.0:
-        raise RangeError("M must be positive definite [kg m^2]", name="M", value=smallest, rule="positive definite")
-    require_symmetric_psd("b", damping, unit="N m s/rad")
-    for name, value, unit in (("kp", kp, "N m/rad"), ("ki", ki, "N m/(rad s)")):
-        require_symmetric_psd(name, joint_matrix(name, value, n, unit), unit=unit)
+    inertia = joint_matrix("M", M, n, "kg m^2", above=0.0)
+    damping = joint_matrix("b", b, n, "N m s/rad", minimum=0.0)
+    kp, ki = joint_matrix("kp", kp, n, "N m/rad", minimum=0.0), joint_matrix("ki", ki, n, "N m/(rad s)", minimum=0.0)
     if rate is None and (delay or velocity != "measured"):
         raise UsageError("a delay, and a differenced or filtered velocity, are those of a servo; give rate= [Hz]",
                          name="rate")  # fmt: skip
-    if not isinstance(velocity, (LowPass, Difference)) and velocity not in ("measured", "difference"):
-        raise UsageError(
-            "velocity must be 'measured', 'difference', taut.sensors.LowPass(...) or "
-            f"taut.sensors.Difference(...); got {velocity!r}",
-            name="velocity",
-        )
     eye, none = np.eye(n), np.zeros((n, n))
     plant = LinearSystem(
         A=np.block([[none, eye], [none, -np.linalg.solve(inertia, damping)]]),

@@ -8,9 +8,10 @@ stiction hides an unstable loop only until a disturbance sets the joint free. Li
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Mapping
+import dataclasses
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Final
 from weakref import WeakKeyDictionary
 
@@ -24,21 +25,20 @@ from taut.control.describe import all_laws
 from taut.control.laws.friction import FrictionCompensation
 from taut.control.lawside import LawSide
 from taut.linear.equilibrium import Rest, equilibrium, observed_states, standing_states
-from taut.linear.linear_system import LinearSystem
+from taut.linear.linear_system import Complex, LinearSystem, Mode, balancing
 from taut.linear.period import EMPTY, RESOLUTION, STEP, Period, Point, Side, smooth_plant
 from taut.loop import AnyPlant, HasLawSide, Loop
 from taut.maths.snapshot import snapshot
 from taut.plant.rigid import RigidPlant
 
-__all__ = ["Judgement", "judge", "judge_start"]
+__all__ = ["Judgement", "directions", "judge", "judge_start", "largest_factor", "without_dry_friction"]
 
 ROUNDING: Final = 1e-9  # [-] of a modulus of one
-RANK: Final = 1e-9  # [-] of the largest mobility of the tool: an axis with less does not move
-SMALLER: Final = 2.0 ** -np.arange(1, 15)  # [-] factors on a gain, at which an unstable loop may be stable
-LARGER: Final = 2.0 ** np.arange(1, 15)  # [-] factors on a gain, at which a stable loop may be unstable
-BALANCING: Final = 12  # sweeps
-FINE: Final = 0.01  # [-] of the largest stable factor
-PART: Final = 0.2  # [-] the least fraction of a mode that a sentence names
+REACH: Final = 1e-9  # [-] of the largest mobility of the tool: an axis with less does not move
+FINE: Final = 0.01  # [-] of the largest stable factor on a gain
+MIN_FACTOR, MAX_FACTOR = 2.0**-14, 2.0**14  # [-] on a gain, between which a limit is searched
+DIGITS: Final = 3  # of a factor, and of a gain times it, rounded down: what is printed is no more than what was tried
+SHOWN: Final = 0.2  # [-] the smallest fraction of a mode that a sentence names
 HUGE: Final = 1e12  # a limit that is never reached
 DRY: Final = ("coulomb", "static", "load_motor", "load_external", "load_motor_static", "load_external_static")
 VISCOUS: Final = "plant.friction.viscous"
@@ -55,8 +55,7 @@ class Judgement(Result):
 
     Args:
         system: The linear model from tick to tick, of the states on which the joints' motion depends.
-        stable: Whether deviations do not grow, as far as the model is known.
-        radius: Spectral radius of the one-period map [-].
+        stable: Whether deviations do not grow, within the error of central differences.
         decay_rate: Slowest decay of what does not stay where it is put [1/s]; negative for growth.
         q: (n,) the equilibrium [rad | m].
         joints: Fraction of each joint in the least stable mode, by name, the largest first; empty in a run that is
@@ -64,7 +63,7 @@ class Judgement(Result):
         tool: Fraction of each axis of the tool in it, by kinetic energy (world axes), likewise.
         largest: Largest factor on a gain, by path, with which the loop is stable, the others as they are. Of an
             unstable loop for all gains for which there is one; on all of them, "law", where only that helps. Of a
-            stable loop for those that were asked for; infinite where no limit was found.
+            stable loop for those that were asked for; infinite without a limit.
         gains: The gains of `largest` as they are, by path.
         relies_on: Friction of the plant that keeps deviations from growing: viscous friction without which a stable
             loop is unstable; dry friction that holds an unstable loop while it is at rest.
@@ -73,7 +72,6 @@ class Judgement(Result):
 
     system: LinearSystem
     stable: bool
-    radius: float
     decay_rate: float
     q: Float64Array
     joints: Mapping[str, float]
@@ -84,17 +82,21 @@ class Judgement(Result):
     plant: str
 
     @property
+    def radius(self) -> float:
+        """Spectral radius of the one-period map [-]."""
+        return self.system.radius
+
+    @property
     def direction(self) -> str:
         """The least stable mode in words: joints and axes of the tool with more than 20 % of it."""
-        joints = ", ".join(f"'{name}'" for name, part in self.joints.items() if part >= PART)
-        tool = ", ".join(name for name, part in self.tool.items() if part >= PART)
+        joints = ", ".join(f"'{name}'" for name, part in self.joints.items() if part >= SHOWN)
+        tool = ", ".join(name for name, part in self.tool.items() if part >= SHOWN)
         return (f"joint {joints}" + (f" (tool: {tool})" if tool else "")) if joints else "the law's memory"
 
     @property
     def message(self) -> str:
         """The verdict and the remedy in one sentence."""
-        assert self.system.dt is not None
-        where = f"at the start pose, judged with {self.plant} at {1.0 / self.system.dt:g} Hz"
+        where = f"at the start pose, judged with {self.plant} at {1.0 / self.system.period:g} Hz"
         friction = " and ".join(self.relies_on)
         if self.stable:
             return f"the sampled loop is stable {where}" + (f"; it relies on {friction}" if friction else "")
@@ -113,7 +115,7 @@ class Judgement(Result):
         if not self.largest:
             return "no smaller gain that was tried makes it stable; change the law, its gains or the rate"
         if "law" in self.largest:
-            return f"no single smaller gain makes it stable, and all gains times {self.largest['law']:.3g} do"
+            return f"no single smaller gain makes it stable, and all gains times {self.largest['law']:g} do"
         gains = " or ".join(f"{path} = {_times(x, self.gains[path])}" for path, x in self.largest.items())
         return f"the largest gain that is stable is {gains}, the others as they are; use less, or a higher rate"
 
@@ -134,14 +136,14 @@ class Judgement(Result):
         )
 
     def record(self) -> dict[str, Any]:
-        """As plain values, for the record of a run."""
+        """The entries of `Stability` in the info of a run."""
         return {
             "stable": self.stable,
             "radius": float(f"{self.radius:.9g}"),
-            "joints": {name: round(part, 3) for name, part in self.joints.items() if part >= PART},
-            "tool": {name: round(part, 3) for name, part in self.tool.items() if part >= PART},
+            "joints": {name: round(part, 3) for name, part in self.joints.items() if part >= SHOWN},
+            "tool": {name: round(part, 3) for name, part in self.tool.items() if part >= SHOWN},
             "largest": dict(self.largest),
-            "relies_on": list(self.relies_on),
+            "relies_on": self.relies_on,
             "plant": self.plant,
             "message": self.message,
         }
@@ -233,12 +235,21 @@ def _smooth_loop(ctrl: HasLawSide, plant: AnyPlant, parameters: Changes) -> Loop
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Model:
-    """The derivative of a period at its equilibrium, its error, and the states that it is of."""
+    """The derivative of a period at its equilibrium, of some states.
+
+    Args:
+        rest: The equilibrium.
+        A: (n, n) of the states.
+        states: (n,) their places among the period's.
+        z: (n,) eigenvalues.
+        slack: (n,) how far each is uncertain by the error of A.
+    """
 
     rest: Rest
     A: Float64Array
-    error: Float64Array
     states: NDArray[np.intp]
+    z: Complex
+    slack: Float64Array
 
     @classmethod
     def at(cls, period: Period, start: Point) -> _Model:
@@ -250,82 +261,98 @@ class _Model:
             acting[coordinates.places[path]] = True
         states = np.flatnonzero(acting)
         block = np.ix_(states, states)
-        far = period.derivative(rest.point, 2.0 * STEP).A
-        return cls(
-            rest=rest, A=((4.0 * found.A - far) / 3.0)[block], error=np.abs(found.A - far)[block], states=states
-        )
+        near, far = found.A[block], period.derivative(rest.point, 2.0 * STEP).A[block]
+        A = (4.0 * near - far) / 3.0
+        scale = balancing(A)
+        balanced, error = (X * scale / scale[:, np.newaxis] for X in (A, np.abs(near - far)))
+        z, right = np.linalg.eig(balanced)
+        noise = np.finfo(float).eps / STEP * max(1.0, float(np.abs(balanced).max())) + np.linalg.norm(error, 2)
+        condition = np.linalg.norm(np.linalg.pinv(right), axis=1)  # of each eigenvalue
+        slack = np.minimum(ROUNDING + noise * condition, np.sqrt(noise))
+        return cls(rest=rest, A=A, states=states, z=z.astype(np.complex128), slack=slack)
+
+    @property
+    def grows(self) -> bool:
+        """Whether a deviation grows for certain."""
+        return bool((np.abs(self.z) > 1.0 + self.slack).any())
+
+    def worst(self, system: LinearSystem) -> Mode:
+        """The least stable mode; a position that stays where it is put only where there is no other."""
+
+        def moves(mode: Mode) -> bool:
+            return bool(abs(mode.pole - 1.0) > self.slack[np.argmin(np.abs(self.z - mode.pole))])
+
+        return next(filter(moves, system.modes), system.modes[0])
 
 
 def _judged(period: Period, plant: str, limits: tuple[str, ...] | None = None) -> Judgement:
     """The judgement; without the direction of a stable mode, and without limits of gains, where `limits` is None."""
     values = period.values(period.start)
-    left_out = _left_out(period.side, values)
+    left_out = without_dry_friction(period.side, values)
     start = period.changed(period.start, left_out)
     begun = period.after(start, start.memory[np.newaxis])[0]  # memories that begin in the first tick have begun
     model = _Model.at(period, Point(inputs=start.inputs, parameters=start.parameters, memory=begun))
     coordinates, point = period.state_coordinates, model.rest.point
-    z, slack, left, right = _eigenvalues(model.A, model.error)
-    stable = not _grows(z, slack)
     nearby = point.memory + STEP * coordinates.basis(point.memory).sum(axis=0)
-    beside = Point(inputs=point.inputs, parameters=point.parameters, memory=nearby)
-    if np.array_equal(period.command(point), period.command(beside)):
+    if np.array_equal(period.command(point), period.command(dataclasses.replace(point, memory=nearby))):
         raise UsageError("nothing that is measured changes the command")
     elsewhere = period.after(point, nearby[np.newaxis])
+    stable, n = not model.grows, period.arm.n
 
     def stable_with(changed: Changes) -> bool:
         other = period.changed(point, {**left_out, **changed})
         if np.array_equal(period.after(other, nearby[np.newaxis]), elsewhere):
             return stable  # the gains of a phase that does not act, say
         try:
-            found = _Model.at(period, other)
+            return not _Model.at(period, other).grows
         except RangeError:
             return False
-        return not _grows(*_eigenvalues(found.A, found.error)[:2])
 
-    def stable_times(path: str, factor: float) -> bool:
-        return stable_with({path: factor * values[path]})
+    def largest(*paths: str) -> float:
+        def holds(factor: float) -> bool:
+            return stable if factor == 1.0 else stable_with({path: factor * values[path] for path in paths})
 
-    # A position that stays where it is put is the least stable mode only where there is no other.
-    moving = np.where(np.abs(z - 1.0) > slack, np.abs(z), 0.0)
-    worst = int(np.argmax(np.abs(z) if not stable or not moving.any() else moving))
-    joints: Mapping[str, float] = {}
-    tool: Mapping[str, float] = {}
-    if limits is not None or not stable:
-        joints, tool = _directions(period, model, left[:, worst], right[:, worst])
-    gains = _gains(period.side, values)
-    relies_on: tuple[str, ...] = ()
-    if stable:
-        largest = {path: _limit(partial(stable_times, path)) for path in limits or ()}
-        if VISCOUS in values and np.any(values[VISCOUS]):
-            needed = not stable_with({VISCOUS: np.zeros_like(values[VISCOUS])})
-            relies_on = ("the viscous friction of the joints",) if needed else ()
-    else:
-        largest = _largest_gains(gains, stable_with)
-        dry = {path: values[path] for path in left_out if _is_dry(path)}
-        if any(np.any(dry[path] != left_out[path]) for path in dry) and stable_with(dry):
-            relies_on = ("dry friction",)
+        return float(_rounded_down(largest_factor(holds, FINE, MAX_FACTOR)))
+
     names = coordinates.names
-    n = period.arm.n
     system = LinearSystem(
         A=model.A, C=model.rest.found.C[:, model.states], dt=period.dt, states=[names[i] for i in model.states],
         outputs=[f"{name}[{i}]" for name in ("q", "v", "command") for i in range(n)],
     )  # fmt: skip
+    q = coordinates.numbers(point.memory)[coordinates.places["plant.q"]]
+    worst = model.worst(system)
+    joints: Mapping[str, float] = {}
+    tool: Mapping[str, float] = {}
+    if limits is not None or not stable:
+        x = snapshot(period.arm, q)
+        joints, tool = directions(system, worst, period.arm.joint_names, np.asarray(x.M), np.asarray(x.J()))
+    gains, relies_on = _gains(period.side, values), ""
+    if stable:
+        factors = {path: largest(path) for path in limits or ()}
+        if np.any(values.get(VISCOUS, 0.0)) and not stable_with({VISCOUS: np.zeros_like(values[VISCOUS])}):
+            relies_on = "the viscous friction of the joints"
+    else:
+        factors = {path: factor for path in gains if (factor := largest(path))}
+        if not factors and len(gains) > 1 and (factor := largest(*gains)):
+            factors = {"law": factor}
+        dry = {path: values[path] for path in left_out if _is_dry(path)}
+        if any(np.any(dry[path] != left_out[path]) for path in dry) and stable_with(dry):
+            relies_on = "dry friction"
     return Judgement(
         system=system,
         stable=stable,
-        radius=float(np.abs(z).max()),
-        decay_rate=-float(np.log(np.abs(z[worst]))) / period.dt,
-        q=coordinates.numbers(point.memory)[coordinates.places["plant.q"]],
+        decay_rate=-worst.s.real,
+        q=q,
         joints=joints,
         tool=tool,
-        largest=largest,
-        gains={path: values[path] for path in largest if path != "law"},
-        relies_on=relies_on,
+        largest=factors,
+        gains={path: values[path] for path in factors if path != "law"},
+        relies_on=(relies_on,) if relies_on else (),
         plant=plant,
     )
 
 
-def _left_out(side: LawSide, values: Changes) -> dict[str, Any]:
+def without_dry_friction(side: LawSide, values: Changes) -> dict[str, Any]:
     """Parameters that leave limits and dry friction out of a loop, those of its compensation included."""
     out = {path: np.full_like(values[path], path == EFFICIENCY) for path in values if _is_dry(path)}
     out |= {f"limits.{name}": HUGE for name in ("tau", "tau_dot", "v") if f"limits.{name}" in values}
@@ -339,57 +366,55 @@ def _is_dry(path: str) -> bool:
     return path == EFFICIENCY or (path.startswith("plant.friction.") and path.rpartition(".")[2] in DRY)
 
 
-# -------------------------------------------------------------------- eigenvalues
-
-
-def _eigenvalues(A: Float64Array, error: Float64Array) -> tuple[Any, Float64Array, Any, Any]:
-    """Eigenvalues of A, how far each is uncertain by the error of A, left and right eigenvectors."""
-    scale = np.ones(len(A))
-    for _ in range(BALANCING):  # Osborne's: rows and columns of one size, so that rounding is of all states alike
-        sizes = np.abs(A * scale / scale[:, np.newaxis])
-        np.fill_diagonal(sizes, 0.0)
-        rows, columns = sizes.sum(axis=1), sizes.sum(axis=0)
-        both = (rows > 0.0) & (columns > 0.0)
-        scale[both] *= (rows[both] / columns[both]) ** 0.25
-    balanced = A * scale / scale[:, np.newaxis]
-    z, right = np.linalg.eig(balanced)
-    try:
-        left = np.linalg.inv(right).conj().T
-    except np.linalg.LinAlgError:  # of poles that coincide there are too few eigenvectors
-        left = np.linalg.pinv(right).conj().T
-    left /= np.linalg.norm(left, axis=0)
-    aligned = np.abs(np.einsum("ij,ij->j", left.conj(), right))
-    rounding = np.finfo(float).eps / STEP * max(1.0, float(np.abs(balanced).max()))
-    noise = rounding + float(np.linalg.norm(error * scale / scale[:, np.newaxis], 2))
-    slack = ROUNDING + noise / np.maximum(aligned, 1e-300)
-    return z, np.minimum(slack, np.sqrt(noise)), left, right
-
-
-def _grows(z: Any, slack: Float64Array) -> bool:
-    return bool((np.abs(z) > 1.0 + slack).any())
-
-
 # -------------------------------------------------------------------- direction and gains
 
 
-def _directions(period: Period, model: _Model, left: Any, right: Any) -> tuple[dict[str, float], dict[str, float]]:
-    """Fractions of the joints, and of the axes of the tool, in a mode."""
-    coordinates, arm = period.state_coordinates, period.arm
-    places = coordinates.places
-    parts = np.zeros(len(coordinates))
-    parts[model.states] = np.abs(left) * np.abs(right)
-    of_joints = sum((parts[places[path]] for path in ("plant.q", "plant.v")), np.zeros(arm.n))
-    total = float(parts.sum()) or 1.0
-    joints = {arm.joint_names[i]: float(of_joints[i] / total) for i in np.argsort(-of_joints)}
-    shape = np.zeros(len(coordinates), dtype=np.complex128)
-    shape[model.states] = right
-    x = snapshot(arm, coordinates.numbers(model.rest.point.memory)[places["plant.q"]])
-    J = np.asarray(x.J())
-    velocity = np.abs(J @ shape[places["plant.q"]]) ** 2  # of a mode, v = (z - 1) q / dt in every joint
-    mobility = np.diag(J @ np.linalg.solve(np.asarray(x.M), J.T))
-    energy = np.divide(velocity, mobility, out=np.zeros(6), where=mobility > RANK * mobility.max(initial=0.0))
-    whole = float(energy.sum()) or 1.0
-    return joints, {AXES[i]: float(energy[i] / whole) for i in np.argsort(-energy)}
+def directions(
+    system: LinearSystem, mode: Mode, joints: Sequence[str], M: Float64Array, J: Float64Array
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Fractions of the joints, and of the axes of the tool by kinetic energy, in a mode; the largest first.
+
+    Args:
+        system: The system, with states "plant.q[0]", "plant.v[0]", ...
+        mode: A mode of it.
+        joints: n names.
+        M: (n, n) inertia of the joints.
+        J: (6, n) Jacobian of the tool in world axes.
+    """
+    of_joints = [sum(mode.participation.get(f"plant.{x}[{i}]", 0.0) for x in "qv") for i in range(len(joints))]
+    velocity = np.abs(J @ mode.shape[system.state_places("plant.q")]) ** 2  # of a mode, v = (z - 1) q / dt
+    mobility = np.diag(J @ np.linalg.solve(M, J.T))
+    energy = np.divide(velocity, mobility, out=np.zeros(6), where=mobility > REACH * mobility.max(initial=0.0))
+    parts = energy / (float(energy.sum()) or 1.0)
+    return (
+        {joints[i]: float(of_joints[i]) for i in np.argsort(-np.array(of_joints))},
+        {AXES[i]: float(parts[i]) for i in np.argsort(-parts)},
+    )
+
+
+def largest_factor(holds: Callable[[float], bool], tolerance: float, max_factor: float) -> float:
+    """The first limit of factors that hold, from 1 on by factors of 2 and by bisection; 0 or infinite without one.
+
+    Args:
+        holds: Whether a factor holds.
+        tolerance: Relative, of the limit; the factor given is one that holds.
+        max_factor: Without a limit up to it there is none.
+    """
+    low, high = 1.0, 1.0
+    if holds(1.0):
+        while holds(high := 2.0 * low):
+            low = high
+            if low >= max_factor:
+                return math.inf
+    else:
+        while not holds(low := 0.5 * high):
+            high = low
+            if high < MIN_FACTOR:
+                return 0.0
+    while high / low > 1.0 + tolerance:
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return low
 
 
 def _gains(side: LawSide, values: Changes) -> dict[str, Any]:
@@ -402,47 +427,9 @@ def _gains(side: LawSide, values: Changes) -> dict[str, Any]:
     }
 
 
-def _largest_gains(gains: Changes, stable_with: Callable[[Changes], bool]) -> dict[str, float]:
-    """The largest factor on each gain that alone makes an unstable loop stable; else "law": the one on all."""
-    out: dict[str, float] = {}
-    for path in gains:
-        factor = _largest_factor(lambda f, path=path: stable_with({path: f * gains[path]}))  # type: ignore[misc]
-        if factor is not None:
-            out[path] = factor
-    if out or len(gains) < 2:
-        return out
-    factor = _largest_factor(lambda f: stable_with({path: f * value for path, value in gains.items()}))
-    return {} if factor is None else {"law": factor}
-
-
-def _largest_factor(stable_at: Callable[[float], bool]) -> float | None:
-    """The largest factor below one at which a loop is stable, of those tried, in three digits; None for none."""
-    high = 1.0
-    for low in SMALLER.tolist():
-        if stable_at(low):
-            return _bisected(stable_at, low, high)
-        high = low
-    return None
-
-
-def _limit(stable_at: Callable[[float], bool]) -> float:
-    """The largest factor above one up to which a stable loop is stable; infinite where no limit was found."""
-    low = 1.0
-    for high in LARGER.tolist():
-        if not stable_at(high):
-            return _bisected(stable_at, low, high)
-        low = high
-    return float("inf")
-
-
-def _bisected(stable_at: Callable[[float], bool], low: float, high: float) -> float:
-    """The stable side of the limit between a stable and an unstable factor, in three digits."""
-    while high / low > 1.0 + FINE:
-        middle = float(f"{np.sqrt(low * high):.3g}")
-        if not low < middle < high:
-            break
-        low, high = (middle, high) if stable_at(middle) else (low, middle)
-    return float(low)
+def _rounded_down(values: Any, digits: int = DIGITS) -> Any:
+    unit = 10.0 ** (np.floor(np.log10(np.clip(values, 1e-300, 1e300))) - digits + 1.0)
+    return np.where(np.isfinite(values), np.floor(values / unit + 1e-9) * unit, values)[()]
 
 
 def _times(factor: float, value: Any) -> str:
@@ -452,7 +439,5 @@ def _times(factor: float, value: Any) -> str:
         return f"{factor:.3g} times what it is"
     if flat.shape == (6,) and np.ptp(flat[:3]) == np.ptp(flat[3:]) == 0.0:
         flat = flat[[0, 3]]
-    digits = 10.0 ** (np.floor(np.log10(np.maximum(np.abs(flat), 1e-300))) - 3.0)
-    down = np.floor(flat / digits + 1e-9) * digits  # what is printed is no more than what was tried
-    numbers = ", ".join(f"{x:.4g}" for x in np.atleast_1d(down))
+    numbers = ", ".join(f"{x:.4g}" for x in np.atleast_1d(_rounded_down(flat, DIGITS + 1)))
     return numbers if flat.size == 1 else f"({numbers})"

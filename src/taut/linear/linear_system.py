@@ -9,7 +9,7 @@ References:
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Final
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from taut.base.checks import finite_array, finite_scalar, positive_scalar, read_only, require_at_least
+from taut.base.checks import finite_array, non_negative_scalar, positive_scalar, read_only, whole_number
 from taut.base.errors import RangeError, ShapeError, UsageError, missing_extra, unknown_name
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
@@ -27,7 +27,7 @@ from taut.linear.step_response import StepInfo, step_response
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["LinearSystem", "Mode", "names"]
+__all__ = ["Complex", "LinearSystem", "Mode", "OperatingPoint", "balancing", "names"]
 
 Complex = NDArray[np.complex128]
 BALANCING: Final = 12  # sweeps
@@ -40,6 +40,7 @@ INSTANT: Final = 1e-6  # [-] modulus in z of a mode that is over within a period
 NEAR_POLE: Final = 1e-6  # [-] distance in z, or of the largest |s|, at which a response is taken from around a pole
 AROUND: Final = 32  # points of the circle about a pole from which it is taken
 GROWTH: Final = 1.5  # [-] of the response on half that circle over that on the circle: a pole that shows doubles it
+AT_REST: Final = 1e-8  # [rad | m] a smaller displacement is rounding
 TABLE_STATES: Final = 3  # states named for each mode in a table
 SIGNALS: Final = ("states", "inputs", "outputs")
 DISTURBANCE: Final = "disturbance."  # before the name of a law's output: the input that adds to it
@@ -79,6 +80,37 @@ class Mode:
         return float(-self.s.real / abs(self.s)) if self.s else float("nan")
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OperatingPoint:
+    """The point of a loop about which it was linearised; empty for a system that is linear everywhere.
+
+    Args:
+        joints: Names of the n joints.
+        q: (n,) joint positions [rad | m].
+        moved: (n,) displacement of the joints from `at=` to the equilibrium (droop) [rad | m].
+        branches: Sentences: non-smooth points, and the branch of each that the model is of.
+        left_out: States without which the model is complete, with the reason.
+        drifting: States that go on changing there without any effect, and by how much in a period.
+    """
+
+    joints: tuple[str, ...] = ()
+    q: Float64Array = field(default_factory=lambda: np.zeros(0))
+    moved: Float64Array = field(default_factory=lambda: np.zeros(0))
+    branches: tuple[str, ...] = ()
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    drifting: Mapping[str, float] = field(default_factory=dict)
+
+    def sentences(self) -> tuple[list[str], list[str]]:
+        """Where it is, and what the model relies on."""
+        if not self.joints:
+            return [], []
+        i, where = int(np.argmax(np.abs(self.moved))), [f"q = {np.round(self.q, 4).tolist()}"]
+        if abs(self.moved[i]) > AT_REST:
+            where.append(f"joint '{self.joints[i]}' moved {self.moved[i]:.4g} from at= until the loop rested")
+        drifts = [f"{name} changes by {x:.3g} in each period, without effect" for name, x in self.drifting.items()]
+        return where, [*self.branches, *drifts]
+
+
 @dataclass(frozen=True, init=False, eq=False)
 class LinearSystem(Result):
     """Linear time-invariant system with named signals, in continuous time or sampled.
@@ -97,6 +129,7 @@ class LinearSystem(Result):
         states: n names; "x[0]", ... if left out.
         inputs: m names; "u[0]", ... if left out.
         outputs: p names; those of the states without C, else "y[0]", ... if left out.
+        point: The point about which `taut.linearise` made it.
 
     Raises:
         ShapeError, RangeError: Matrices that do not fit together or are not finite, a period that is not positive.
@@ -119,6 +152,7 @@ class LinearSystem(Result):
     states: tuple[str, ...]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
+    point: OperatingPoint
 
     def __init__(
         self,
@@ -131,6 +165,7 @@ class LinearSystem(Result):
         states: Sequence[str] = (),
         inputs: Sequence[str] = (),
         outputs: Sequence[str] = (),
+        point: OperatingPoint | None = None,
     ) -> None:
         A = finite_array("A", A)
         if A.ndim != 2 or A.shape[0] != A.shape[1]:
@@ -156,6 +191,7 @@ class LinearSystem(Result):
                 )
             object.__setattr__(self, name, read_only(matrix))
         object.__setattr__(self, "dt", None if dt is None else positive_scalar("dt", dt, unit="s"))
+        object.__setattr__(self, "point", OperatingPoint() if point is None else point)
         for name, value in signals.items():
             object.__setattr__(self, name, value)
 
@@ -168,7 +204,8 @@ class LinearSystem(Result):
         A position that nothing moves is a vector of the null space of A - I (of A in continuous time). Without that
         space, a pole that still is at z = 1 is one that drifts, so that a multiple pole needs no tolerance.
         """
-        A = _balanced(self.A)
+        scale = balancing(self.A)
+        A = self.A * scale / scale[:, np.newaxis]
         change = A - np.eye(len(A)) if self.dt else A
         _, sizes, rows = np.linalg.svd(change)
         free = int((sizes <= SINGULAR * max(float(sizes.max(initial=0.0)), float(self.dt is not None))).sum())
@@ -212,15 +249,24 @@ class LinearSystem(Result):
         return np.where(np.isinf(s.real), 1.0, ratio)
 
     @property
+    def period(self) -> float:
+        """Period dt of a sampled system [s].
+
+        Raises:
+            UsageError: The system is continuous.
+        """
+        if self.dt is None:
+            raise UsageError("the system is continuous, without a period; sample it with zoh(dt)", name="dt")
+        return self.dt
+
+    @property
     def radius(self) -> float:
         """Spectral radius [-]: the largest modulus of the poles of a sampled system.
 
         Raises:
             UsageError: The system is continuous.
         """
-        if self.dt is None:
-            raise UsageError("the spectral radius is that of a sampled system; use decay_rate, or zoh(dt)", name="dt")
-        return float(np.abs(self.poles).max(initial=0.0))
+        return float(np.exp(self.period * self.s_poles.real.max(initial=-np.inf)))
 
     @property
     def decay_rate(self) -> float:
@@ -307,8 +353,7 @@ class LinearSystem(Result):
         if self.dt is not None:
             raise UsageError(f"the system is sampled already, with the period {self.dt:g} s", name="dt")
         dt = positive_scalar("dt", dt, unit="s")
-        delay = finite_scalar("delay", delay, unit="s")
-        require_at_least("delay", np.array(delay), 0.0, unit="s")
+        delay = non_negative_scalar("delay", delay, unit="s")
         n, m = self.B.shape
         whole = int(np.floor(delay / dt + WHOLE))
         fraction = delay / dt - whole if delay / dt - whole > WHOLE else 0.0
@@ -439,6 +484,16 @@ class LinearSystem(Result):
             UnknownNameError: No such input or output.
             RangeError: A frequency that is negative, or above half the rate.
         """
+        out = self._response(omega, input, output)
+        return out[:, 0, 0] if input in self.inputs and output in self.outputs else out
+
+    def _response(self, omega: ArrayLike, input: str, output: str) -> Complex:
+        """(k, outputs, inputs) of groups."""
+        rows, columns = self.rows(output), self.columns(input)
+        return self.response(omega, self.B[:, columns], self.C[rows], self.D[np.ix_(rows, columns)])
+
+    def response(self, omega: ArrayLike, B: Float64Array, C: Float64Array, D: Float64Array) -> Complex:
+        """(k, p, m) C (z I - A)^-1 B + D of other inputs and outputs at the same states, at (k,) frequencies."""
         w = np.atleast_1d(finite_array("omega", omega, unit="rad/s"))
         if w.ndim != 1 or not len(w):
             raise ShapeError(
@@ -450,13 +505,7 @@ class LinearSystem(Result):
             value = float(w[wrong][0])
             limit = f"between 0 and {highest:.6g} rad/s, half the rate" if self.dt else "at least 0"
             raise RangeError(f"omega must be {limit}; got {value:g} rad/s", name="omega", value=value)
-        rows, columns = self.rows(output), self.columns(input)
-        out = self.response(w, self.B[:, columns], self.C[rows], self.D[np.ix_(rows, columns)])
-        return out[:, 0, 0] if input in self.inputs and output in self.outputs else out
-
-    def response(self, omega: Float64Array, B: Float64Array, C: Float64Array, D: Float64Array) -> Complex:
-        """(k, p, m) C (z I - A)^-1 B + D of other inputs and outputs at the same states, at (k,) frequencies."""
-        z = np.exp(1j * omega * self.dt) if self.dt else 1j * omega
+        z = np.exp(1j * w * self.dt) if self.dt else 1j * w
         out = np.zeros((len(z), len(C), B.shape[1]), dtype=np.complex128)
         size = 1.0 if self.dt else max(self._fastest, 1e-300)
         near = np.abs(z[:, np.newaxis] - self.poles).min(axis=1, initial=np.inf) < NEAR_POLE * size
@@ -517,8 +566,7 @@ class LinearSystem(Result):
             UsageError: Not a number of samples, or no dt where one is needed.
             ShapeError: Not one number for each state.
         """
-        if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
-            raise UsageError(f"count must be a whole number of at least 1; got {count!r}", name="count")
+        count = whole_number("count", count, minimum=1)
         if (dt is None) == (self.dt is None):
             raise UsageError("dt= is the time between samples of a continuous system, and of no other", name="dt")
         import scipy.linalg
@@ -563,27 +611,26 @@ class LinearSystem(Result):
             input: What adds to the output; one name or a group.
             output: As many.
         """
-        w = np.atleast_1d(finite_array("omega", omega, unit="rad/s"))
-        response = self.frequency_response(w, input=input, output=output).reshape(len(w), len(self.rows(output)), -1)
-        if response.shape[1] != response.shape[2]:
+        count, added = len(self.rows(output)), len(self.columns(input))
+        if count != added:
             raise UsageError(
-                f"the loop is opened where as many inputs add to outputs; got {response.shape[2]} and "
-                f"{response.shape[1]}",
-                name="input",
+                f"the loop is opened where as many inputs add to outputs; got {added} and {count}", name="input"
             )
-        return np.eye(response.shape[1]) + response
+        return np.eye(count) + self._response(omega, input, output)
 
     def margins(self, *, input: str = "disturbance.command", output: str = "command") -> Margins:
         """Gain, phase and delay margin of each signal with the others closed, and the disk margin of all at once.
 
         Args:
             input: What adds to the output; one name or a group.
-            output: Where the loop is opened; as many.
+            output: Where the loop is opened; as many. Commands of a linearised arm are named by its joints.
 
         References:
             Seiler, Packard and Gahinet, An introduction to disk margins, IEEE Control Systems Magazine 40 (2020).
         """
         signals = tuple(self.outputs[i] for i in self.rows(output))
+        if output == "command" and self.point.joints:
+            signals = self.point.joints
         poles = self.omega_n[np.isfinite(self.omega_n)]
         return margins_of(
             partial(self.sensitivity, input=input, output=output), signals, self.dt, poles, stable=self.stable
@@ -595,6 +642,8 @@ class LinearSystem(Result):
         """Poles, margins and step as tables; step response, Bode, Nyquist and poles as figures."""
         kind = "in continuous time" if self.dt is None else f"sampled at {1.0 / self.dt:.6g} Hz"
         title = f"linear system of {len(self.states)} states {kind}"
+        title += ", about an equilibrium" if self.point.joints else ""
+        where, notes = self.point.sentences()
         stable = f"stable: the slowest mode decays with {self.decay_rate:.4g} 1/s"
         tables = [self._mode_table()]
         if "command" in {name.partition("[")[0] for name in self.outputs} and self.stable:
@@ -603,9 +652,10 @@ class LinearSystem(Result):
             tables.append(self.step().table())
         return Content(
             title=title,
-            summary=(stable,) if self.stable else (),
+            summary=[*([stable] if self.stable else []), *where],
             faults=() if self.stable else (self.unstable_because,),
             tables=tables,
+            notes=notes,
             figures=self._figures(),
         )
 
@@ -653,8 +703,8 @@ def _eigenvalues(A: Float64Array) -> Complex:
     return np.array([far, float(a * d - b * c) / far], dtype=np.complex128)
 
 
-def _balanced(A: Float64Array) -> Float64Array:
-    """A in units of its states in which rows and columns have one size (Osborne): rounding is of all alike."""
+def balancing(A: Float64Array) -> Float64Array:
+    """(n,) units of the states in which rows and columns of A have one size (Osborne): rounding is of all alike."""
     scale = np.ones(len(A))
     for _ in range(BALANCING):
         sizes = np.abs(A * scale / scale[:, np.newaxis])
@@ -662,7 +712,7 @@ def _balanced(A: Float64Array) -> Float64Array:
         rows, columns = sizes.sum(axis=1), sizes.sum(axis=0)
         both = (rows > 0.0) & (columns > 0.0)
         scale[both] *= np.exp2(np.round(0.5 * np.log2(rows[both] / columns[both])))
-    return A * scale / scale[:, np.newaxis]
+    return scale
 
 
 def _places(kind: str, name: str, known: Sequence[str]) -> list[int]:

@@ -1,249 +1,71 @@
-"""taut.linearise: the exact linear model of a loop about an equilibrium or along a run."""
+"""taut.linearise: the exact linear model of a loop about an equilibrium, and its non-smooth points."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final, overload
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
 
 import numpy as np
 
 from taut.arm.angles import require_radians
 from taut.base.checks import finite_array, positive_scalar, read_only
-from taut.base.errors import RangeError, ShapeError, UsageError
+from taut.base.errors import UsageError
 from taut.base.paths import subtree
-from taut.base.result import Content, Result
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.trajectories.feed import ReferenceFeed
+from taut.control.limits import LIMIT_TERMS
 from taut.control.trajectories.reference import Hold, Sample
-from taut.linear.equilibrium import WITHIN, Rest, driven_states, equilibrium, observed_states
-from taut.linear.linear_system import Complex, LinearSystem, Mode
-from taut.linear.loop_map import LoopMap, beside, finite_derivative, loop_map, starting
-from taut.linear.margins import Margins
-from taut.linear.non_smooth import branches_of, smooth
-from taut.linear.period import Derivative, Point
+from taut.linear.equilibrium import WITHIN, Flags, Rest, driven_states, equilibrium, observed_states
+from taut.linear.linear_system import LinearSystem, OperatingPoint
+from taut.linear.period import Derivative, LoopMap, Point, beside, loop_map, starting
 from taut.loop import Loop
+from taut.plant.rigid import RigidPlant
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+__all__ = ["linearise", "rest_of"]
 
-    from taut.record.run import Run
-
-__all__ = ["Linearisation", "linearise", "rest_of"]
-
-SAME: Final = 1e-9  # [rad | m] between a run and its repetition
-AT_REST: Final = 1e-8  # [rad | m] a smaller displacement is rounding
 NO_EFFECT: Final = "nothing depends on it"
 NOT_DRIVEN: Final = "nothing moves it"
-JOINT_STATES: Final = ("plant.q", "plant.v", "plant.q_motor", "plant.v_motor")
+LIMITED: Final = 1e-9  # [N m | N | rad/s] of a limit's term above which the limit acts
+SLIDING: Final = 1e-9  # [rad/s | m/s] above which a joint slides
+APART: Final = 1e-6  # [-] of a state's size: distance of the slopes on each side
+NEARER: Final = 3e-8  # [-] likewise, where a non-smooth point lies between
+DIFFERENT: Final = 1e-2  # [-] of the larger slope: the difference of two branches
+FLAT: Final = 3e-5  # [-] a smaller slope is zero: curves have slopes of that size so far off
+FARTHER: Final = 3.0  # [-] times the distance: slopes of a curve differ by as much more, those of two branches do not
+CURVED: Final = 2.0  # [-] times the difference: a curve
+MAX_SENTENCES: Final = 6
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Linearisation(Result):
-    """The linear system of a loop about one point, and the point.
-
-    States, inputs and outputs are deviations from the point, by path and index: "plant.q[0]", "law.e_int[2]"; a
-    rotation has three, a small rotation vector in world axes. An input is held until the next tick. Inputs: the
-    reference, "disturbance.command" (added to the law's command, before the drives), "disturbance.torque" (on the
-    joints), "disturbance.wrench" (on the tool, force first, world axes), noise (1 is one standard deviation),
-    parameters. Outputs: q, v and the tool's pose and twist (world axes), true at the tick, and the law's command.
-    Against a reference that is held, the error of an output is minus its deviation.
-
-    Args:
-        system: The linear system; `lin.poles`, `lin.stable`, `lin.A`, ... are its own.
-        joints: Names of the arm's joints.
-        q: (n,) joint positions of the point [rad | m].
-        t: Its time [s]; 0 at an equilibrium.
-        moved: (n,) displacement of the joints from `at=` to the equilibrium (droop); zero along a run.
-        branches: Sentences: non-smooth points, and the branch of each that the model is of.
-        left_out: States without which the model is complete, with the reason.
-        drifting: States that go on changing there without any effect, and by how much in a period.
-
-    Example:
-        >>> import taut
-        >>> arm = taut.load_arm("one_joint")
-        >>> ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm)
-        >>> loop = taut.Loop(ctrl, taut.RigidPlant(arm, friction=None), duration=1.0)
-        >>> lin = taut.linearise(loop, at=arm.home)
-        >>> [round(mode.s.real, 2) for mode in lin.modes], lin.states
-        ([-9.09, -11.11], ('plant.q[0]', 'plant.v[0]'))
-
-    References:
-        Astrom and Wittenmark, Computer-controlled systems (1997), chapter 3.
-    """
-
-    system: LinearSystem
-    joints: tuple[str, ...]
-    q: Float64Array
-    t: float = 0.0
-    moved: Float64Array
-    branches: tuple[str, ...] = ()
-    left_out: Mapping[str, str]
-    drifting: Mapping[str, float]
-
-    # -------------------------------------------------------------------- the system's own
-
-    @property
-    def A(self) -> Float64Array:
-        """(n, n)."""
-        return self.system.A
-
-    @property
-    def B(self) -> Float64Array:
-        """(n, m)."""
-        return self.system.B
-
-    @property
-    def C(self) -> Float64Array:
-        """(p, n)."""
-        return self.system.C
-
-    @property
-    def D(self) -> Float64Array:
-        """(p, m)."""
-        return self.system.D
-
-    @property
-    def dt(self) -> float:
-        """Period [s]."""
-        assert self.system.dt is not None
-        return self.system.dt
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        """Names of the n states."""
-        return self.system.states
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """Names of the m inputs."""
-        return self.system.inputs
-
-    @property
-    def outputs(self) -> tuple[str, ...]:
-        """Names of the p outputs."""
-        return self.system.outputs
-
-    @property
-    def poles(self) -> Complex:
-        """(n,) poles in z, the slowest decay first."""
-        return self.system.poles
-
-    @property
-    def radius(self) -> float:
-        """Spectral radius [-]."""
-        return self.system.radius
-
-    @property
-    def stable(self) -> bool:
-        """Whether all deviations decay, but for positions that stay where they are put."""
-        return self.system.stable
-
-    @property
-    def modes(self) -> tuple[Mode, ...]:
-        """The modes, the slowest first."""
-        return self.system.modes
-
-    def columns(self, input: str) -> list[int]:
-        """Places of an input, by its name or that of its group."""
-        return self.system.columns(input)
-
-    def rows(self, output: str) -> list[int]:
-        """Places of an output, likewise."""
-        return self.system.rows(output)
-
-    def frequency_response(self, omega: ArrayLike, *, input: str, output: str) -> Complex:
-        """`LinearSystem.frequency_response`."""
-        return self.system.frequency_response(omega, input=input, output=output)
-
-    def margins(self) -> Margins:
-        """Margins of the loop opened at each joint's command, the others closed, and at all at once (disk)."""
-        found = self.system.margins()
-        named = zip(found.signals, self.joints, strict=True)
-        return replace(found, signals=tuple(replace(each, signal=joint) for each, joint in named))
-
-    def joint_of(self, mode: Mode) -> str | None:
-        """The joint whose position and velocity take most part in a mode; None where no joint takes part."""
-        parts = np.zeros(len(self.joints))
-        for name, part in mode.participation.items():
-            head, _, index = name.partition("[")
-            if head in JOINT_STATES:
-                parts[int(index[:-1])] += part
-        return self.joints[int(np.argmax(parts))] if parts.any() else None
-
-    def to_control(self) -> Any:
-        """The system as `control.StateSpace` of python-control."""
-        return self.system.to_control()
-
-    def content(self) -> Content:
-        """The system's content, with the point and its non-smooth elements."""
-        of_system, i = self.system.content(), int(np.argmax(np.abs(self.moved)))
-        place = f"at t = {self.t:g} s of a run" if self.t else "about an equilibrium"
-        summary = [*of_system.summary, f"q = {np.round(self.q, 4).tolist()}"]
-        if np.abs(self.moved).max(initial=0.0) > AT_REST:
-            summary.append(f"joint '{self.joints[i]}' moved {self.moved[i]:.4g} from at= until the loop rested")
-        tables = list(of_system.tables)
-        if self.stable:
-            tables[1] = self.margins().table()
-        drifts = [f"{name} changes by {x:.3g} in each period, without effect" for name, x in self.drifting.items()]
-        return replace(
-            of_system, title=f"{of_system.title}, {place}", summary=summary, tables=tables,
-            notes=[*self.branches, *drifts],
-        )  # fmt: skip
-
-    def plot(self) -> Figure:
-        """Step response, poles, Bode and Nyquist diagram of the loop at each joint's command."""
-        return self.system.plot()
-
-
-@overload
-def linearise(
-    loop: Loop, *, at: ArrayLike | None = None, with_respect_to: str | Iterable[str] = (), within: float = WITHIN
-) -> Linearisation: ...
-@overload
-def linearise(
-    loop: Loop, *, along: Run, times: ArrayLike, with_respect_to: str | Iterable[str] = ()
-) -> tuple[Linearisation, ...]: ...
-def linearise(
-    loop: Loop,
-    *,
-    at: ArrayLike | None = None,
-    along: Run | None = None,
-    times: ArrayLike | None = None,
-    with_respect_to: str | Iterable[str] = (),
-    within: float = WITHIN,
-) -> Linearisation | tuple[Linearisation, ...]:
+def linearise(loop: Loop, *, at: ArrayLike | None = None, within: float = WITHIN) -> LinearSystem:
     """The linear model of a loop from tick to tick, with all its memory: filters, delays, integrals, substeps.
 
     Law:    x[k+1] = f(x[k], u[k]), A = df/dx, B = df/du, exactly, of the loop as it is simulated
 
-    The program of the loop is differentiated, compiled once for a loop and a choice of parameters.
+    The program of the loop is differentiated, and compiled once for a loop. From the state in which a run begins at
+    `at`, Newton's method finds where the loop rests, its reference held. A law without gravity compensation droops,
+    one with an integral does not: `lin.point.moved`. Memory that goes on changing without any effect, such as an
+    integral with ki = 0, is named in `lin.point.drifting`.
 
-    At an equilibrium: from the state in which a run begins at `at`, Newton's method finds where the loop rests, its
-    reference held. A law without gravity compensation droops, one with an integral does not: `lin.moved`. Memory that
-    goes on changing without any effect, such as an integral with ki = 0, is named in `lin.drifting`.
+    States, inputs and outputs are deviations from that point, by path and index: "plant.q[0]", "law.e_int[2]"; a
+    rotation has three, a small rotation vector in world axes. An input is held until the next tick. Inputs: the
+    reference, "disturbance.command" (added to the law's command, before the drives), "disturbance.torque" (on the
+    joints), "disturbance.wrench" (on the tool, force first, world axes), noise (1 is one standard deviation).
+    Outputs: q, v and the tool's pose and twist (world axes), true at the tick, and the law's command. Against a
+    reference that is held, the error of an output is minus its deviation.
 
-    Along a run of this loop: about the state at each time; the product of the models carries a small deviation to the
-    end.
-
-    A non-smooth point, such as a limit that is reached or stiction, has a derivative on each branch; `lin.branches`
-    states which one the model is of. Quantisation of encoders and amplifiers counts by its mean slope.
+    A non-smooth point, such as a limit that is reached or stiction, has a derivative on each branch;
+    `lin.point.branches` states which one the model is of. Quantisation of encoders and amplifiers counts by its mean
+    slope.
 
     Args:
         loop: The loop. Its parameters count as they are now.
         at: (n,) joint positions to begin at [rad | m]; home if left out.
-        along: A run of this loop, from its own start, without events.
-        times: (k,) or one [s], with `along`: of the ticks nearest to them.
-        with_respect_to: Paths of parameters that are inputs of the model too: "law.kp", "plant.payload.mass".
         within: Maximum distance of the equilibrium from `at` [rad | m].
 
-    Returns:
-        The model at the equilibrium; along a run, one for each time.
-
     Raises:
-        RangeError: No equilibrium near `at`: the joint and its distance; a time outside of the run.
-        UsageError: A reference that moves and no `along`; a run of another loop.
-        UnknownNameError: No such parameter.
+        RangeError: No equilibrium near `at`: the joint and its distance.
+        UsageError: A reference that moves; a task of phases.
 
     Example:
         >>> import taut
@@ -251,23 +73,16 @@ def linearise(
         >>> ctrl = taut.compile(taut.laws.PID(kp=100.0, kd=20.0), arm)
         >>> loop = taut.Loop(ctrl, taut.RigidPlant(arm, friction=None), duration=1.0)
         >>> lin = taut.linearise(loop, at=[0.3, 0.5])
-        >>> lin.stable, lin.moved.round(3).tolist()  # droop: only the error balances the weight
+        >>> lin.stable, lin.point.moved.round(3).tolist()  # droop: only the error balances the weight
         (True, [-0.229, -0.034])
 
     References:
-        Griewank and Walther, Evaluating Derivatives (2008), chapter 3. Khalil, Nonlinear systems (2002), section 1.2.
+        Astrom and Wittenmark, Computer-controlled systems (1997), chapter 3. Griewank and Walther, Evaluating
+        Derivatives (2008), chapter 3. Khalil, Nonlinear systems (2002), section 1.2.
     """
-    map_ = loop_map(loop, with_respect_to)
-    if along is not None:
-        if at is not None:
-            raise UsageError("give at= for an equilibrium or along= for a run, not both", name="along")
-        if times is None:
-            raise UsageError("along= needs times=, the instants of the run to linearise at [s]", name="times")
-        return _along(loop, map_, along, times)
-    if times is not None:
-        raise UsageError("times= goes with along=run; an equilibrium has no time", name="times")
+    map_ = loop_map(loop)
     rest = rest_of(loop, map_, at, within)
-    return _model(map_, rest.point, rest.found, start=_pose(loop, at), drifting=rest.drifting)
+    return _model(map_, rest, start=_pose(loop, at))
 
 
 def rest_of(loop: Loop, map_: LoopMap, at: ArrayLike | None, within: float) -> Rest:
@@ -277,7 +92,7 @@ def rest_of(loop: Loop, map_: LoopMap, at: ArrayLike | None, within: float) -> R
     if not isinstance(loop.ref, (Sample, Hold)):
         raise UsageError(
             f"an equilibrium needs a reference that is held, and that of this loop is a {type(loop.ref).__name__}; "
-            "make the loop with a sample or taut.hold(), or linearise along a run: along=run, times=...",
+            "make the loop with a sample or taut.hold()",
             name="loop",
         )
     return equilibrium(map_, starting(loop, map_, q), within)
@@ -293,78 +108,9 @@ def _pose(loop: Loop, at: ArrayLike | None) -> Float64Array:
     return q
 
 
-def _along(loop: Loop, map_: LoopMap, run: Run, times: ArrayLike) -> tuple[Linearisation, ...]:
-    if not hasattr(run, "info"):  # callers without a type checker
-        raise UsageError(f"along= takes a taut.Run; got {type(run).__name__}", name="along")
-    wanted = finite_array("times", times, unit="s")
-    if wanted.ndim > 1 or not wanted.size:
-        raise ShapeError(f"times must be one time or (k,) of them [s]; got shape {wanted.shape}", name="times")
-    ticks = np.rint(np.atleast_1d(wanted) / loop.dt).astype(int)
-    for time, tick in zip(np.atleast_1d(wanted), ticks, strict=True):
-        if not 0 <= tick < len(run):
-            raise RangeError(
-                f"times must be within the run, 0 to {run.t[-1]:g} s; got {time:g} s",
-                name="times",
-                value=float(time),
-                rule="within the run",
-            )
-    if map_.steps:
-        raise UsageError(
-            f"along a run there is no mean slope of steps, and the plant has some ({', '.join(map_.steps)}); "
-            "linearise a loop and a run whose plant has none",
-            name="along",
-        )
-    if run.info.get("events"):
-        raise UsageError("along= takes a run without events; a change of parameters is another loop", name="along")
-    # A run keeps no memory of filters and integrals: its ticks are taken once more.
-    rows, values = _inputs_of(loop, map_, run), map_.values(loop.parameters)
-    memory = map_.start(run.q[0], run.v[0], rows[0], values)
-    models: dict[int, Linearisation] = {}
-    for k in range(int(ticks.max()) + 1):
-        point = Point(inputs=rows[k], parameters=values, memory=memory)
-        if k in ticks:
-            off = np.abs(map_.memory.views(memory)["plant.q"] - run.q[k])
-            if off.max() > SAME:
-                i = int(np.argmax(off))
-                raise UsageError(
-                    f"along= must be a run of this loop; its joint '{loop.side.arm.joint_names[i]}' is {off[i]:.3g} "
-                    f"away from this loop's at t = {run.t[k]:g} s; run the loop anew: along=taut.run(loop)",
-                    name="along",
-                    joint=loop.side.arm.joint_names[i],
-                )
-            found = finite_derivative(map_, point)
-            q = map_.memory.views(memory)["plant.q"]
-            models[k] = _model(map_, point, found, start=q, t=float(run.t[k]))
-        memory = map_.after(point, memory[np.newaxis])[0]
-    return tuple(models[int(k)] for k in ticks)
-
-
-def _inputs_of(loop: Loop, map_: LoopMap, run: Run) -> Float64Array:
-    """(ticks, size) time, reference and noise of each tick of a run, as `taut.run` made them."""
-    side, rows = loop.side, np.zeros((len(run), map_.inputs.size))
-    views = map_.inputs.views(rows)
-    views["t"][...] = run.t
-    for name, column in subtree(views, "noise").items():
-        column[...] = np.random.default_rng([int(run.info["seed"]), *name.encode()]).standard_normal(column.shape)
-    feed = ReferenceFeed(loop.ref, side.law.reference, side.arm, loop.dt, side.at_rest(run.q[0]))
-    if feed.next_question(0) is not None:
-        raise UsageError(
-            "along= takes a run whose reference does not depend on it; this one streams from a source", name="along"
-        )
-    feed.fill(subtree(views, "ref"), 0, lambda: None)
-    return rows
-
-
-def _model(
-    map_: LoopMap,
-    point: Point,
-    found: Derivative,
-    *,
-    start: Float64Array,
-    t: float = 0.0,
-    drifting: Mapping[str, float] | None = None,
-) -> Linearisation:
+def _model(map_: LoopMap, rest: Rest, start: Float64Array) -> LinearSystem:
     """The states that matter, and their matrices."""
+    point, found = rest.point, rest.found
     names, outputs = map_.state_coordinates.names, map_.output_coordinates.names
     # Of all states first: where a law is non-smooth by rounding alone, its branch at the very point may differ from
     # that beside it, so that some states seem to have no effect.
@@ -380,17 +126,166 @@ def _model(
         found = whole if slopes.misses(nearer) else nearer
     left = {name: NOT_DRIVEN if observed[i] else NO_EFFECT for i, name in enumerate(names) if not needed[i]}
     q = np.array(map_.memory.views(point.memory)["plant.q"])
-    system = LinearSystem(
+    return LinearSystem(
         A=found.A[np.ix_(keep, keep)], B=found.B[keep], C=found.C[:, keep], D=found.D, dt=map_.dt,
-        states=[names[i] for i in keep], inputs=map_.input_names, outputs=outputs,
+        states=[names[i] for i in keep], inputs=map_.input_coordinates.names, outputs=outputs,
+        point=OperatingPoint(
+            joints=map_.side.arm.joint_names, q=read_only(q), moved=read_only(q - start),
+            branches=branches_of(map_, point, found, slopes), left_out=left, drifting=rest.drifting,
+        ),
     )  # fmt: skip
-    return Linearisation(
-        system=system,
-        joints=map_.side.arm.joint_names,
-        q=read_only(q),
-        t=t,
-        moved=read_only(q - start),
-        branches=branches_of(map_, point, found, slopes),
-        left_out=left,
-        drifting={} if drifting is None else drifting,
-    )
+
+
+# -------------------------------------------------------------------- non-smooth points
+
+
+def branches_of(map_: LoopMap, at: Point, found: Derivative, slopes: Slopes) -> tuple[str, ...]:
+    """Sentences about each non-smooth point, and the branch that the model is of."""
+    record, memory = map_.recorded(found), map_.memory.views(at.memory)
+    out = [f"quantisation of {path} counts by its mean slope" for path in map_.steps]
+    out += _limits(map_, record)
+    out += _sticking(map_, memory, map_.parameters.views(at.parameters))
+    out += _flags(map_, record, memory)
+    return (*out, *_others(map_, at, found, slopes))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Slopes:
+    """Slopes of the memory by some states, upwards and downwards, at a small distance: (k, k) each, row by state."""
+
+    states: list[int]
+    up: Float64Array
+    down: Float64Array
+    least: Float64Array  # (k,) of each column: a smaller difference of slopes is rounding
+    curved: Flags  # (k, k) whether slopes differ as those of a curve do: the more the larger the distance
+
+    @classmethod
+    def at(cls, map_: LoopMap, at: Point, found: Derivative, states: list[int], apart: float = APART) -> Slopes:
+        """By differences on each side, at a distance."""
+        up, down = _slopes(map_, at, found, states, states, apart)
+        # Rounding of an entry of the memory over a step is no second branch.
+        scale = np.minimum(np.abs(up).max(axis=0, initial=0.0), np.abs(down).max(axis=0, initial=0.0))
+        curved = np.zeros(up.shape, dtype=bool)
+        out = cls(states=states, up=up, down=down, least=DIFFERENT * scale + FLAT, curved=curved)
+        rows = np.flatnonzero(out.differ(up, down).any(axis=1))
+        if len(rows):
+            ends = _slopes(map_, at, found, [states[i] for i in rows], states, FARTHER * apart)
+            curved[rows] = np.abs(ends[0] - ends[1]) > CURVED * np.abs(up - down)[rows]
+        return out
+
+    def among(self, states: list[int]) -> Slopes:
+        """Those of some states."""
+        kept = [self.states.index(i) for i in states]
+        both = np.ix_(kept, kept)
+        parts = {name: getattr(self, name)[both] for name in ("up", "down", "curved")}
+        return dataclasses.replace(self, states=states, least=self.least[kept], **parts)
+
+    def differ(self, one: Float64Array, other: Float64Array) -> Flags:
+        """(k, k) where two kinds of slopes differ."""
+        out: Flags = np.abs(one - other) > np.maximum(DIFFERENT * np.maximum(np.abs(one), np.abs(other)), self.least)
+        return out
+
+    def misses(self, found: Derivative) -> bool:
+        """Whether a derivative is not that of the motion beside it, which is smooth."""
+        A = found.A[np.ix_(self.states, self.states)].T
+        return bool((self.differ(A, self.up) & self.differ(A, self.down) & ~self.differ(self.up, self.down)).any())
+
+
+def _slopes(
+    map_: LoopMap, at: Point, found: Derivative, moved: list[int], states: list[int], apart: float
+) -> tuple[Float64Array, Float64Array]:
+    """(m, k) slopes of the states by those that are moved, upwards and downwards, by differences at a distance."""
+    coordinates = map_.state_coordinates
+    values = coordinates.numbers(at.memory)
+    steps = apart * (1.0 + np.abs(values[moved]))
+    moves = coordinates.basis(at.memory)[moved] * steps[:, np.newaxis]
+    after = map_.after(at, at.memory + np.concatenate([moves, -moves]))
+    each = coordinates.read(found.memory, after - found.memory)[:, states] / np.tile(steps, 2)[:, np.newaxis]
+    return each[: len(moved)], -each[len(moved) :]
+
+
+def _near(map_: LoopMap, at: Point, found: Derivative, states: list[int]) -> bool:
+    """Whether a derivative that misses the slopes is right at a smaller distance."""
+    return not Slopes.at(map_, at, found, states, NEARER).misses(found)
+
+
+def smooth(map_: LoopMap, at: Point, found: Derivative, states: list[int]) -> tuple[Derivative, Slopes]:
+    """The derivative, as the mean of two points beside it where the point is non-smooth by rounding alone.
+
+    At rest a law may compare two energies that are both zero but for rounding.
+    """
+    slopes = Slopes.at(map_, at, found, states)
+    if not slopes.misses(found) or _near(map_, at, found, states):
+        return found, slopes
+    mean = beside(map_, at, found, states)
+    return (found if slopes.misses(mean) else mean), slopes
+
+
+def _limits(map_: LoopMap, record: Mapping[str, Any]) -> list[str]:
+    names, units = map_.side.arm.joint_names, map_.side.arm.units
+    out = []
+    for term in LIMIT_TERMS:
+        cut = record.get(f"terms.{term}")
+        if cut is None:
+            continue
+        for i in np.flatnonzero(np.abs(cut) > LIMITED):
+            kind = map_.side.probe.kind
+            unit = {"torque": "N m" if units[i] == "rad" else "N", "velocity": f"{units[i]}/s"}.get(kind, units[i])
+            out.append(
+                f"joint '{names[i]}' is at its {term.replace('_', ' ')}, which reduces the command by "
+                f"{abs(cut[i]):.3g} {unit}"
+            )
+    return out
+
+
+def _sticking(map_: LoopMap, memory: Mapping[str, Any], numbers: Mapping[str, Any]) -> list[str]:
+    plant = map_.plant
+    if not isinstance(plant, RigidPlant) or not plant.parts.drivetrain.dry or "plant.friction" not in memory:
+        return []
+    v = memory.get("plant.v_motor", memory["plant.v"])
+    names = plant.arm.joint_names
+    dry = np.zeros(plant.arm.n)
+    for path in ("plant.friction.coulomb", "plant.friction.static"):
+        dry = dry + np.abs(numbers.get(path, 0.0))
+    held = [names[i] for i in np.flatnonzero((np.abs(v) < SLIDING) & (dry > 0.0))]
+    slipping = [names[i] for i in np.flatnonzero((np.abs(v) >= SLIDING) & (dry > 0.0))]
+    out = [f"dry friction holds joint '{name}' (stiction): a small force does not move it" for name in held]
+    return out + [f"joint '{name}' slides, with dry friction of one sign" for name in slipping]
+
+
+def _flags(map_: LoopMap, record: Mapping[str, Any], memory: Mapping[str, Any]) -> list[str]:
+    out = [f"sensor {name} is at its limit" for name, on in subtree(record, "saturated").items() if np.any(on > 0.5)]
+    on = memory.get("plant.contact.on")
+    if on is not None:
+        rows = [str(i) for i in np.flatnonzero(np.atleast_1d(on) > 0.5)]
+        free = [str(i) for i in np.flatnonzero(np.atleast_1d(on) <= 0.5)]
+        out += [f"contact rows {', '.join(rows)} hold, and do not open"] if rows else []
+        out += [f"contact rows {', '.join(free)} are open, and do not close"] if free else []
+    notices = map_.side.notices
+    return out + [notices[path] for path in notices if path in memory and np.any(np.asarray(memory[path]) != 0.0)]
+
+
+def _others(map_: LoopMap, at: Point, found: Derivative, slopes: Slopes) -> list[str]:
+    """States whose slopes on the two sides differ, so that the model is of one branch or of neither."""
+    names = [map_.state_coordinates.names[i] for i in slopes.states]
+    A = found.A[np.ix_(slopes.states, slopes.states)].T
+    differ = slopes.differ(slopes.up, slopes.down) & ~slopes.curved
+    if not differ.any() and slopes.misses(found):
+        if not _near(map_, at, found, slopes.states):
+            return ["the loop is non-smooth here, and the model is of neither branch"]
+        missed = slopes.differ(A, slopes.up) & slopes.differ(A, slopes.down)
+        name = names[int(np.argmax(missed.any(axis=1)))]
+        return [
+            f"the loop is non-smooth near here, {APART:g} of {name} away or less, as where a law limits the rate of "
+            "a jump; the model is of smaller deviations"
+        ]
+    out = []
+    for i in np.flatnonzero(differ.any(axis=1)):
+        apart = np.where(differ[i], np.abs(slopes.up[i] - slopes.down[i]), 0.0)
+        k = int(np.argmax(apart))
+        out.append(
+            f"the loop is non-smooth in {names[i]}: upwards the slope of {names[k]} is {slopes.up[i, k]:.3g}, "
+            f"downwards {slopes.down[i, k]:.3g}; the model has {A[i, k]:.3g}"
+        )
+    more = len(out) - MAX_SENTENCES
+    return out if more <= 0 else [*out[:MAX_SENTENCES], f"and {more} non-smooth points more"]

@@ -1,7 +1,8 @@
 """One control period of a loop as a map from memory to memory, with its derivative, in coordinates that have names.
 
 `Period` is the loop that simulates, differentiated by central differences: quick to make, for it is compiled anyway.
-`taut.linear.loop_map` has the exact derivative of the same map. `taut.linear.equilibrium` searches with either.
+`LoopMap` has the exact derivative of the same map, by automatic differentiation of the loop's program, and inputs.
+`taut.linear.equilibrium` searches with either.
 """
 
 from __future__ import annotations
@@ -12,21 +13,28 @@ from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final, Literal, Protocol, cast, runtime_checkable
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from taut.arm.description import CommandKind
+from taut.base.errors import RangeError, UsageError
 from taut.base.paths import subtree
-from taut.base.types import Float64Array
-from taut.codegen.layout import Block
+from taut.base.types import Float64Array, Vector
+from taut.codegen.engine import Steps
 from taut.codegen.loop import compiled_loop
+from taut.codegen.program import Block
+from taut.codegen.tangent import TANGENT, StepTangent
 from taut.control.lawside import LawSide
 from taut.control.trajectories.feed import ReferenceFeed
 from taut.control.trajectories.reference import Hold, Reference
-from taut.loop import DT, AnyPlant, Loop, ModelPlant
+from taut.loop import DT, AnyPlant, Loop, ModelPlant, Values
+from taut.maths import dynamics as dyn
+from taut.maths.model import model_of
 from taut.maths.spatial import rotation_exp
 from taut.plant.drives.actuation import Actuation
-from taut.plant.environments.push import Push
+from taut.plant.environments.environment import COMMAND, disturbance_shapes
+from taut.plant.environments.hands import Push
 from taut.plant.rigid import RigidPlant
 from taut.plant.sensors.sensors import Sensors
 from taut.trace import math as tm
@@ -35,19 +43,25 @@ __all__ = [
     "RESOLUTION",
     "BlockCoordinates",
     "Derivative",
+    "LoopMap",
     "Period",
     "PeriodMap",
     "Point",
     "Side",
-    "held_reference",
+    "beside",
+    "finite_derivative",
+    "loop_map",
     "small_rotations",
     "smooth_plant",
+    "starting",
 ]
 
 ROTATION: Final = "R"  # the last name in the path of a rotation
 GENERATORS: Final = np.stack([np.asarray(tm.skew(e), dtype=np.float64) for e in np.eye(3)])  # rotations about axes
 RESOLUTION: Final = ".resolution"  # the end of the path of a quantisation step, which has no derivative
 STEP: Final = 1e-6  # [-] of a state's size, of central differences
+BESIDE: Final = 1e-7  # [-] of a state's size: distance of a derivative beside a point that has none
+OUTPUTS: Final = ("q", "v", "tip.p", "tip.R", "tip.twist", "command")
 CLOCK: Final = "plant.t"
 EMPTY: Final[Mapping[str, Any]] = MappingProxyType({})
 
@@ -183,6 +197,170 @@ class Period(PeriodMap):
             C=(shown / (2.0 * steps)).T, D=np.zeros((len(self._shown), 0)),
             residual=states.difference(memory, at.memory), memory=memory, record=record,
         )  # fmt: skip
+
+
+class LoopMap(PeriodMap):
+    """One control period of a loop, compiled with its exact derivative.
+
+    Quantisation of encoders and amplifiers counts by its mean slope, which is one: it is left out.
+
+    Args:
+        loop: The loop.
+
+    Raises:
+        UsageError: A task of phases.
+    """
+
+    tolerance, rest = 0.0, 1e-13
+
+    def __init__(self, loop: Loop) -> None:
+        side, plant = loop.side, loop.plant
+        if side.task is not None:
+            raise UsageError(
+                "a task of phases has no one linear model: which law acts, and with what reference, changes with its "
+                "guards; make a taut.Loop with the law and the reference of the phase that is wanted",
+                name="loop",
+            )
+        self.steps = tuple(path for path in loop.parameters if path.endswith(RESOLUTION))
+        self.side, self.engine, self.dt = side, loop.engine, loop.dt  # and not the loop, which may go
+        self.plant = smooth_plant(plant, side.needs) if self.steps else plant
+        self._stepped = Loop(Side(side, side.parameters, loop.engine), self.plant, loop.ref, duration=loop.duration)
+        pushes = disturbance_shapes(side.arm.n)
+        if not isinstance(plant, RigidPlant):
+            pushes = {COMMAND: pushes[COMMAND]}  # what it does of the others is not known
+        self.inputs = Block.of(loop.input_shapes() | pushes)
+        self.parameters = Block.of({p: s for p, s in loop.parameter_shapes().items() if p not in self.steps})
+        self._tangent: StepTangent | None = None
+        self.input_coordinates = BlockCoordinates(self.inputs, [path for path in self.inputs.shapes if path != "t"])
+
+    def start(self, q: Vector, inputs: Float64Array, values: Float64Array) -> Float64Array:
+        """The memory in the first tick, at rest."""
+        views, numbers = self.inputs.views(inputs), self.parameters.views(values)
+        memory = self._stepped.start(q, np.zeros_like(q), views, numbers)
+        if self._tangent is None:
+            self.memory = Block.of({path: np.shape(value) for path, value in memory.items()})
+            self.state_coordinates = BlockCoordinates(self.memory)
+            repeats = self.plant.substeps - 1
+            self.period = Steps(
+                self.step, self.inputs, self.parameters, self.memory, self._stepped.substep, repeats
+            )  # fmt: skip
+            self.tangent = self._tangent = StepTangent(
+                self.period, directed=(), outputs=OUTPUTS, engine=self.engine
+            )  # fmt: skip
+            self.outputs = Block.of({path: self.tangent.outputs.shapes[path] for path in OUTPUTS})
+            self.output_coordinates = BlockCoordinates(self.outputs)
+        return self.memory.pack(memory)
+
+    def step(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:
+        """A period, with where the tool is in its first instant."""
+        record, after = self._stepped.step(inputs, parameters, memory)
+        model, q, v = model_of(self.plant.arm), memory["plant.q"], memory["plant.v"]
+        T = dyn.pose(model, q)
+        return {**record, "tip.p": T.p, "tip.R": T.R, "tip.twist": dyn.twist(model, q, v)}, after
+
+    def derivative(self, at: Point) -> Derivative:
+        """The map and its derivative at a point."""
+        states, ins = self.state_coordinates, self.input_coordinates
+        N, count = len(states), len(states) + len(ins)
+        inputs, parameters, memory = self._rows(at, count)
+        memory[:N, self.memory.size :] = states.basis(at.memory)
+        inputs[N:, self.inputs.size :] = ins.basis(at.inputs)
+        out, new = self.tangent.rows(inputs, parameters, memory)
+        after = new[0, : self.memory.size]
+        moved = states.read(after, new[:, self.memory.size :]).T
+        views = self.tangent.outputs.views(out)
+        shown = self.outputs.pack({path: views[path][0] for path in OUTPUTS})
+        ways = np.hstack([views[TANGENT + path].reshape(count, -1) for path in OUTPUTS])
+        seen = self.output_coordinates.read(shown, ways).T
+        return Derivative(
+            A=moved[:, :N], B=moved[:, N:], C=seen[:, :N], D=seen[:, N:],
+            residual=states.difference(after, at.memory), memory=after, record=out[0],
+        )  # fmt: skip
+
+    def after(self, at: Point, memories: Float64Array) -> Float64Array:
+        """(k, size) the memory after a period from k memories, with the inputs and parameters of a point."""
+        inputs, parameters, rows = self._rows(at, len(memories))
+        rows[:, : self.memory.size] = memories
+        return np.asarray(self.tangent.rows(inputs, parameters, rows)[1][:, : self.memory.size])
+
+    def _rows(self, at: Point, count: int) -> list[Float64Array]:
+        """A point's inputs, parameters and memory, repeated, without a direction."""
+        blocks = (self.tangent.inputs, self.tangent.parameters, self.tangent.memory)
+        rows = [np.zeros((count, block.size)) for block in blocks]
+        for row, flat in zip(rows, (at.inputs, at.parameters, at.memory), strict=True):
+            row[:, : len(flat)] = flat
+        return rows
+
+    def recorded(self, found: Derivative) -> Mapping[str, Float64Array]:
+        """What the tick of a derivative records, by column."""
+        return {p: x for p, x in self.tangent.outputs.views(found.record).items() if not p.startswith(TANGENT)}
+
+
+_MAPS: Final[WeakKeyDictionary[Loop, LoopMap]] = WeakKeyDictionary()
+
+
+def loop_map(loop: Loop) -> LoopMap:
+    """The map of a loop, compiled once however often it is asked for.
+
+    Raises:
+        UsageError: Not a loop.
+    """
+    if not isinstance(loop, Loop):  # callers without a type checker
+        raise UsageError(
+            f"a taut.Loop(ctrl, plant, ref, duration=...) is needed; got {type(loop).__name__}", name="loop"
+        )
+    if loop not in _MAPS:
+        _MAPS[loop] = LoopMap(loop)
+    return _MAPS[loop]
+
+
+def starting(loop: Loop, map_: LoopMap, q: Float64Array) -> Point:
+    """The start of a loop at rest at joint positions (n,), in the sample of its reference there.
+
+    Raises:
+        RangeError: It may not start there.
+    """
+    loop.side.check_start(q, {**loop.parameters, DT: loop.dt}, loop.ref)
+    inputs = held_reference(loop, map_.inputs, q, loop.ref)
+    values = map_.parameters.pack({**loop.parameters, DT: loop.dt})
+    memory = map_.start(q, inputs, values)
+    return Point(inputs=inputs, parameters=values, memory=memory)
+
+
+def beside(map_: PeriodMap, at: Point, found: Derivative, states: Iterable[int]) -> Derivative:
+    """The mean derivative of two points on either side, for a point that itself has none.
+
+    A law that takes the length of an error that is zero, or compares two energies that are, has such a point.
+    """
+    coordinates = map_.state_coordinates
+    values, which = coordinates.numbers(at.memory), list(states)
+    by = np.zeros(len(coordinates))
+    by[which] = BESIDE * (1.0 + np.abs(values[which])) * np.cos(np.arange(len(which)))
+    places = (coordinates.moved(at.memory, change) for change in (by, -by))
+    one, other = (map_.derivative(dataclasses.replace(at, memory=memory)) for memory in places)
+    means = {name: 0.5 * (getattr(one, name) + getattr(other, name)) for name in "ABCD"}
+    return dataclasses.replace(found, **means)
+
+
+def finite_derivative(map_: PeriodMap, at: Point) -> Derivative:
+    """The derivative at a point; beside it, where it is not finite there.
+
+    Raises:
+        RangeError: Nor is it there; the message names a state.
+    """
+    found, names = map_.derivative(at), map_.state_coordinates.names
+    if not all(np.isfinite(x).all() for x in (found.A, found.B, found.C, found.D)):
+        found = beside(map_, at, found, range(len(names)))
+    for matrix in (found.residual[np.newaxis].T, found.A, found.B):
+        wrong = ~np.isfinite(matrix).all(axis=1)
+        if wrong.any():
+            name = names[int(np.argmax(wrong))]
+            raise RangeError(
+                f"the loop has no derivative here: '{name}' after a period, or how it depends on the others, is not "
+                "finite; linearise at another pose",
+                name=name,
+            )
+    return found
 
 
 def held_reference(loop: Loop, inputs: Block, q: Float64Array, ref: Reference | None = None) -> Float64Array:

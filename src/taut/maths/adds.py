@@ -1,15 +1,20 @@
-"""Adds: what a plant compensates itself, so that a law leaves exactly that out."""
+"""Adds: torques that a plant adds to a command itself, so that a law leaves exactly these out."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
+
+import numpy as np
 
 from taut.arm.description import Payload
 from taut.base.errors import UsageError, unknown_name
+from taut.base.types import Array, Vector
+from taut.maths import dynamics as dyn
+from taut.maths.model import Model, PayloadValues
 
-__all__ = ["Adds"]
+__all__ = ["Adds", "compensation"]
 
 COMPONENTS: Final = ("gravity", "coriolis", "friction")
 
@@ -68,3 +73,16 @@ class Adds:
 
     def __str__(self) -> str:
         return "{" + ", ".join(self.names) + "}"
+
+
+def compensation(model: Model, adds: Adds, q: Vector, v: Vector, payload: PayloadValues) -> Array:
+    """(n,) gravity and Coriolis torques that are added; friction apart, of which none is left then."""
+    total: Any = np.zeros(model.n)
+    if adds.gravity:
+        load = payload
+        if adds.load is not None:
+            load = PayloadValues(mass=adds.load.mass, com=adds.load.com, inertia=adds.load.inertia)
+        total = total + dyn.gravity_torque(model, q, load)
+    if adds.coriolis:
+        total = total + dyn.bias(model, q, v, payload, gravity=False)
+    return total  # type: ignore[no-any-return]

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
 
 import numpy as np
 
 from taut.arm.description import BASE
-from taut.base.types import Float64Array
+from taut.base.types import Float64Array, Matrix3, Point3
 from taut.maths.model import Model
 
 __all__ = ["Chain", "Link"]
@@ -21,8 +19,8 @@ class Link:
 
     joint: int
     prismatic: bool
-    R: Float64Array  # (3, 3) orientation in the frame before, at q = 0
-    p: Float64Array  # (3,) [m]
+    R: Matrix3  # orientation in the frame before, at q = 0
+    p: Point3  # [m]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,11 +29,11 @@ class Chain:
 
     frame: str
     n: int  # joints of the arm, not all of which need be in the chain
-    R_WB: Float64Array  # (3, 3)
-    p_WB: Float64Array  # (3,) [m]
+    R_WB: Matrix3
+    p_WB: Point3  # [m]
     links: tuple[Link, ...]
-    R: Float64Array  # (3, 3) of the frame behind the last link
-    p: Float64Array  # (3,) [m]
+    R: Matrix3  # of the frame behind the last link
+    p: Point3  # [m]
 
     @classmethod
     def of(cls, model: Model, frame: str | None) -> Chain:
@@ -80,27 +78,6 @@ class Chain:
             else:
                 R = _turned_about_z(R, x)
         return (R @ self.R, p + R @ self.p), axes
-
-    # ---------------------------------------------------------------- as plain values
-
-    def json(self) -> dict[str, Any]:
-        """As plain values, which `of_json` reads back exactly."""
-        links = [
-            {"joint": link.joint, "prismatic": link.prismatic, "R": link.R.tolist(), "p": link.p.tolist()}
-            for link in self.links
-        ]
-        numbers = {name: getattr(self, name).tolist() for name in ("R_WB", "p_WB", "R", "p")}
-        return {"frame": self.frame, "n": self.n, "links": links, **numbers}
-
-    @classmethod
-    def of_json(cls, values: Mapping[str, Any]) -> Self:
-        """The inverse of `json`."""
-        links = [
-            Link(joint=link["joint"], prismatic=link["prismatic"], R=np.array(link["R"]), p=np.array(link["p"]))
-            for link in values["links"]
-        ]
-        numbers = {name: np.array(values[name]) for name in ("R_WB", "p_WB", "R", "p")}
-        return cls(frame=values["frame"], n=values["n"], links=tuple(links), **numbers)
 
 
 def _turned_about_z(R: Float64Array, angle: Float64Array) -> Float64Array:

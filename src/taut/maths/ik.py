@@ -1,4 +1,4 @@
-"""Inverse kinematics: the error of a pose, its rows of J, and damped Newton steps; for floats and symbols.
+"""Inverse kinematics: the error of a pose, its rows of J, and steps of a damped search; for floats and symbols.
 
 Rows are without dimension: metres are divided by a length of the arm, so that they compare with radians. What a joint
 must not do is left out by a mask, `free`, of ones and zeros.
@@ -38,7 +38,8 @@ __all__ = [
     "damping_near_singularity",
     "held_joints",
     "jacobian_rate",
-    "newton_step",
+    "posture_step",
+    "search_step",
     "shortened",
     "task_of",
 ]
@@ -48,6 +49,9 @@ SIZES: Final[dict[Directions, int]] = {"all": 6, "pointing": 5, "position": 3}
 DIRECTIONS: Final = tuple(SIZES)
 TINY: Final = 1e-12
 LENGTH_OF_REACH: Final = 1.0 / 3.0  # one radian counts as much as a third of the reach
+MAX_SEARCH_STEP: Final = 1.0  # [rad | m]
+MAX_POSTURE_STEP: Final = 0.2  # [rad | m] along the free motion, where the task is followed to first order
+POSTURE_DAMPING: Final = 1e-6  # for a chain with fewer directions than rows; too little to matter to others
 
 
 class IkOutcome(enum.Enum):
@@ -260,27 +264,6 @@ def damping_near_singularity(J: Matrix, free: Vector, largest: Any) -> Any:
     return largest * largest * near * near
 
 
-def newton_step(
-    model: Model,
-    q: Vector,
-    T_des: Pose,
-    task: Task,
-    *,
-    free: Vector | None = None,
-    damping: Any = 0.0,
-    trust: Any = 1.0,
-) -> Vector:
-    """(n,) a damped Newton step [rad | m] from q towards T_des.
-
-    The damping added to J J^T is `damping` and `trust` times the length of the error: it vanishes with the error, so
-    that steps converge quadratically, and keeps them short where the error cannot vanish.
-    """
-    T = dyn.pose(model, q, task.frame)
-    J, e = task.seen(T, dyn.jacobian(model, q, task.frame)), task.error(T, T_des)
-    mask = np.ones(model.n) if free is None else free
-    return Resolved(J, mask, damping + trust * tm.norm(e) + TINY)(e)
-
-
 # -------------------------------------------------------------------- limits
 
 
@@ -299,3 +282,59 @@ def shortened(x: Vector, longest: Any) -> Vector:
         worst = tm.maximum(worst, ratio[i])
     short: Vector = x / tm.maximum(1.0, worst)
     return short
+
+
+# -------------------------------------------------------------------- steps of a search
+
+
+def search_step(
+    model: Model, task: Task, state: Array, target: Array, lower: Float64Array, upper: Float64Array
+) -> Array:
+    """One step of a Levenberg-Marquardt search with limits: a new state from an old one.
+
+    A state is (kept q, tried q, cost of the kept one, damping, linear error, angular error, slope, limited). What was
+    tried is kept where it is better; the next try starts from what is kept. Joints at a limit that the gradient
+    would drive beyond are held (projected Newton). A target is (p, R row by row, posture).
+    """
+    n = model.n
+    kept, tried, cost, trust = state[:n], state[n : 2 * n], state[2 * n], state[2 * n + 1]
+    T_des = Pose.of(target[3:12].reshape(3, 3), target[:3])
+    e = task.error(dyn.pose(model, tried, task.frame), T_des)
+    better = (tm.array([e @ e]) < cost)[0]
+    q = tm.where(better, tried, kept)
+    trust = tm.clip(tm.where(better, 0.25 * trust, 6.0 * trust), 1e-6, 1e6)
+    T = dyn.pose(model, q, task.frame)
+    J, e = task.seen(T, dyn.jacobian(model, q, task.frame)), task.error(T, T_des)
+    gradient = J.T @ e
+    held = held_joints(q, gradient, lower, upper)
+    free = 1.0 - held
+    step = Resolved(J, free, trust * tm.norm(e) + TINY)(e)
+    linear, angular = task.parts(T, T_des)
+    slope, limited = tm.norm(free * gradient), np.sum(held)
+    turn = tm.norm(angular) if len(angular) else 0.0
+    new = tm.clip(q + shortened(step, MAX_SEARCH_STEP), lower, upper)
+    return tm.array([*q, *new, e @ e, trust, tm.norm(linear), turn, slope, limited])
+
+
+def posture_step(
+    model: Model, task: Task, state: Array, target: Array, lower: Float64Array, upper: Float64Array
+) -> Array:
+    """One step towards the posture among the positions that keep the tool where it is to be.
+
+    A state is (q, held, and of the q before it: linear error, angular error, distance to the posture; size of the
+    step), a target as for `search_step`.
+    """
+    n = model.n
+    q, held = state[:n], state[n : 2 * n]
+    T_des = Pose.of(target[3:12].reshape(3, 3), target[:3])
+    T = dyn.pose(model, q, task.frame)
+    J, e = task.seen(T, dyn.jacobian(model, q, task.frame)), task.error(T, T_des)
+    free, wanted = 1.0 - held, target[12:] - q
+    solve = Resolved(J, free, POSTURE_DAMPING)
+    step = shortened(solve(e, free * wanted), MAX_POSTURE_STEP)
+    wish = wanted + J.T @ solve.multipliers(e, free * wanted)
+    new = tm.clip(q + step, lower, upper)
+    held = held_joints(new, wish, lower, upper)
+    linear, angular = task.parts(T, T_des)
+    turn = tm.norm(angular) if len(angular) else 0.0
+    return tm.array([*new, *held, tm.norm(linear), turn, tm.norm(wanted), tm.norm(new - q)])

@@ -23,7 +23,7 @@ from taut.trace.pose import snapped
 __all__ = ["Model", "PayloadValues", "RigidBody", "model_of"]
 
 Z = np.array([0.0, 0.0, 1.0])
-TINY = 1e-14  # relative size under which a regrouped number is rounding
+REGROUPING_ROUNDING = 1e-14  # relative size under which a regrouped number is rounding
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,4 +171,4 @@ def _regrouped(joints: list[JointConstants], bodies: list[RigidBody]) -> tuple[R
 def _rounded(x: Float64Array) -> Float64Array:
     """x with entries that are zero but for rounding set to zero."""
     scale = float(np.abs(x).max(initial=0.0))
-    return np.where(np.abs(x) <= TINY * scale, 0.0, x)
+    return np.where(np.abs(x) <= REGROUPING_ROUNDING * scale, 0.0, x)

@@ -1,7 +1,9 @@
-"""Through singularities: the joint accelerations that a task asks for, smooth where the arm cannot follow.
+"""Through singularities and to the end of the reach: joint accelerations that are smooth where an arm cannot follow.
 
 Where J is singular its inverse asks for any speed and any torque. Here the direction that is nearly lost is damped,
-and nothing else; what it asks of the joints is held within what they can do; elsewhere nothing changes.
+and nothing else; what it asks of the joints is held within what they can do; elsewhere nothing changes. Targets that
+are certainly out of reach lie outside of spheres which points of the tool can never leave: a pose within all of them
+may still be out of reach; one outside of any of them is.
 """
 
 from __future__ import annotations
@@ -9,22 +11,35 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, Literal, Self
 
 import numpy as np
 
 from taut.arm.description import Arm
 from taut.arm.reach import reach
-from taut.base.types import Float64Array, Matrix, Vector
+from taut.base.types import Array, Float64Array, Matrix, Vector, Vector3
+from taut.maths.chain import Chain
+from taut.maths.model import Model
 from taut.maths.snapshot import Snapshot
 from taut.maths.task_inertia import least_direction
 from taut.trace import math as tm
 from taut.trace.linalg import factor_spd
 
-__all__ = ["TOP_SPEED", "ResolvedMotion", "Sizes", "resolve", "sizes_of"]
+__all__ = [
+    "Asked",
+    "Beyond",
+    "ResolvedMotion",
+    "Sizes",
+    "Sphere",
+    "TOP_SPEED",
+    "distance_beyond",
+    "resolve",
+    "sizes_of",
+    "spheres",
+]
 
 BORDER: Final = 0.1  # smallest singular value of J under which an arm of 0.9 m and more is near a singularity
-DAMPING: Final = 0.1  # lambda at the singularity, as a fraction of the limit of manipulability
+DAMPING_AT_SINGULARITY: Final = 0.1  # lambda at the singularity, as a fraction of the limit of manipulability
 SHARE: Final = 0.1  # of the torque that gravity and Coriolis forces leave: what motion may use near a singularity
 TOP_SPEED: Final = 0.97  # of a joint's limit
 LEAST_ROOM: Final = 0.05  # of the effort: what is taken to be left where gravity takes all of it
@@ -33,6 +48,11 @@ STEEP: Final = 0.5  # of that limit: where damping acts in full
 LEAST_CUT: Final = 1e-9  # of what is asked: the tolerance of a cut
 TINY: Final = 1e-12  # keeps the pivots of what is to be inverted from zero
 ENDLESS: Final = 1.4  # [m] reach of an arm whose slides have no ends
+CLEAR: Final = (1.0, 1.01)  # of a radius: where a target begins to count as out of reach, and where in full
+FAR: Final = (1.1, 1.2)
+PARALLEL: Final = 1e-6  # of the sine between two axes
+
+Asked = Literal["pose", "position"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +92,7 @@ def resolve(
     rate: Any,
     held: Any,
     beyond: Any = 0.0,
-    damping: Any = DAMPING,
+    damping: Any = DAMPING_AT_SINGULARITY,
     share: Any = SHARE,
 ) -> ResolvedMotion:
     """Joint accelerations for a task acceleration: J^# a away from singularities, and smooth through them.
@@ -116,7 +136,7 @@ def resolve(
         u, square = least_direction(J)  # the square is not under that of the least singular value, whatever u is
         r = u / weight
         r = r / (u @ r)
-        loose = TINY * _ramp(square, size.border, STEEP)
+        loose = TINY * _ramp(square, size.border, STEEP * size.border)
         factors = factor_spd(x.M_factors.gram(half) + loose * tm.eye(k))
     else:
         side = (weight[:, None] * J).T
@@ -127,9 +147,9 @@ def resolve(
     z = factors.solve(r)
     inside = r @ z
     scale = 1.0 / (inside * (square + TINY)) if wide else 1.0  # from the kinetic to the kinematic measure
-    extra = scale * _ramp(square, size.border, STEEP) * (damping * size.border) ** 2
+    extra = scale * _ramp(square, size.border, STEEP * size.border) * (damping * size.border) ** 2
     kept = 1.0 / (1.0 + extra * inside)
-    near = tm.maximum(tm.maximum(held, beyond), _ramp(square, size.border, FULL))
+    near = tm.maximum(tm.maximum(held, beyond), _ramp(square, size.border, FULL * size.border))
 
     def back(y: Vector) -> Vector:
         return x.M_factors.other_half(half @ y) if wide else y
@@ -184,9 +204,9 @@ def resolve(
     )
 
 
-def _ramp(square: Any, border: float, full: float) -> Any:
-    """0 where the square of a singular value is above border^2, 1 below (full border)^2, smooth between."""
-    s = tm.clip((border * border - square) / ((1.0 - full * full) * border * border), 0.0, 1.0)
+def _ramp(square: Any, start: float, full: float) -> Any:
+    """0 where a square is that of `start`, 1 where it is that of `full` or beyond, smooth between."""
+    s = tm.clip((square - start**2) * (1.0 / (full**2 - start**2)), 0.0, 1.0)
     return s * s * (3.0 - 2.0 * s)
 
 
@@ -217,3 +237,67 @@ def _folded(pick: Callable[[Any, Any], Any], values: list[Any]) -> Any:
         pairs = [pick(a, b) for a, b in zip(values[::2], values[1::2], strict=False)]
         values = pairs + values[len(pairs) * 2 :]
     return values[0]
+
+
+# -------------------------------------------------------------------- the end of the reach
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sphere:
+    """Where a point of the tool can be, whatever the joints do within their limits."""
+
+    centre: Float64Array  # (3,) origin of the first joint on the chain, in the world [m]
+    point: Float64Array  # (3,) in the tool's frame [m]
+    radius: float  # [m]
+
+
+@functools.lru_cache(maxsize=64)
+def spheres(model: Model, frame: str | None, asked: Asked) -> tuple[Sphere, ...]:
+    """Of the tool's origin and, where its orientation is asked for too, of a point on the last joint's axis.
+
+    That point is the one nearest to the axis before: of a wrist whose axes meet, their centre.
+    """
+    chain = Chain.of(model, frame)
+    if not chain.links:
+        return ()
+    points = [np.zeros(3)]
+    if asked == "pose" and len(chain.links) > 1 and not chain.links[-1].prismatic:
+        points.append(chain.R.T @ (_nearest_to_axis_before(chain) - chain.p))
+    centre = chain.p_WB + chain.R_WB @ chain.links[0].p
+    found = [Sphere(centre=centre, point=p, radius=reach(model.arm, chain.frame, p)) for p in points]
+    return tuple(sphere for sphere in found if 0.0 < sphere.radius < np.inf)
+
+
+def _nearest_to_axis_before(chain: Chain) -> Float64Array:
+    """(3,) the point of the last axis that is nearest to the one before, in the last link's own frame."""
+    last = chain.links[-1]
+    if chain.links[-2].prismatic:
+        return np.zeros(3)
+    axis, origin = last.R[2], -last.R.T @ last.p  # of the joint before
+    away = 1.0 - axis[2] ** 2
+    along = 0.0 if away < PARALLEL**2 else (origin[2] - axis[2] * (origin @ axis)) / away
+    return np.array([0.0, 0.0, along])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Beyond:
+    """How clearly a target is out of reach: 0 where it is within all spheres, 1 where it is clearly not."""
+
+    clear: Any  # full from a hundredth of a radius outside of one on
+    far: Any  # none up to a tenth outside, full from a fifth on
+    reach: float  # [m] of the tool's origin
+
+    @classmethod
+    def of(cls, all_of: tuple[Sphere, ...], p: Vector3, R: Array) -> Self:
+        """That of a pose."""
+        past: Any = 1.0
+        for sphere in all_of:
+            way = p + R @ sphere.point - sphere.centre if sphere.point.any() else p - sphere.centre
+            past = tm.maximum(past, (way @ way) * (1.0 / sphere.radius**2))
+        return cls(clear=_ramp(past, *CLEAR), far=_ramp(past, *FAR), reach=all_of[0].radius)
+
+
+def distance_beyond(of: tuple[Sphere, ...], p: Float64Array, R: Float64Array) -> Float64Array:
+    """(k,) how far at least poses p (k, 3), R (k, 3, 3) are out of reach [m]; 0 and less where nothing says so."""
+    ways = [np.linalg.norm(p + R @ s.point - s.centre, axis=1) - s.radius for s in of]
+    return np.max(ways, axis=0) if ways else np.full(len(p), -np.inf)

@@ -1,4 +1,4 @@
-"""TaskInertia: the inertia that the arm shows at its tool, and the motion that a task leaves free."""
+"""Inertia: at the tool, with the motion that a task leaves free, and the fraction of the rotors in that of joints."""
 
 from __future__ import annotations
 
@@ -7,11 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from taut.base.types import Matrix, Vector
+from taut.arm.description import Arm
+from taut.base.errors import UsageError
+from taut.base.types import ArrayLike, Float64Array, Matrix, Vector
+from taut.maths.snapshot import snapshot
 from taut.trace import math as tm
 from taut.trace.linalg import LTDL, factor_spd
 
-__all__ = ["TaskInertia", "least_direction"]
+__all__ = ["TaskInertia", "least_direction", "rotor_share"]
 
 TINY = 1e-12  # [1/kg and its like] keeps the pivots of what is to be inverted from zero
 
@@ -106,3 +109,35 @@ def least_direction(J: Matrix) -> tuple[Vector, Any]:
     """(k,) the unit direction u in which J (k, n) moves least, and |J^T u|^2; exact where it is nearly lost."""
     u, square = factor_spd(J @ J.T + TINY * tm.eye(len(J))).least_direction()
     return u, square - TINY
+
+
+def rotor_share(arm: Arm, q: ArrayLike | None = None) -> Float64Array:
+    """(n,) the part of each joint's inertia that is its geared rotor, from 0 to 1; the rest is links and payload.
+
+    Law:  G^2 I_motor / M_ii(q), with the mass matrix M, rotors included. One half is inertia matched. The nearer to
+        1, the less a joint feels of a load and of the other joints: its dynamics are those of its own motor.
+
+    Args:
+        arm: The arm, its rotors from `with_gears`, a file, or `with_joints(rotor_inertia=...)`.
+        q: (n,) positions [rad | m]; the home pose if left out.
+
+    Raises:
+        UsageError: Not an arm.
+        ShapeError: Wrong number of entries.
+        RangeError: NaN or infinite entries.
+
+    Example:
+        A link of 0.5 kg m^2 with a rotor of 1e-3 kg m^2 behind a gear of 100: 10 of 10.5 kg m^2 are the rotor.
+
+        >>> import taut
+        >>> rotor_share(taut.load_arm("one_joint").with_gears(100.0, 1e-3)).round(4).tolist()
+        [0.9524]
+
+    References:
+        Chapter, section 10.2.1.5 the effect of gearing, and 10.2.2.1 for what follows for decentralised control.
+    """
+    if not isinstance(arm, Arm):  # callers without a type checker
+        raise UsageError(f"rotor_share takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
+    M = snapshot(arm, arm.home if q is None else q).M
+    share: Float64Array = arm.rotor_inertia / np.diag(M)
+    return share

@@ -2,35 +2,38 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Final
+from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.base.errors import RangeError, ShapeError, UsageError
-from taut.base.quantity import Quantity, keep_quantities
+from taut.base.errors import RangeError, UsageError
+from taut.base.fields import Declared, Field, Part
+from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
+from taut.control.describe import all_laws
 from taut.control.laws.constraints import check_constraint
+from taut.control.lawside import LawSide
 from taut.maths.constraints.constraint import Constraint
 from taut.maths.constraints.impulses import Touch
 from taut.maths.constraints.rows import Piece
 from taut.maths.model import model_of
-from taut.maths.snapshot import Snapshot
+from taut.maths.snapshot import Snapshot, snapshot
+from taut.plant.drives.actuation import Actuation
 
-__all__ = ["CLOSED", "Contacts", "RigidContact", "each_contact"]
+__all__ = ["CLOSED", "Contacts", "RigidContact", "RigidTouch", "check_force_feedback", "each_contact"]
 
 Values = Mapping[str, Any]
 CLOSED: Final = 1e-6  # [m | rad] within which a run may start in contact; the first step takes it away
-MOVING: Final = 1e-6  # [m/s | rad/s] at which a run may start against what holds both ways
+START_SPEED_TOLERANCE: Final = 1e-6  # [m/s | rad/s] at which a run may start against what holds both ways
+ROUNDING: Final = 1e-9  # [-] of a loop gain
 TURNS: Final = 1e-9  # of A: a contact at the tool's origin has no moments about it
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RigidContact:
+class RigidContact(Declared):
     """Something rigid that holds a plant's arm, or that it can touch: a constraint, with friction and impact.
 
     Model:
@@ -82,58 +85,19 @@ class RigidContact:
         Methods in Engineering 39 (1996).
     """
 
-    title: ClassVar[str] = "contact"
-    quantities: ClassVar[Mapping[str, Quantity]] = {
-        "friction": Quantity(unit="1", rule=">= 0"),
-        "torsion": Quantity(unit="m", rule=">= 0"),
-        "restitution": Quantity(unit="1", rule=">= 0"),
-    }
+    constraint: Part[Constraint] = Part(Constraint)
+    friction: Field = Field(unit="1", minimum=0.0, optional=True)
+    torsion: Field = Field(unit="m", minimum=0.0, optional=True)
+    restitution: Field = Field(unit="1", minimum=0.0, maximum=1.0, optional=True)
 
-    constraint: Constraint
-    friction: ArrayLike | None = None
-    torsion: ArrayLike | None = None  # [m]
-    restitution: ArrayLike | None = None
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.constraint, Constraint):  # callers without a type checker
-            raise UsageError(
-                f"contact.constraint must be a taut.Constraint; got {type(self.constraint).__name__}",
-                name="constraint",
-            )
-        keep_quantities(self)
-        for name in self.quantities:
-            value = getattr(self, name)
-            if value is not None and np.ndim(value):
-                raise ShapeError(f"contact.{name} must be one number; got shape {np.shape(value)}", name=name)
+    def check(self) -> None:
+        """Torsion is of friction, and only what is one-sided opens again."""
         if self.torsion is not None and self.friction is None:
-            raise UsageError(
-                "contact.torsion is the radius of a moment of friction, and this contact has none; give friction= "
-                "too, or leave it out",
-                name="torsion",
+            self.refuse(
+                "torsion", "is the radius of a moment of friction, and needs friction too; give it, or leave this out"
             )
-        if self.restitution is None:
-            return
-        if float(np.asarray(self.restitution)) > 1.0:
-            raise RangeError(
-                f"contact.restitution must be <= 1, for an impact gives no energy; got {self.restitution:g}",
-                name="restitution",
-                value=float(np.asarray(self.restitution)),
-                rule="<= 1",
-            )
-        if not any(self.constraint.one_sided):
-            raise UsageError(
-                "contact.restitution is for one-sided constraints, and this one holds both ways; leave it out, or "
-                "give the constraint one_sided=True",
-                name="restitution",
-            )
-
-    def parameters(self) -> dict[str, Float64Array]:
-        """Run-time parameters by name: those that are there."""
-        return {name: np.asarray(x) for name in self.quantities if (x := getattr(self, name)) is not None}
-
-    def changed(self, name: str, value: ArrayLike) -> RigidContact:
-        """The same with another value of a parameter, checked as when it was made."""
-        return dataclasses.replace(self, **{name: value})  # type: ignore[arg-type]
+        if self.restitution is not None and not any(self.constraint.one_sided):
+            self.refuse("restitution", "is for a constraint with one_sided=True, and this one holds both ways")
 
     def __add__(self, other: RigidContact | Constraint) -> tuple[RigidContact, ...]:
         return (self, *each_contact(other))
@@ -277,7 +241,7 @@ class Contacts:
     def checked(self, path: str, value: ArrayLike) -> Float64Array:
         """A new value, checked as when it was made."""
         head, _, name = path.rpartition(".")
-        return np.asarray(self.parts[int(head or 0)].changed(name, value).parameters()[name])
+        return np.asarray(self.parts[int(head or 0)].changed(name, value, name=f"contact.{path}").parameters()[name])
 
     # ---------------------------------------------------------------- checks
 
@@ -350,10 +314,95 @@ def _check_row(which: str, phi: float, speed: float, *, one_sided: bool) -> None
             value=phi,
             rule=rule,
         )
-    if abs(speed) > MOVING and not one_sided:
+    if abs(speed) > START_SPEED_TOLERANCE and not one_sided:
         raise RangeError(
             f"a run must start with a motion that contact= allows, and at v0 {which} has d phi/dt = {speed:.4g}; "
             "leave v0 out, or take from it what moves against the constraint",
             name="v0",
             value=speed,
         )
+
+
+# -------------------------------------------------------------------- force feedback
+
+
+@runtime_checkable
+class HasContacts(Protocol):
+    """A plant that rigid contacts may hold."""
+
+    @property
+    def contacts(self) -> Contacts | None: ...
+
+    @property
+    def actuation(self) -> Actuation: ...
+
+
+class RigidTouch:
+    """A tool at a rigid contact, in plain numbers.
+
+    Args:
+        contacts: The contacts.
+        q: (n,) where the arm is.
+    """
+
+    def __init__(self, contacts: Contacts, q: Float64Array) -> None:
+        self._contacts = contacts
+        self.x: Snapshot = snapshot(contacts.arm, q)
+
+    def pressing(self, tool: str | None) -> Float64Array:
+        """(6, 6) the part of a wrench at a tool that presses on it: A^T (A Lambda^-1 A^T)^-1 A Lambda^-1."""
+        J = np.asarray(self.x.J(tool), dtype=np.float64)
+        A = np.vstack([np.asarray(p.constraint.at(self.x).A_q, dtype=np.float64) for p in self._contacts.parts])
+        A = A @ np.linalg.pinv(J)
+        W = A @ J @ np.linalg.solve(np.asarray(self.x.M), J.T)
+        out: Float64Array = A.T @ np.linalg.lstsq(W @ A.T, W, rcond=None)[0]
+        return out
+
+
+@runtime_checkable
+class FeedsForceBack(Protocol):
+    """A law that feeds a measured force back."""
+
+    def force_loop_gain(self, dt: float, touch: RigidTouch | None) -> float:
+        """The largest eigenvalue of (kfp + kfi dt / 2) P at a rigid contact; 0 where that is not known.
+
+        Args:
+            dt: Control period [s].
+            touch: The contact; None for the one that the law states itself.
+        """
+        ...
+
+
+def check_force_feedback(
+    side: LawSide, plant: object, q: Float64Array | None = None, parameters: Mapping[str, Any] | None = None
+) -> None:
+    """Force feedback through ideal drives, unfiltered, must be stable on a rigid contact, where it is a tick late.
+
+    F_app(t + dt) = P F(t) with F = ... - (kfp + kfi dt / 2) F_app(t): the largest eigenvalue of (kfp + kfi dt / 2) P
+    must be under 1, where P is the part of a wrench that presses on the contact. For one number that is the number.
+
+    Args:
+        side: The law with its rate.
+        plant: What it meets.
+        q: (n,) where it meets it; without, only laws are checked that state the contact themselves.
+        parameters: Its gains by path; those it was made with if left out.
+
+    Raises:
+        RangeError: It is unstable.
+    """
+    if not isinstance(plant, HasContacts) or plant.contacts is None or plant.actuation.acts:
+        return
+    if side.sensing.F_ext is not None or side.sensing.tau_meas is not None:
+        return
+    touch = RigidTouch(plant.contacts, q) if q is not None and side.arm.n >= 6 else None
+    whole = side.law if parameters is None else side.law.bound(subtree(parameters, "law"))
+    for path, law in all_laws(whole, "law"):
+        gain = law.force_loop_gain(side.dt, touch) if isinstance(law, FeedsForceBack) else 0.0
+        if gain >= 1.0 - ROUNDING:
+            raise RangeError(
+                "kfp + kfi dt / 2 must be under 1 on a rigid contact, where the measured force is a tick old, or the "
+                f"force loop is unstable; {path} has {gain:.4g}; lower kfp, or filter what is measured",
+                name=f"{path}.kfp",
+                value=gain,
+                rule="< 1",
+            )

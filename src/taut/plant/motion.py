@@ -9,23 +9,18 @@ from typing import Any, Final
 
 import numpy as np
 
-from taut.arm.description import Arm, CommandKind
+from taut.arm.description import CommandKind
 from taut.base.paths import subtree
 from taut.base.types import Array, Vector
 from taut.maths import dynamics as dyn
-from taut.maths.adds import Adds
-from taut.maths.compensation import compensation
-from taut.maths.friction import dry_friction
-from taut.maths.friction_law import friction_torque
+from taut.maths.adds import compensation
+from taut.maths.friction import dry_friction, friction_torque
 from taut.maths.model import Model, PayloadValues, model_of
-from taut.plant.contact import Contacts
 from taut.plant.contact_step import ContactStep, contact_step
-from taut.plant.disturbance import WRENCH, joint_forces
-from taut.plant.drives import drive
-from taut.plant.drives.actuation import Actuation
-from taut.plant.drives.drivetrain import Drivetrain, FrictionLaw, FrictionLimits
+from taut.plant.drives.drivetrain import FrictionLaw, FrictionLimits
 from taut.plant.drives.stiff_drive import aim
-from taut.plant.environments.environment import Environment, touch
+from taut.plant.environments.environment import WRENCH, joint_forces, touch
+from taut.plant.parts import PlantParts
 from taut.plant.work import work_of_step
 from taut.trace import math as tm
 
@@ -58,44 +53,34 @@ class Motion:
     """Steps of an arm with its drives, friction and environment, as pure functions of the plant's memory.
 
     Args:
-        arm: The arm.
-        train: Its rotors, friction and transmissions.
-        actuation: Its drives.
-        environment: What touches it, if anything.
-        contacts: What holds it rigidly, if anything.
-        adds: What the plant adds to a torque command itself.
+        parts: The arm, its drives, and what touches it.
         sweeps: Of projected Gauss-Seidel in a step.
     """
 
-    arm: Arm
-    train: Drivetrain
-    actuation: Actuation
-    environment: Environment | None
-    contacts: Contacts | None
-    adds: Adds
+    parts: PlantParts
     sweeps: int
 
     @cached_property
     def model(self) -> Model:
         """The constants of the arm."""
-        return model_of(self.arm)
+        return model_of(self.parts.arm)
 
     @cached_property
     def link_model(self) -> Model:
         """The same without its rotors, whose inertia is a parameter."""
-        return model_of(self.arm.with_joints(rotor_inertia=0.0))
+        return model_of(self.parts.arm.with_joints(rotor_inertia=0.0))
 
     def compensation(self, q: Vector, v: Vector, parameters: Values) -> Array:
         """(n,) what the plant adds to a torque command itself, friction apart."""
-        return compensation(self.model, self.adds, q, v, payload_of(parameters))
+        return compensation(self.model, self.parts.adds, q, v, payload_of(parameters))
 
     def touch(
         self, q: Vector, v: Vector, memory: Values, parameters: Values, t: Any, dt: Any
     ) -> tuple[Array, dict[str, Any]]:
         """(6,) F_ext at a state, and the environment's memory after it."""
-        assert self.environment is not None
+        assert self.parts.environment is not None
         before, numbers = subtree(memory, "environment"), subtree(parameters, "environment")
-        return touch(self.environment, self.model, q, v, before, numbers, t, dt)
+        return touch(self.parts.environment, self.model, q, v, before, numbers, t, dt)
 
     def _outside(
         self, q: Vector, v: Vector, memory: Values, parameters: Values, t: Any, dt: Any
@@ -103,7 +88,7 @@ class Motion:
         """(6,) F_ext and the (n,) forces of joints from outside, None where there are none; the memory after it."""
         wrench: Array | None = parameters.get(WRENCH)
         touched: dict[str, Any] = {}
-        if self.environment is not None:
+        if self.parts.environment is not None:
             contact_wrench, touched = self.touch(q, v, memory, parameters, t, dt)
             wrench = contact_wrench if wrench is None else contact_wrench + wrench
         return wrench, joint_forces(self.model, q, wrench, parameters), touched
@@ -117,25 +102,25 @@ class Motion:
     def driven_step(self, takes: CommandKind, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]:
         """Stiff drives: their loop decides the motion, and the torque is what that takes."""
         q, v = memory["q"], memory["v"]
-        q_new, v_new = aim(takes, self.arm, memory["held"], q, v, parameters["actuation.bandwidth"], dt)
+        q_new, v_new = aim(takes, self.parts.arm, memory["held"], q, v, parameters["actuation.bandwidth"], dt)
         a = (v_new - v) / dt
         out, t = dict(memory), memory.get("t", 0.0)
         wrench, outside, touched = self._outside(q, v, memory, parameters, t, dt)
-        force: Any = np.zeros(self.arm.n) if outside is None else outside
-        if self.environment is not None:
+        force: Any = np.zeros(self.parts.arm.n) if outside is None else outside
+        if self.parts.environment is not None:
             assert wrench is not None
             out |= self._touched(memory, wrench, touched, t + dt)
             out[WORK_OF_IT] = memory[WORK_OF_IT] + 0.5 * dt * (force @ (v + v_new))
         tau = link = dyn.inverse_dynamics(self.link_model, q, v, a, payload_of(parameters)) - force
         if "plant.rotor_inertia" in parameters:
             tau = tau + parameters["plant.rotor_inertia"] * a
-        friction = self.train.friction
+        friction = self.parts.drivetrain.friction
         if friction is not None:
             assert not isinstance(friction, FrictionLaw)  # which is for torque commands
-            load: Any = np.zeros(self.arm.n)
+            load: Any = np.zeros(self.parts.arm.n)
             if friction.loaded:
                 load = force - dyn.bias(self.link_model, q, v, payload_of(parameters))
-            tau = tau - friction_torque(self.train.values(parameters), v, tau, load)
+            tau = tau - friction_torque(self.parts.drivetrain.values(parameters), v, tau, load)
         return out | {"q": q_new, "v": v_new, "tau": tau, "tau_link": link}
 
     def torque_step(
@@ -145,16 +130,16 @@ class Motion:
         q, v, t = memory["q"], memory["v"], memory.get("t", 0.0)
         q_m, v_m = memory.get("q_motor", q), memory.get("v_motor", v)
         added = self.compensation(q, v, parameters)
-        given = drive.driven(self.actuation, self.arm, memory, q_m, v_m, parameters, dt, added)
+        given = self.parts.actuation.step(self.parts.arm, memory, q_m, v_m, parameters, dt, added)
         out = {**memory, **given.memory, "tau": given.tau}
         tau = given.tau + added
         wrench, force, touched = self._outside(q, v, memory, parameters, t, dt)
-        if self.environment is not None:
+        if self.parts.environment is not None:
             assert wrench is not None
             out |= self._touched(memory, wrench, touched, t + dt)
         if smooth:
             q_new, v_new, done = self._rk4(q, v, given.tau, memory, parameters, t, dt)
-            moved = _Moved(q=q_new, v=v_new, f=np.zeros(self.arm.n), spring=tau)
+            moved = _Moved(q=q_new, v=v_new, f=np.zeros(self.parts.arm.n), spring=tau)
         else:
             moved = self._euler(tau, force, memory, parameters, dt)
             done = 0.0 if force is None else 0.5 * dt * (force @ (v + moved.v))
@@ -167,16 +152,16 @@ class Motion:
         if WORK_OF_IT in memory:
             out[WORK_OF_IT] = memory[WORK_OF_IT] + done
         out |= {**moved.memory, "q": moved.q, "v": moved.v}
-        b, rotor = self.train.values(parameters).viscous, parameters.get("plant.rotor_inertia")
+        b, rotor = self.parts.drivetrain.values(parameters).viscous, parameters.get("plant.rotor_inertia")
         v_end = out.get("v_motor", moved.v)
-        lost = tm.zeros(self.arm.n) if b is None else b * v_end
+        lost = tm.zeros(self.parts.arm.n) if b is None else b * v_end
         out["tau_link"] = tau + moved.f - lost  # what of the motor's torque arrives behind the gear
         if rotor is not None:
             out["tau_link"] = out["tau_link"] - rotor * (v_end - v_m) / dt
         if work:
             ways = out.get("q_motor", moved.q) - q_m, moved.q - q
             done = work_of_step(
-                self.train, memory, out, ways,
+                self.parts.drivetrain, memory, out, ways,
                 tau=tau, given=given.tau, f=moved.f, limits=moved.limits, lost=lost, through=out["tau_link"],
                 spring=moved.spring, rotor=rotor, parameters=parameters, electric=given.work, dt=dt,
             )  # fmt: skip
@@ -185,7 +170,7 @@ class Motion:
 
     def _euler(self, tau: Vector, force: Vector | None, memory: Values, parameters: Values, dt: Any) -> _Moved:
         """Semi-implicit Euler, with viscous friction at the end of the step and dry friction that sticks."""
-        q, v, train = memory["q"], memory["v"], self.train
+        q, v, train = memory["q"], memory["v"], self.parts.drivetrain
         payload, values = payload_of(parameters), train.values(parameters)
         b, rotor = values.viscous, parameters.get("plant.rotor_inertia")
         load = -dyn.bias(self.model, q, v, payload)
@@ -196,7 +181,7 @@ class Motion:
         limits, borne = None, memory.get("contact.load")
         if train.dry:
             v_m, loads = memory.get("v_motor", v), train.merged(load, -spring)
-            held = 0.0 if borne is None else train.merged(borne, tm.zeros(self.arm.n))
+            held = 0.0 if borne is None else train.merged(borne, tm.zeros(self.parts.arm.n))
             limits = train.limits(values, memory, parameters, v_m, tau, loads, M, dt, held)
         rhs = train.merged(tau if b is None else tau - b * v, spring) + load
         for i in train.rigid:
@@ -204,7 +189,7 @@ class Motion:
         factors = tm.factor_spd(M)
         v_new = v + dt * factors.solve(rhs)
         after: dict[str, Any] = {}
-        f, at_rest = np.zeros(self.arm.n), np.zeros(self.arm.n)
+        f, at_rest = np.zeros(self.parts.arm.n), np.zeros(self.parts.arm.n)
         if limits is not None and train.rigid:
             # The forces of rigid contacts, friction takes as of the last step; these then act with what it is.
             slowed = v_new
@@ -221,9 +206,10 @@ class Motion:
             if "friction_residual" in memory:
                 after["friction_residual"] = stuck.residual
         q_new, contact = q + dt * v_new, None
-        if self.contacts is not None:
+        if self.parts.contacts is not None:
+            t = memory["t"]
             contact = contact_step(
-                self.contacts, self.model, factors, q, v, v_new, memory["t"], memory, parameters, dt, self.sweeps
+                self.parts.contacts, self.model, factors, q, v, v_new, t, memory, parameters, dt, self.sweeps
             )
             q_new, v_new = contact.q, contact.v
             after |= contact.memory

@@ -5,7 +5,7 @@ Written like a law, so that it runs on floats, is fused with a controller into o
 
 from __future__ import annotations
 
-import math
+import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -13,30 +13,26 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from taut.arm.description import COMMANDS, Arm, CommandKind, Payload
-from taut.base.checks import one_of
-from taut.base.errors import RangeError, UsageError, unknown_name
-from taut.base.front_door import public_name
+from taut.arm.description import Arm, CommandKind, Payload
+from taut.base.checks import one_of, whole_number
+from taut.base.errors import UsageError
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
 from taut.maths.constraints.constraint import Constraint
-from taut.maths.friction import SWEEPS
+from taut.maths.friction import FRICTION_SWEEPS
 from taut.maths.model import Model, model_of
 from taut.maths.snapshot import Snapshot
 from taut.plant.contact import Contacts, RigidContact, each_contact
 from taut.plant.contact_step import REPORTED, contact_start
-from taut.plant.drives import drive
 from taut.plant.drives.actuation import Actuation, delayed
-from taut.plant.drives.drivetrain import Drivetrain, FrictionLaw
-from taut.plant.drives.stiff_drive import require_drives
-from taut.plant.drives.transmission import require_rotors
-from taut.plant.environments.environment import Environment, require_environment, started
+from taut.plant.drives.drivetrain import FrictionLaw
+from taut.plant.environments.environment import Environment
 from taut.plant.motion import WORK_OF_IT, Motion, payload_of
-from taut.plant.numbers import PlantNumbers, require_torque_sensor
+from taut.plant.parts import PlantParts
 from taut.plant.sensors.sensors import Sensors
-from taut.plant.step_length import require_short_contact, require_short_steps
+from taut.plant.step_length import Steps, require_short_contact, require_short_steps
 from taut.plant.work import work_parts
 from taut.trace import math as tm
 
@@ -45,8 +41,7 @@ __all__ = ["RigidPlant"]
 Integrator = Literal["semi-implicit-euler", "rk4"]
 INTEGRATORS: Final[tuple[Integrator, ...]] = ("semi-implicit-euler", "rk4")
 Values = Mapping[str, Any]
-MOST_SUBSTEPS: Final = 1000
-STAGES: Final = {"actuation": Actuation, "sensors": Sensors}
+MAX_SUBSTEPS: Final = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,137 +102,71 @@ class RigidPlant:
         default=None, kw_only=True
     )
     adds: Adds | Iterable[str] | Mapping[str, Payload | None] = field(default=(), kw_only=True)
-    sweeps: int = field(default=SWEEPS, kw_only=True)
+    sweeps: int = field(default=FRICTION_SWEEPS, kw_only=True)
     energy: bool = field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.arm, Arm):
-            raise UsageError(f"a plant takes an Arm from taut.load_arm; got {type(self.arm).__name__}", name="arm")
         one_of("integrator", self.integrator, INTEGRATORS)
-        one_of("takes", self.takes, COMMANDS)
-        if not isinstance(self.friction, FrictionLaw) and self.friction not in ("arm", None):
-            raise UsageError(
-                f"friction must be 'arm', None or a taut.drives.FrictionLaw; got {_named(self.friction)}; another "
-                "friction is the arm's: arm.with_friction(...)",
-                name="friction",
-            )
         for name in ("substeps", "sweeps"):
-            number = getattr(self, name)
-            if isinstance(number, bool) or not isinstance(number, int):
-                raise UsageError(f"{name} must be a whole number; got {number!r}", name=name)
-            if not 1 <= number <= MOST_SUBSTEPS:
-                raise RangeError(f"{name} must be between 1 and {MOST_SUBSTEPS}; got {number}", name=name)
+            whole_number(name, getattr(self, name), minimum=1, maximum=MAX_SUBSTEPS)
         if not isinstance(self.energy, bool):
             raise UsageError(f"energy must be True or False; got {self.energy!r}", name="energy")
-        for name, kind in STAGES.items():
-            if not isinstance(getattr(self, name), kind):
-                got = type(getattr(self, name)).__name__
-                raise UsageError(f"{name} must be {public_name(kind)}(...); got {got}", name=name)
-        if isinstance(self.friction, FrictionLaw):
-            self._check_friction_law(self.friction)
-        self.sensors.check(self.arm, touched=self.touched)
-        if self.environment is not None:
-            require_environment("environment", self.environment)
-        if self.contacts is not None:
-            self._check_contacts()
-        adds = Adds.of(self.adds)
-        object.__setattr__(self, "adds", adds)
-        self.actuation.check_size(self.arm.joint_names, "actuation.")
-        require_rotors(self.arm, self.drivetrain.compliant)
-        require_torque_sensor(self.actuation, self.sensors)
-        if self.integrator == "rk4":
-            self._check_smooth()
-        require_drives(self.takes, self.actuation, adds)
-        if self.takes != "torque" and self.energy:
-            raise UsageError(f"energy is for torque commands; this plant takes {self.takes}", name="energy")
-
-    def _check_friction_law(self, law: FrictionLaw) -> None:
-        law.check_size(self.arm.joint_names, "plant.friction.")
-        if self.takes != "torque":
-            raise UsageError(
-                f"a friction law of your own is for torque commands; this plant takes {self.takes}", name="friction"
-            )
-        if Adds.of(self.adds).friction:
-            raise UsageError("the plant adds the arm's friction, and has a law of its own; keep one", name="adds")
-
-    def _check_contacts(self) -> None:
-        if self.takes != "torque":
-            raise UsageError(
-                f"contact is for torque commands, for stiff drives do not give way to it; this plant takes "
-                f"{self.takes}; give environment=taut.environments.StiffWall(...), or takes='torque'",
-                name="contact",
-            )
-        if self.integrator == "rk4":
-            raise UsageError(
-                "rk4 needs smooth forces, and a contact stops the arm at once; use semi-implicit-euler",
-                name="contact",
-            )
-        assert self.contacts is not None
-        self.contacts.check()
-
-    def _check_smooth(self) -> None:
-        if self.drivetrain.dry:
-            what = "gears that lose power" if not self._has("coulomb", "static") else "dry friction"
-            raise UsageError(
-                f"rk4 needs smooth forces, and arm '{self.arm.name}' has {what}; use semi-implicit-euler, or "
-                "no friction",
-                name="integrator",
-            )
-        if self.drivetrain.compliant:
-            raise UsageError(
-                "rk4 moves the arm alone, and an elastic transmission or backlash moves the motors too; use "
-                "semi-implicit-euler",
-                name="integrator",
-            )
-        if self.energy:
-            raise UsageError("energy is kept account of by semi-implicit-euler only", name="energy")
-
-    def _has(self, *names: str) -> bool:
-        return any(name in self.drivetrain.parameters() for name in names)
+        object.__setattr__(self, "adds", Adds.of(self.adds))
+        self.parts  # noqa: B018  (checked when they are put together)
+        if self.energy and (self.integrator == "rk4" or self.takes != "torque"):
+            raise UsageError("energy is for torque commands, and for integrator semi-implicit-euler", name="energy")
 
     @cached_property
-    def drivetrain(self) -> Drivetrain:
-        """Rotors, friction and transmissions."""
-        friction: Any = self.friction
-        if friction == "arm":
-            friction = None if Adds.of(self.adds).friction else self.arm.friction
-        return Drivetrain(arm=self.arm, friction=friction, transmission=self.actuation.transmission)
-
-    @cached_property
-    def contacts(self) -> Contacts | None:
-        """What holds the arm rigidly, in one order of rows."""
-        return None if self.contact is None else Contacts(arm=self.arm, parts=each_contact(self.contact))
+    def parts(self) -> PlantParts:
+        """What it is made of."""
+        contact = None if self.contact is None else Contacts(arm=self.arm, parts=each_contact(self.contact))
+        return PlantParts(
+            name=f"RigidPlant({getattr(self.arm, 'name', '')})",
+            arm=self.arm,
+            friction=self.friction,
+            takes=self.takes,
+            adds=Adds.of(self.adds),
+            actuation=self.actuation,
+            sensors=self.sensors,
+            environment=self.environment,
+            contacts=contact,
+            smooth=self.integrator == "rk4",
+        )
 
     @property
-    def touched(self) -> bool:
-        """Whether a sensor at the wrist has anything to feel."""
-        return self.environment is not None or (self.contacts is not None and self.contacts.measured)
+    def contacts(self) -> Contacts | None:
+        """What holds the arm rigidly, in one order of rows."""
+        return self.parts.contacts
 
     @cached_property
     def _work_parts(self) -> tuple[str, ...]:
-        return work_parts(self.drivetrain, self.actuation.motor) if self.energy else ()
+        return work_parts(self.parts.drivetrain, self.actuation.motor) if self.energy else ()
+
+    def like(self, *, arm: Arm | None = None, sensors: Sensors | None = None) -> RigidPlant:
+        """A plant of the same arguments but these."""
+        return dataclasses.replace(self, arm=arm or self.arm, sensors=sensors or self.sensors)
 
     # ---------------------------------------------------------------- what it declares
 
     @property
     def name(self) -> str:
         """What it is called in messages."""
-        return f"RigidPlant({self.arm.name})"
+        return self.parts.name
 
     @property
     def measures(self) -> frozenset[str]:
         """What it measures besides positions."""
-        return self.sensors.measures(touched=self.touched)
+        return self.sensors.measures(touched=self.parts.touched)
 
     @property
     def distorts(self) -> frozenset[str]:
         """The measurements that differ from the truth."""
-        return self.sensors.distorts(touched=self.touched)
+        return self.sensors.distorts(touched=self.parts.touched)
 
     @property
     def noise(self) -> dict[str, tuple[int, ...]]:
         """Standard normal numbers that it needs in every tick, by name."""
-        return self.sensors.noise(self.arm, touched=self.touched)
+        return self.sensors.noise(self.arm, touched=self.parts.touched)
 
     @property
     def model(self) -> Model:
@@ -246,31 +175,12 @@ class RigidPlant:
 
     @cached_property
     def _motion(self) -> Motion:
-        return Motion(
-            arm=self.arm,
-            train=self.drivetrain,
-            actuation=self.actuation,
-            environment=self.environment,
-            contacts=self.contacts,
-            adds=Adds.of(self.adds),
-            sweeps=self.sweeps,
-        )
+        return Motion(parts=self.parts, sweeps=self.sweeps)
 
     @property
     def parameters(self) -> dict[str, Float64Array]:
         """Run-time parameters by path: plant.payload.mass, actuation.bandwidth, ..."""
-        return self._numbers.values()
-
-    @cached_property
-    def _numbers(self) -> PlantNumbers:
-        return PlantNumbers(
-            arm=self.arm,
-            drivetrain=self.drivetrain,
-            actuation=self.actuation,
-            sensors=self.sensors,
-            environment=self.environment,
-            contacts=self.contacts,
-        )
+        return dict(self.parts.values)
 
     def checked_parameter(self, path: str, value: ArrayLike) -> Float64Array:
         """A new value of a parameter, checked like the first one and in its shape.
@@ -280,10 +190,7 @@ class RigidPlant:
             ShapeError: Another shape.
             RangeError: NaN, infinite or negative.
         """
-        known = self.parameters
-        if path not in known:
-            raise unknown_name(f"plant '{self.name}'", "parameter", path, known)
-        return self._numbers.checked(path, value)
+        return self.parts.checked(path, value)
 
     def check_together(self, values: Mapping[str, ArrayLike]) -> None:
         """Refuse values by path that do not go together, each of which is right by itself.
@@ -291,7 +198,7 @@ class RigidPlant:
         Raises:
             RangeError: Less friction at rest than in motion.
         """
-        self._numbers.check_together(values)
+        self.parts.check_together(values)
 
     # ---------------------------------------------------------------- the pure functions
 
@@ -306,36 +213,24 @@ class RigidPlant:
         full = dyn.gravity_torque(self.model, q, payload_of(parameters))
         weight = full - self._motion.compensation(q, rest, parameters)
         memory: dict[str, Any] = {"q": q, "v": v, "tau": weight, "held": weight, "tau_link": full}
+        train, steps = self.parts.drivetrain, Steps(dt, self.substeps)
         if self.takes == "torque":
-            memory |= drive.start(self.actuation, self.arm, weight, parameters)
-            memory |= self.drivetrain.start(q, v, full, parameters)
-            if self.drivetrain.dry and len(self.drivetrain.rigid) > 1:
+            memory |= self.actuation.start(self.arm, weight, parameters)
+            memory |= train.start(q, v, full, parameters)
+            if train.dry and len(train.rigid) > 1:
                 memory["friction_residual"] = 0.0
             memory |= {f"work.{name}": tm.zeros(n) for name in self._work_parts}
-            require_short_steps(
-                self.drivetrain,
-                self.actuation,
-                parameters,
-                dt / self.substeps,
-                self._more_steps,
-            )
+            require_short_steps(train, self.actuation, parameters, steps)
         taps = self.actuation.taps(dt)
         if taps:
             memory["delay"] = tm.stack([{"torque": weight, "velocity": rest, "position": q}[self.takes]] * taps)
         if self.environment is not None:
-            touched = started(self.environment, dyn.pose(self.model, q))
+            touched = self.environment.start(dyn.pose(self.model, q))
             memory |= {f"environment.{name}": value for name, value in touched.items()}
             memory |= {"t": 0.0, WORK_OF_IT: 0.0}
-            require_short_contact(
-                self.environment,
-                self.drivetrain,
-                q,
-                parameters,
-                dt / self.substeps,
-                self._more_steps,
-                driven=self.takes != "torque",
-            )
-            memory["F_ext"], _ = self._motion.touch(q, v, memory, parameters, 0.0, dt / self.substeps)
+            driven = self.takes != "torque"
+            require_short_contact(self.environment, train, q, parameters, steps, driven=driven)
+            memory["F_ext"], _ = self._motion.touch(q, v, memory, parameters, 0.0, steps.dt)
         if self.contacts is not None:
             memory |= self._touching(q, v, memory)
         if self.sensors.needs_acceleration:
@@ -350,13 +245,9 @@ class RigidPlant:
         out = contact_start(self.contacts, x, load="friction" in memory)
         if "t" not in memory:
             out |= {"t": 0.0, WORK_OF_IT: 0.0}
-        if self.touched and "F_ext" not in memory:
+        if self.parts.touched and "F_ext" not in memory:
             out["F_ext"] = tm.zeros(6)
         return out
-
-    def _more_steps(self, more: float) -> str:
-        """How to fix steps that are so many times too long."""
-        return f"{math.ceil(more * self.substeps * (1.0 - 1e-9))} substeps"
 
     def measure(self, memory: Values, noise: Values, parameters: Values) -> dict[str, Any]:
         """What the sensors give, by measurement: q, v, tau_meas, F_ext, ..."""
@@ -393,7 +284,3 @@ class RigidPlant:
         if self.sensors.needs_acceleration:
             out["a"] = (out["v"] - memory["v"]) / dt
         return out
-
-
-def _named(value: object) -> str:
-    return repr(value) if isinstance(value, (str, int, float)) else f"a {type(value).__name__}"

@@ -1,172 +1,165 @@
-"""The entries of `run.info`: their keys, and the plain values that tell what a run was made with."""
+"""RunInfo: what a run was made with, as data that a log keeps."""
 
 from __future__ import annotations
 
-import dataclasses
 import functools
-import inspect
-import json
+import math
 import platform
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from importlib import metadata
 from typing import Any, Final
 
 import numpy as np
 
-from taut.arm.description import BASE, Arm, Body, Frame, Joint, Payload
-from taut.base.errors import TautError
+from taut.arm.description import BASE, Arm
+from taut.arm.rules import indefinite
 from taut.base.types import Float64Array
-from taut.maths.adds import Adds
-from taut.trace.pose import Pose
+from taut.control.laws.apparent import FeltImpedance
+from taut.maths.chain import Chain
+from taut.record.film.surroundings import Around
+from taut.record.plain import plain
 
-__all__ = [
-    "AROUND",
-    "DYNAMICS",
-    "IMPEDANCE",
-    "LIMITS",
-    "OPTIONS",
-    "PARTS",
-    "PHASES",
-    "SCENARIO",
-    "TOOL",
-    "VERSIONS",
-    "arm_from_json",
-    "arm_json",
-    "differences",
-    "plant_options",
-    "stated",
-    "versions",
-]
+__all__ = ["Change", "PartInfo", "RunInfo", "ScenarioInfo", "Stability", "check_info", "differences", "versions"]
 
-# Beside these, info has by their own names: rate [Hz], duration [s], seed, law, arm, plant and sensing as texts,
-# command_limits, parameters by path, events, stability.
-TOOL: Final = "tool"  # the chain of joints that carries the frame that the law controls
-IMPEDANCE: Final = "impedance"  # what the law promises at the tool where F_ext is measured
-LIMITS: Final = "limits"  # of the arm: by kind and joint
-PARTS: Final = "parts"  # of laws side by side: joints, tool and impedance of each
-PHASES: Final = "phases"  # of a task: by name, what each phase follows, and its tool
-AROUND: Final = "around"  # the things that stand around the arm, to draw
-SCENARIO: Final = "scenario"  # name, law, case and text of the scenario that it is a run of
-VERSIONS: Final = "versions"  # of the programs that made the run
-DYNAMICS: Final = "dynamics"  # the arms of controller and plant as plain values
-OPTIONS: Final = "plant_options"  # what the plant was made with beside its arm
-
-DRAWN: Final = ("visuals", "source", "notes")  # what no motion depends on
-NAMES: Final = ("name", "home", "links")  # nor on these, once a run has begun
-WHOLE: Final = ("placement", "T_WB", "payload")  # of which the parts are not named
-WORDS: Final = ("name", "kind", "parent", "placement", "axis")  # of a joint, all others being numbers
-KINDS: Final = ("revolute", "continuous", "prismatic")
+NO_DYNAMICS: Final = ("name", "home", "links")  # of an arm: no motion depends on them, once a run has begun
+UNNAMED: Final = ("placement", "T_WB", "payload")  # numbers of which a difference is named as a whole
 PACKAGES: Final = ("numpy", "llvmlite", "mujoco")
-TEXTS: Final = ("scene",)  # options whose words may name a file
+PAYLOAD_SHAPES: Final[Mapping[str, tuple[int, ...]]] = {"mass": (), "com": (3,), "inertia": (6,)}
 
 
-def arm_json(arm: Arm) -> dict[str, Any]:
-    """All of an arm but what is drawn of it, as plain values; of its parts what is as usual is left out."""
-    return {part.name: _plain(getattr(arm, part.name)) for part in dataclasses.fields(arm) if part.name not in DRAWN}
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Change:
+    """Parameters that took new values in a run."""
+
+    t: float  # [s]
+    set: Mapping[str, Float64Array]  # by path
 
 
-def _plain(x: Any) -> Any:
-    if isinstance(x, Pose):
-        return {"p": x.p.tolist(), "R": x.R.tolist()}
-    if isinstance(x, np.ndarray):
-        return x.tolist()
-    if isinstance(x, (tuple, list)):
-        return [_plain(item) for item in x]
-    if dataclasses.is_dataclass(x):
-        values = {part.name: getattr(x, part.name) for part in dataclasses.fields(x)}
-        usual = {part.name: part.default for part in dataclasses.fields(x)}
-        return {name: _plain(y) for name, y in values.items() if isinstance(y, np.ndarray) or y != usual[name]}
-    return x
+@dataclass(frozen=True, kw_only=True)
+class Stability:
+    """The judgement of the sampled loop at the start; `stable` is None where it could not be judged."""
+
+    stable: bool | None
+    message: str
+    radius: float | None = None  # [-] spectral radius of the one-period map
+    joints: Mapping[str, float] = field(default_factory=dict)  # fractions of the least stable mode
+    tool: Mapping[str, float] = field(default_factory=dict)
+    largest: Mapping[str, float] = field(default_factory=dict)  # largest stable factor on gains
+    relies_on: tuple[str, ...] = ()
+    plant: str = ""
 
 
-def arm_from_json(values: Mapping[str, Any]) -> Arm | None:
-    """The arm of `arm_json`, the same object each time; None where the values are not those of an arm.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PartInfo:
+    """One of the laws side by side, or one phase of a task."""
 
-    Example:
-        >>> from taut import load_arm
-        >>> arm = load_arm("planar2").with_gravity([0.0, 0.0, 0.0])
-        >>> arm_from_json(arm_json(arm)).gravity.tolist()
-        [0.0, 0.0, 0.0]
+    tool: Chain
+    impedance: FeltImpedance | None = None
+    joints: tuple[str, ...] = ()  # of laws side by side: its own
+    follows: str | None = None  # of a phase: the part of the reference
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScenarioInfo:
+    """The scenario that a run is one of."""
+
+    name: str
+    law: str
+    case: str = ""
+    text: str = ""
+    built_in: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RunInfo:
+    """What a run was made with; what is left out is not known, as of a run that `taut.run` did not make."""
+
+    rate: float | None = None  # [Hz]
+    duration: float | None = None  # [s]
+    seed: int | None = None
+    law: str = ""
+    arm: str = ""  # name of the controller's arm
+    plant: str = ""
+    sensing: str = ""
+    command_limits: str = ""
+    parameters: Mapping[str, Float64Array] = field(default_factory=dict)  # by path
+    events: tuple[Change, ...] = ()
+    stability: Stability | None = None
+    limits: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # "effort", "velocity" by joint
+    tool: Chain | None = None  # the joints that carry the frame that the law controls
+    impedance: FeltImpedance | None = None  # what the law promises at the tool where F_ext is measured
+    parts: Mapping[str, PartInfo] = field(default_factory=dict)  # of laws side by side
+    phases: Mapping[str, PartInfo] = field(default_factory=dict)  # of a task
+    around: Around = field(default_factory=Around)  # what stood around the arm, to draw
+    scenario: ScenarioInfo | None = None
+    versions: Mapping[str, str] = field(default_factory=dict)  # of the programs that made the run
+    controller_arm: Arm | None = None  # without what is only drawn, as the plant's
+    plant_arm: Arm | None = None
+
+
+def check_info(info: RunInfo, joints: Sequence[str]) -> None:
+    """Require of an info that was read that its parts fit each other and the joints of the run.
+
+    Raises:
+        ValueError: They do not; the text names the entry.
     """
-    return _of_text(json.dumps(values))
+    for name, right in _rules(info, joints):
+        if not right:
+            raise ValueError(f"info.{name} is not what taut.run records")
 
 
-@functools.lru_cache(maxsize=16)
-def _of_text(text: str) -> Arm | None:
-    values = json.loads(text)
-    try:
-        bodies = tuple(
-            Body(
-                mass=float(v["mass"]),
-                com=_array(v["com"], 3),
-                inertia=_array(v["inertia"], 3, 3),
-                links=tuple(map(str, v.get("links", ()))),
-            )
-            for v in values["bodies"]
-        )
-        n = len(bodies)
-        arm = Arm(
-            name=str(values["name"]),
-            joints=tuple(_joint(v, i) for i, v in enumerate(values["joints"])),
-            bodies=bodies,
-            frames=tuple(
-                Frame(name=str(v["name"]), body=_index(v["body"], n), placement=_pose(v["placement"]))
-                for v in values["frames"]
-            ),
-            tool=str(values["tool"]),
-            home=_array(values["home"], n),
-            gravity=_array(values["gravity"], 3),
-            T_WB=_pose(values["T_WB"]),
-            payload=Payload(**values["payload"]),
-            commands=tuple(values["commands"]),
-        )
-        return arm if arm.n == n and arm.tool in arm.frame_names else None
-    except (TautError, KeyError, TypeError, ValueError, AttributeError, OverflowError):
-        return None
+def _rules(info: RunInfo, joints: Sequence[str]) -> Iterator[tuple[str, bool]]:
+    n = len(joints)
+    yield "rate", info.rate is None or 0.0 < info.rate < math.inf
+    yield "seed", info.seed is None or info.seed >= 0
+    yield "tool", info.tool is None or _reaches(info.tool, n)
+    yield "impedance", _has_mass(info.impedance)
+    for part in info.parts.values():
+        yield "parts", bool(part.joints) and set(part.joints) <= set(joints) and _reaches(part.tool, len(part.joints))
+        yield "parts", len(set(part.joints)) == len(part.joints) and _has_mass(part.impedance)
+    for phase in info.phases.values():
+        yield "phases", _reaches(phase.tool, n) and _has_mass(phase.impedance)
+    yield "parameters", _payload_fits(info.parameters)
+    yield "events", all(_payload_fits(event.set) for event in info.events)
+    yield "controller_arm", _is_possible(info.controller_arm, n)
+    yield "plant_arm", _is_possible(info.plant_arm, n)
 
 
-def _joint(values: Mapping[str, Any], i: int) -> Joint:
-    known: dict[str, Any] = {name: x if x is None else float(x) for name, x in values.items() if name not in WORDS}
-    if values["kind"] not in KINDS:
-        raise ValueError(values["kind"])
-    return Joint(
-        name=str(values["name"]),
-        kind=values["kind"],
-        parent=_index(values["parent"], i),
-        placement=_pose(values["placement"]),
-        axis=_array(values["axis"], 3),
-        **known,
-    )
+def _reaches(chain: Chain, n: int) -> bool:
+    return chain.n == n and all(0 <= link.joint < n for link in chain.links)
 
 
-def _index(value: Any, most: int) -> int:
-    """Of a joint before another, or of the base."""
-    if type(value) is not int or not BASE <= value < most:
-        raise ValueError(value)
-    return value
+def _has_mass(impedance: FeltImpedance | None) -> bool:
+    return impedance is None or bool(np.linalg.eigvalsh(impedance.D)[0] > 0.0)
 
 
-def _array(values: Any, *shape: int) -> Float64Array:
-    found = np.array(values, dtype=np.float64).reshape(shape)
-    if not np.isfinite(found).all():
-        raise ValueError(values)
-    return found
+def _payload_fits(values: Mapping[str, Float64Array]) -> bool:
+    shapes = {f"model.payload.{name}": shape for name, shape in PAYLOAD_SHAPES.items()}
+    return all(np.shape(values[path]) == shape for path, shape in shapes.items() if path in values)
 
 
-def _pose(values: Mapping[str, Any]) -> Pose:
-    """Exactly as it was: not normalised anew."""
-    return Pose.of(_array(values["R"], 3, 3), _array(values["p"], 3))
+def _is_possible(arm: Arm | None, n: int) -> bool:
+    """Whether an arm is a tree whose mass matrix is positive definite."""
+    if arm is None:
+        return True
+    fits = arm.n == n == len(arm.bodies) and arm.home.shape == (n,) and arm.tool in arm.frame_names
+    tree = all(BASE <= joint.parent < i for i, joint in enumerate(arm.joints))
+    if not (fits and tree and all(BASE <= frame.body < n for frame in arm.frames)):
+        return False
+    with np.errstate(invalid="ignore", over="ignore"):  # a mass may be negative or huge
+        return indefinite(arm) is None
 
 
-def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[str, ...]:
-    """In what two arms differ, of `arm_json`: the names of the numbers, such as gear, mass, axis."""
-    return tuple(dict.fromkeys(name for name in _different(one, other) if name not in NAMES))
+def differences(one: Arm, other: Arm) -> tuple[str, ...]:
+    """Names of the numbers in which the dynamics of two arms differ, such as gear, mass, axis."""
+    return tuple(dict.fromkeys(name for name in _different(plain(one), plain(other)) if name not in NO_DYNAMICS))
 
 
 def _different(one: Any, other: Any, name: str = "") -> Iterator[str]:
     if isinstance(one, Mapping) and isinstance(other, Mapping):
         for key in {**one, **other}:
-            yield from _different(one.get(key), other.get(key), name if name in WHOLE else key)
+            yield from _different(one.get(key), other.get(key), name if name in UNNAMED else key)
     elif isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
         for a, b in zip(one, other, strict=True):
             yield from _different(a, b, name)
@@ -174,42 +167,10 @@ def _different(one: Any, other: Any, name: str = "") -> Iterator[str]:
         yield name
 
 
-def plant_options(plant: object) -> dict[str, Any]:
-    """What a plant was given beside its arm, where it is not the default.
-
-    Args:
-        plant: A plant that is a dataclass, or has the arguments that it was made with as `given`.
-
-    Returns:
-        "options", those that are numbers, words or components that it adds, by name; "others", the names of those
-        that are more than that. Both are None of a plant of which they are not known.
-    """
-    kind = type(plant)
-    parts = {part.name: part for part in dataclasses.fields(plant)} if dataclasses.is_dataclass(plant) else {}
-    given: Mapping[str, Any] | None = getattr(plant, "given", None) or {name: getattr(plant, name) for name in parts}
-    if not given:
-        return {"options": None, "others": None}
-    usual = {name: each.default for name, each in inspect.signature(kind).parameters.items()}
-    options: dict[str, Any] = {}
-    others: list[str] = []
-    for name, value in given.items():
-        factory = parts[name].default_factory if name in parts else dataclasses.MISSING
-        default = usual.get(name) if factory is dataclasses.MISSING else factory()
-        if name == "arm" or (type(value) is type(default) and stated(value) == stated(default)):
-            continue
-        if name == "adds" and Adds.of(value).load is None:
-            options |= {name: list(Adds.of(value).names)} if Adds.of(value).names else {}
-        elif value is None or (isinstance(value, (bool, int, float, str)) and name not in TEXTS):
-            options[name] = value
-        else:
-            others.append(name)
-    return {"options": options, "others": others}
-
-
 @functools.cache
 def versions() -> Mapping[str, str]:
     """The versions of taut and of what it computes with, and the kind of machine."""
-    from taut.base.version import __version__
+    from taut.base import __version__
 
     found = {"taut": __version__}
     for package in PACKAGES:
@@ -220,18 +181,3 @@ def versions() -> Mapping[str, str]:
     found["Python"] = platform.python_version()
     found["platform"] = f"{platform.system()} {platform.machine()}"
     return found
-
-
-def stated(x: object) -> str:
-    """What a frozen dataclass states, in one line: its fields that are not None."""
-    if not dataclasses.is_dataclass(x) or isinstance(x, type):
-        return str(x.tolist()) if isinstance(x, np.ndarray) else str(x)
-    found = {part.name: getattr(x, part.name) for part in dataclasses.fields(x)}
-    words = [
-        f"{name} = {type(value).__name__}({stated(value)})"
-        if dataclasses.is_dataclass(value)
-        else f"{name} = {stated(value)}"
-        for name, value in found.items()
-        if value is not None
-    ]
-    return ", ".join(words) or "none"

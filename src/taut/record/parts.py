@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from taut.base.types import Float64Array
 from taut.control.tasks.phase import STOP
 from taut.control.tasks.task import ENDED, NO_CONTACT
 from taut.control.trajectories.compound import PhaseSample
-from taut.record.info import IMPEDANCE, PARTS, PHASES
 from taut.record.outcome import Outcome
 
 if TYPE_CHECKING:
@@ -109,9 +108,9 @@ def phases_of(run: Run) -> tuple[PhaseWindow, ...]:
     Raises:
         UsageError: The run is not one of a task.
     """
-    if PHASES not in run.info:
+    if not run.info.phases:
         raise UsageError("the run has no phases: its law is not a task, a list of taut.Phase", name="phases")
-    return windows([*run.info[PHASES], STOP], run.extra["phase"], run.extra["phase_ended"], run.t)
+    return windows([*run.info.phases, STOP], run.extra["phase"], run.extra["phase_ended"], run.t)
 
 
 def phase_of(run: Run, name: str, visit: int) -> Run:
@@ -122,7 +121,7 @@ def phase_of(run: Run, name: str, visit: int) -> Run:
         UnknownNameError: It has no phase of that name.
         RangeError: The phase did not act that often.
     """
-    found, about = phases_of(run), run.info[PHASES]
+    found, about = phases_of(run), run.info.phases
     if name not in (*about, STOP):
         raise unknown_name("the run", "phase", name, [*about, STOP])
     visits = [window for window in found if window.name == name]
@@ -136,25 +135,18 @@ def phase_of(run: Run, name: str, visit: int) -> Run:
         )
     window = visits[visit]
     others = tuple(f"law.{other}." for other in (*about, STOP) if other != name)  # what they remember is old
-    rows = slice(window.first, window.last + 1)
-    own: Mapping[str, Any] = about.get(name, {})
-    reference = run.reference
-    if isinstance(reference, PhaseSample) and own.get("follows"):
-        reference = getattr(reference, str(own["follows"]))
-    fields = {field: getattr(reference, field)[rows] for field in type(reference).fields(run.n)}
-    outcome = Outcome(kind="completed", message=str(window), tick=len(run.t[rows]) - 1)
+    part = run.ticks(slice(window.first, window.last + 1))
+    own = about.get(name)
+    reference, info = part.reference, dataclasses.replace(run.info, phases={}, impedance=None)
+    if own is not None:
+        info = dataclasses.replace(info, tool=own.tool, impedance=own.impedance)
+        if isinstance(reference, PhaseSample) and own.follows:
+            reference = getattr(reference, own.follows)
+    outcome = Outcome(kind="completed", message=str(window), tick=len(part) - 1)
     if not run.outcome.ok and window.name != STOP and window.ended is None:  # the run ended in it
         outcome = dataclasses.replace(run.outcome, tick=outcome.tick)
-    keys = {key: value for key, value in run.info.items() if key not in (PHASES, IMPEDANCE)}
-    return dataclasses.replace(
-        run,
-        **{key: getattr(run, key)[rows] for key in ("t", "q", "v", "tau", "command")},
-        terms={key: values[rows] for key, values in run.terms.items()},
-        extra={key: values[rows] for key, values in run.extra.items() if not key.startswith(others)},
-        reference=type(reference).of(fields),
-        outcome=outcome,
-        info=keys | {key: value for key, value in own.items() if key != "follows"},
-    )
+    extra = {key: values for key, values in part.extra.items() if not key.startswith(others)}
+    return dataclasses.replace(part, extra=extra, reference=reference, outcome=outcome, info=info)
 
 
 # -------------------------------------------------------------------- laws side by side
@@ -167,18 +159,19 @@ def part_of(run: Run, name: str) -> Run:
         UsageError: The run is not one of laws side by side.
         UnknownNameError: It has no such part.
     """
-    parts: Mapping[str, Mapping[str, Any]] = run.info.get(PARTS, {})
+    parts = run.info.parts
     if not parts:
         raise UsageError("the run has no parts: its law is not taut.SideBySide", name="part")
     if name not in parts:
         raise unknown_name("the run", "part", name, parts)
-    own = [run.joint_names.index(joint) for joint in parts[name]["joints"]]
-    info = {key: value for key, value in run.info.items() if key not in (PARTS, IMPEDANCE)} | dict(parts[name])
+    part = parts[name]
+    own = [run.joint_names.index(joint) for joint in part.joints]
+    info = dataclasses.replace(run.info, parts={}, tool=part.tool, impedance=part.impedance)
     return dataclasses.replace(
         run,
         **{key: getattr(run, key)[:, own] for key in ("q", "v", "tau", "command")},
         terms={key: values[:, own] for key, values in run.terms.items()},
-        extra={key: values for key, values in run.extra.items() if key == "F_ext" and IMPEDANCE in parts[name]},
+        extra={key: values for key, values in run.extra.items() if key == "F_ext" and part.impedance is not None},
         reference=getattr(run.reference, name),
         joint_names=tuple(run.joint_names[i] for i in own),
         units=tuple(run.units[i] for i in own),

@@ -11,7 +11,7 @@ from typing import Any, Final, Self, TypeVar
 
 __all__ = ["Progress"]
 
-PATIENCE: Final = 1.0  # [s] before anything is shown
+SECONDS_BEFORE_SHOWN: Final = 1.0  # [s] before anything is shown
 
 T = TypeVar("T")
 
@@ -40,7 +40,7 @@ class Progress:
     def advance(self, steps: int) -> None:
         """Some more steps are done."""
         self._done += steps
-        if not self._show or (self._bar is None and time.monotonic() - self._since < PATIENCE):
+        if not self._show or (self._bar is None and time.monotonic() - self._since < SECONDS_BEFORE_SHOWN):
             return
         try:
             self._draw()

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from taut.base.errors import RangeError, UsageError, count_of
 from taut.base.paths import Named
 from taut.base.types import Float64Array
 from taut.control.trajectories.reference import Sample
+from taut.record.info import RunInfo
 from taut.record.outcome import Outcome
 
 if TYPE_CHECKING:
@@ -66,7 +67,7 @@ class Run:
     continuous: tuple[int, ...] = ()  # joints that wrap
     kind: str = "torque"  # of the command
     extra: Mapping[str, Float64Array] = field(default_factory=dict)  # further columns, such as F_ext (k, 6)
-    info: Mapping[str, Any] = field(default_factory=dict)  # law, arm, plant, parameters, events, seed: plain values
+    info: RunInfo = field(default_factory=RunInfo)  # what it was made with
     arm: Arm | None = None  # the plant's arm, to draw; None in a run that was loaded from a file
 
     def __post_init__(self) -> None:
@@ -85,9 +86,9 @@ class Run:
         Raises:
             UsageError: The run does not say.
         """
-        if "rate" not in self.info:
-            raise UsageError("the run has no rate; give its info the entry 'rate' [Hz]", name="rate")
-        return float(self.info["rate"])
+        if self.info.rate is None:
+            raise UsageError("the run has no rate; give info=RunInfo(rate=...) [Hz]", name="rate")
+        return self.info.rate
 
     @property
     def effort_units(self) -> tuple[str, ...]:
@@ -141,26 +142,20 @@ class Run:
         Raises:
             UsageError: The run was not made by `taut.run`, or its log holds none.
         """
-        from taut.record.info import DYNAMICS, arm_from_json
-
-        known = self.info.get(DYNAMICS, {})
-        both = [arm_from_json(known[name]) for name in ("controller", "plant") if name in known]
-        if len(both) != 2 or both[0] is None or both[1] is None:
+        controller, plant = self.info.controller_arm, self.info.plant_arm
+        if controller is None or plant is None:
             raise UsageError("the run does not hold the arms that it was made with; it is no run of taut.run")
-        return both[0], both[1]
+        return controller, plant
 
-    def content(self, *, log: str = "run.mcap") -> Content:
+    def content(self) -> Content:
         """The description of the run that `taut.report` writes.
-
-        Args:
-            log: What its log is called, for the lines that repeat the run.
 
         Raises:
             UsageError: It has no two ticks.
         """
-        from taut.record.report.run_report import content_of_run
+        from taut.record.run_report import content_of_run
 
-        return content_of_run(self, log=log)
+        return content_of_run(self)
 
     def part(self, name: str) -> Run:
         """The run of one of the laws side by side: its joints, its terms, what it followed, its metrics.
@@ -214,12 +209,16 @@ class Run:
         if not start < end or first == last:
             span = f"{self.t[0]:g} to {self.t[-1]:g}" if len(self) else "no ticks"
             raise RangeError(f"the run has no ticks from {start:g} to {end:g} s; it has {span}", name="start")
-        fields = {name: getattr(self.reference, name)[first:last] for name in type(self.reference).fields(self.n)}
+        return self.ticks(slice(int(first), int(last)))
+
+    def ticks(self, rows: slice) -> Run:
+        """The ticks of a slice as a run."""
+        fields = {name: getattr(self.reference, name)[rows] for name in type(self.reference).fields(self.n)}
         return dataclasses.replace(
             self,
-            **{name: getattr(self, name)[first:last] for name in ("t", "q", "v", "tau", "command")},
-            terms={name: values[first:last] for name, values in self.terms.items()},
-            extra={name: values[first:last] for name, values in self.extra.items()},
+            **{name: getattr(self, name)[rows] for name in ("t", "q", "v", "tau", "command")},
+            terms={name: values[rows] for name, values in self.terms.items()},
+            extra={name: values[rows] for name, values in self.extra.items()},
             reference=type(self.reference).of(fields),
         )
 
@@ -296,10 +295,10 @@ class Run:
     # ---------------------------------------------------------------- to keep
 
     def arrays(self) -> dict[str, Float64Array]:
-        """Everything by name: t, q, v, tau, command, terms.P, reference.q, F_ext, ...; one row per tick."""
-        from taut.record.log.export import arrays
+        """Everything by name: t, q, v, tau, command, terms.P, reference.q, extra.F_ext, ...; one row per tick."""
+        from taut.record.log.layout import columns_of
 
-        return arrays(self)
+        return columns_of(self)
 
     def to_pandas(self) -> pd.DataFrame:
         """A table with one row per tick, the time as index, and one column per number: q.elbow, terms.P.elbow, ...
@@ -327,12 +326,6 @@ class Run:
         from taut.record.log.export import to_mat
 
         return to_mat(self, path)
-
-    def to_npz(self, path: str | os.PathLike[str]) -> Path:
-        """Write a NumPy archive (.npz) with the arrays of `arrays()`, joint_names and units."""
-        from taut.record.log.export import to_npz
-
-        return to_npz(self, path)
 
     def save(self, path: str | os.PathLike[str], *, progress: bool | None = None) -> Path:
         """Write a log (.mcap) that common viewers open and `taut.load_run` reads back exactly.

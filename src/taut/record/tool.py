@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -15,9 +14,7 @@ from taut.base.types import Float64Array
 from taut.control.laws.apparent import FeltImpedance
 from taut.control.trajectories.force_reference import HybridMotion, TaskForce
 from taut.control.trajectories.task_reference import TaskMotion
-from taut.maths.chain import Chain
-from taut.maths.rotation_rows import log_rows
-from taut.record.info import IMPEDANCE, TOOL
+from taut.maths.spatial import log_rows
 
 if TYPE_CHECKING:
     from taut.record.run import Run
@@ -85,13 +82,11 @@ def task_of(run: Run) -> TaskSide:
     Raises:
         UsageError: The run does not say where its tool is.
     """
-    if TOOL not in run.info:
+    chain = run.info.tool
+    if chain is None:
         raise UsageError(
-            "the run does not say which frame its law controls: run.info has no 'tool'; only runs of taut.run and "
-            "their logs have a task side",
-            name="task",
+            "the run does not hold which frame its law controls; only runs of taut.run and their logs do", name="task"
         )
-    chain = Chain.of_json(run.info[TOOL])
     R, p = chain.poses(run.q)
     J = chain.jacobians(run.q)
     wanted = motion if isinstance(motion := run.reference.motion, TaskMotion) else None
@@ -107,7 +102,7 @@ def wanted_wrench(run: Run) -> Float64Array | None:
 
     Of a hybrid law it is what was asked for as F_app, with a motion; what its rows do not hold may be anything.
     """
-    if TOOL not in run.info or not len(run):
+    if run.info.tool is None or not len(run):
         return None
     if isinstance(run.reference, HybridMotion):
         asked = np.asarray(run.reference.F_app, dtype=np.float64)
@@ -193,10 +188,9 @@ class Deviation:
     @classmethod
     def of(cls, run: Run) -> Deviation | None:
         """None where the law states no impedance, where nothing pushes the tool, or where gains change in the run."""
-        values: Mapping[str, Any] | None = run.info.get(IMPEDANCE)
-        if values is None or len(run) < 3 or not isinstance(run.reference.motion, TaskMotion):
+        if run.info.impedance is None or len(run) < 3 or not isinstance(run.reference.motion, TaskMotion):
             return None
-        changed = [path for event in run.info.get("events", ()) for path in event["set"]]
+        changed = [path for event in run.info.events for path in event.set]
         if "F_ext" not in run.extra or not run.extra["F_ext"].any() or any(p.startswith(CHANGES) for p in changed):
             return None
         task = run.task
@@ -207,7 +201,7 @@ class Deviation:
             F_ext=np.asarray(run.extra["F_ext"]),
             x=-np.hstack([task.position_error, task.rotation_error]),
             v=task.twist - np.asarray(run.reference.motion.twist, dtype=np.float64),
-            impedance=FeltImpedance.of_json(values),
+            impedance=run.info.impedance,
         )
 
     def expected(self) -> Float64Array:

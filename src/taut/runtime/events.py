@@ -6,14 +6,13 @@ import math
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from taut.base.checks import finite_scalar
 from taut.base.errors import RangeError, UsageError
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.lawside import LawSide
 from taut.loop import AnyPlant, LoopParameters
-from taut.plant.environments.push import wrench_at_peak
+from taut.plant.environments.hands import Push
 
 __all__ = ["Event", "Schedule", "sorted_events"]
 
@@ -38,7 +37,9 @@ class Event:
         if finite_scalar("event.t", self.t, unit="s") < 0.0:
             raise RangeError(f"event.t must be >= 0 [s]; got {self.t!r}", name="event.t")
         if not isinstance(self.set, Mapping) or not self.set:
-            raise UsageError(f"an event sets one parameter at least: set={{'law.kp': 150.0}}; got {self.set!r}")
+            raise UsageError(
+                f"an event sets one parameter at least: set={{'law.kp': 150.0}}; got {self.set!r}", name="set"
+            )
 
     @classmethod
     def push(
@@ -62,18 +63,10 @@ class Event:
         """
         new: dict[str, ArrayLike] = {f"{of}.t": t}
         if peak is not None:
-            new[f"{of}.peak"] = wrench_at_peak(peak)
+            new[f"{of}.peak"] = Push(peak=peak).peak
         if duration is not None:
             new[f"{of}.duration"] = duration
         return cls(t=t, set=new)
-
-    def json(self) -> dict[str, Any]:
-        """As plain values."""
-        return {"t": self.t, "set": {path: _plain(value) for path, value in self.set.items()}}
-
-
-def _plain(value: ArrayLike) -> Any:
-    return value.tolist() if hasattr(value, "tolist") else value
 
 
 def sorted_events(events: Iterable[Event] | None, rate: float, ticks: int) -> list[tuple[int, Event]]:

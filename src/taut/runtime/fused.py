@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from time import monotonic
 from typing import Any, Final
 
@@ -11,23 +11,23 @@ import numpy as np
 from taut.base.errors import NumericalError, RangeError
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
-from taut.codegen.layout import Block
 from taut.codegen.loop import compiled_loop
+from taut.codegen.program import Block
 from taut.control.limits import take_up
 from taut.control.tasks.feed import feed_of
 from taut.loop import DT, Loop
 from taut.maths.snapshot import Snapshot
-from taut.plant.force_feedback import check_force_feedback
+from taut.plant.contact import check_force_feedback
 from taut.record.outcome import Outcome
 from taut.runtime.events import Event, Schedule
-from taut.runtime.tape import LOG_PERIOD, RowLog, Tape
+from taut.runtime.tape import LOG_PERIOD, OngoingRun, Tape
 
 __all__ = ["FusedRun"]
 
-FIRST_BLOCK: Final = 16  # of a run with a log, which is written by time: how long a tick takes is not known yet
+FIRST_BLOCK: Final = 16  # ticks: how long one takes is not known yet
 
 
-class FusedRun:
+class FusedRun(OngoingRun):
     """One run of a Loop.
 
     Args:
@@ -36,7 +36,6 @@ class FusedRun:
         v: (n,) true velocity at the start.
         seed: Seed of the noise.
         events: Events with the tick at which they act, in order.
-        info: What is known of the run beforehand.
     """
 
     def __init__(
@@ -46,7 +45,6 @@ class FusedRun:
         v: Float64Array,
         seed: int,
         events: Iterable[tuple[int, Event]],
-        info: dict[str, Any],
     ) -> None:
         self._loop, self._q, self._v = loop, q, v
         side = loop.side
@@ -63,7 +61,7 @@ class FusedRun:
         block, packed = self._parameters, self._values  # the feed holds these, and not the run, which holds the feed
         self._feed = feed_of(side, loop.ref, q, lambda: block.views(packed))
         self._drawn = 1  # the noise of row 0 is drawn at the start
-        self._size, self._filled = self._feed.block, 0  # of the next block; ticks with a reference
+        self._ticks, self._size = loop.ticks, FIRST_BLOCK  # of the run, and of the next block
         first = np.zeros((1, self._inputs.size))
         memory = self._started(q, v, first)
         self._memory = Block.of({path: np.shape(value) for path, value in memory.items()})
@@ -71,7 +69,7 @@ class FusedRun:
         # A sensor that fails at once is no state to compare engines at.
         blocks, example = (self._inputs, self._parameters, self._memory), (first[0], self._values, self._state)
         self._run = compiled_loop(loop, blocks, example, sound=self._sound(memory, first[0]))
-        self.tape = Tape(side, loop.plant, loop.ticks, self._inputs, self._run.outputs, info)
+        self.tape = Tape(side, loop.plant, loop.ticks, self._inputs, self._run.outputs)
         self.tape.input_rows[0] = first[0]
 
     def _started(self, q: Float64Array, v: Float64Array, first: Float64Array) -> dict[str, Any]:
@@ -112,34 +110,18 @@ class FusedRun:
         for name, column in subtree(views, "noise").items():
             column[...] = self._noise[name].standard_normal(column.shape)
 
-    def go(self, advance: Callable[[int], None], log: RowLog | None) -> tuple[int, Outcome]:
-        """Run to the end: (number of rows recorded, outcome)."""
-        tape, ticks, k = self.tape, self._loop.ticks, 0
-        running = Outcome(kind="stopped", message="the run is still going on", tick=0)
-        self._size = self._feed.block if log is None else FIRST_BLOCK
-        while k < ticks:
-            began = monotonic()
-            try:
-                self._events.check(k, self._memory.views(self._state)["plant.q"].copy(), self._numbers)
-            except RangeError as error:
-                return k, tape.refused(k, self._events.at(k), error)
-            try:
-                end = self._prepare(k, ticks)
-            except Exception as error:
-                return k, tape.failed(k, error)
-            end, done = self._block(k, end)
-            if done < end - k:
-                kept, outcome = self._diverged(k + done)
-                if log is not None:
-                    log.write(tape.piece(k, kept, running))
-                return kept, outcome
-            if log is not None:
-                log.write(tape.piece(k, end, running))
-                growth = min(16.0, LOG_PERIOD / max(monotonic() - began, 1e-9))
-                self._size = max(1, int((end - k) * growth))
-            advance(end - k)
-            k = end
-        return ticks, self.tape.completed()
+    def _before(self) -> tuple[Float64Array, Mapping[str, Float64Array]]:
+        return self._memory.views(self._state)["plant.q"].copy(), self._numbers
+
+    def _go_on(self, k: int) -> tuple[int, Outcome | None]:
+        """One block, which takes about half as long as a log may be behind."""
+        began = monotonic()
+        end, done = self._block(k, self._prepare(k))
+        if done < end - k:
+            return end, self._diverged(k + done)
+        growth = min(16.0, 0.5 * LOG_PERIOD / max(monotonic() - began, 1e-9))
+        self._size = max(1, int((end - k) * growth))
+        return end, None
 
     def _block(self, k: int, end: int) -> tuple[int, int]:
         """The ticks from k on: where the block ends, and how many of them ended in finite memory.
@@ -155,13 +137,13 @@ class FusedRun:
         self._state[:] = before
         return last, self._run.run(inputs[k:last], self._values, self._state, outputs[k:last])
 
-    def _diverged(self, k: int) -> tuple[int, Outcome]:
+    def _diverged(self, k: int) -> Outcome:
         """How a run ended whose step after row k was not finite: by a sensor, by the law, or by itself."""
         error = self._run.raised
         if isinstance(error, NumericalError):  # plain Python raises where compiled code gives infinity
-            return k, self.tape.without_numbers(k, error)
+            return self.tape.without_numbers(k, error)
         if error is not None:
-            return k, self.tape.failed(k, error)
+            return self.tape.failed(k, error)
         row, memory = self._inputs.views(self.tape.input_rows[k]), self._memory.views(self._state)
         side, parameters = self._loop.side, self._numbers
         with np.errstate(all="ignore"):
@@ -171,14 +153,10 @@ class FusedRun:
             side.check_reading(measured, memory, k)
         except RangeError as fault:
             if self.tape.is_sane(k):
-                return k, self.tape.without_numbers(k, fault)
+                return self.tape.without_numbers(k, fault)
         return self.tape.diverged(k)
 
-    def _end_of_block(self, k: int, ticks: int, size: int) -> int:
-        stops = (ticks, self._events.next(k), self._feed.next_question(k))
-        return min(k + size, *(stop for stop in stops if stop is not None))
-
-    def _prepare(self, k: int, ticks: int) -> int:
+    def _prepare(self, k: int) -> int:
         """Events that act at tick k, then noise and reference of the block, whose end is returned."""
         before = self._apply(k)
         self._draw_up_to(k + 1)
@@ -189,10 +167,8 @@ class FusedRun:
         def state() -> Snapshot:
             return self._seen(plant, sensing, row)
 
-        if self._feed.follow(memory, k, state) or k >= self._filled:
-            far = self._end_of_block(k, ticks, self._feed.block)
-            self._filled = k + self._feed.fill(self.tape.reference(k, far), k, state)
-        end = min(self._end_of_block(k, ticks, self._size), self._filled)
+        self._fill_reference(k, memory, state)
+        end = min(self._end_of_block(k, self._size), self._filled)
         self._draw_up_to(end)
         if before is not None and k > 0:  # in the first tick there is nothing yet to go on from
             self._take_up(k, before)

@@ -10,8 +10,9 @@ from taut.arm.description import Arm
 from taut.base.errors import unknown_name
 from taut.base.types import ArrayLike, Float64Array
 from taut.loop import AnyPlant
+from taut.plant.sensors.sensors import Sensors
 
-__all__ = ["HostPlant", "PlantBase", "RealArm"]
+__all__ = ["HostPlant", "PlantBase", "RealArm", "VariedPlant"]
 
 
 class HostPlant(AnyPlant, Protocol):
@@ -62,6 +63,15 @@ class RealArm(Protocol):
     @property
     def real(self) -> bool:
         """Whether commands move a real arm."""
+        ...
+
+
+@runtime_checkable
+class VariedPlant(Protocol):
+    """A plant of which another can be made that differs in its arm or its sensors, as comparisons need."""
+
+    def like(self, *, arm: Arm | None = None, sensors: Sensors | None = None) -> Any:
+        """A plant of the same arguments but these; None where there is no making another."""
         ...
 
 

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from time import monotonic
-from typing import Any
 
 import numpy as np
 
 from taut.base.errors import NumericalError, RangeError
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
-from taut.codegen.layout import Block
+from taut.codegen.program import Block
 from taut.control.tasks.feed import feed_of
 from taut.control.trajectories.reference import Reference
 from taut.controller import Controller, take_up_change
@@ -20,14 +18,12 @@ from taut.maths.snapshot import Snapshot
 from taut.record.outcome import Outcome
 from taut.runtime.events import Event, Schedule
 from taut.runtime.host import HostPlant
-from taut.runtime.tape import LOG_PERIOD, RowLog, Tape
+from taut.runtime.tape import OngoingRun, RowLog, Tape
 
 __all__ = ["HostedRun"]
 
-LOG_EVERY = 512  # ticks between two writes of a log, at most
 
-
-class HostedRun:
+class HostedRun(OngoingRun):
     """One run against a host plant.
 
     Args:
@@ -37,8 +33,8 @@ class HostedRun:
         ticks: Number of control ticks.
         q: (n,) true position at the start.
         v: (n,) true velocity at the start.
+        seed: Seed of the noise.
         events: Events with the tick at which they act, in order.
-        info: What is known of the run beforehand.
     """
 
     def __init__(
@@ -49,27 +45,26 @@ class HostedRun:
         ticks: int,
         q: Float64Array,
         v: Float64Array,
+        seed: int,
         events: Iterable[tuple[int, Event]],
-        info: dict[str, Any],
     ) -> None:
         side = ctrl.side
         self._plant, self._ticks, self._side = plant, ticks, side
         self._events = Schedule(side, plant, {**ctrl.parameters, **plant.parameters}, events)
-        self._before = dict(plant.parameters)  # events last as long as the run
+        self._own = dict(plant.parameters)  # events last as long as the run
         self._kernel = ctrl.recording_kernel(sensed_of(side, plant), ticks)
-        plant.reset(q, v, side.dt, info["seed"])
+        plant.reset(q, v, side.dt, seed)
         n = side.arm.n
         shapes: dict[str, tuple[int, ...]] = {"q": (n,), "v": (n,), "tau": (n,)}
         shapes |= self._kernel.blocks.layout["outputs"].shapes
         shapes |= {name: np.shape(value) for name, value in plant.extra().items()}
         wanted = self._kernel.blocks.layout["inputs"].shapes
         kept = {path: shape for path, shape in wanted.items() if path.startswith("ref.")}
-        self.tape = Tape(side, plant, ticks, Block.of({"t": (), **kept}), Block.of(shapes), info)
+        self.tape = Tape(side, plant, ticks, Block.of({"t": (), **kept}), Block.of(shapes))
         side.check_start(q, {**ctrl.parameters, **self._events.at(0)}, ref)
         blocks = self._kernel.blocks  # the feed holds these, and not the run, which holds the feed
         self._feed = feed_of(side, ref, q, lambda: blocks.views("parameters"))
         self._memory = self._kernel.blocks.views("memory")
-        self._filled = 0
         # Where each number goes from and to in every tick, found once.
         inputs = self._kernel.blocks.views("inputs")
         self._measured = [(path, inputs[path]) for path in ("q", *side.takes) if path in ("q", *plant.measures)]
@@ -79,41 +74,20 @@ class HostedRun:
         self._command = outputs["command"]
 
     def go(self, advance: Callable[[int], None], log: RowLog | None) -> tuple[int, Outcome]:
-        """Run to the end: (number of rows recorded, outcome)."""
+        """Run to the end; the plant has its own parameters again after it."""
         try:
-            return self._go(advance, log)
+            return super().go(advance, log)
         finally:
-            self._plant.set_parameters({p: self._before[p] for p in self._events.paths if p in self._before})
+            self._plant.set_parameters({p: self._own[p] for p in self._events.paths if p in self._own})
 
-    def _go(self, advance: Callable[[int], None], log: RowLog | None) -> tuple[int, Outcome]:
-        running = Outcome(kind="stopped", message="the run is still going on", tick=0)
-        written, since = 0, monotonic()
-        for k in range(self._ticks):
-            try:
-                outcome = self._tick(k)
-            except Exception as error:
-                outcome = self.tape.failed(k, error)
-            kept = k + 1 if outcome is None else outcome.tick + 1
-            if log is not None and (
-                kept - written >= LOG_EVERY
-                or monotonic() - since >= LOG_PERIOD
-                or outcome is not None
-                or kept == self._ticks
-            ):
-                log.write(self.tape.piece(written, kept, running))
-                written, since = kept, monotonic()
-            if outcome is not None:
-                return kept, outcome
-            if k % LOG_EVERY == LOG_EVERY - 1:
-                advance(LOG_EVERY)
-        return self._ticks, self.tape.completed()
+    def _before(self) -> tuple[Float64Array, Mapping[str, Float64Array]]:
+        return self._plant.state()[0], self._kernel.blocks.views("parameters")
+
+    def _go_on(self, k: int) -> tuple[int, Outcome | None]:
+        return k + 1, self._tick(k)
 
     def _tick(self, k: int) -> Outcome | None:
         tape, plant, kernel = self.tape, self._plant, self._kernel
-        try:
-            self._events.check(k, plant.state()[0], kernel.blocks.views("parameters"))
-        except RangeError as error:
-            return tape.refused(k, self._events.at(k), error)
         before = self._apply(self._events.at(k))
         out = tape.outputs
         out["q"][k], out["v"][k] = plant.state()
@@ -132,7 +106,7 @@ class HostedRun:
         except (NumericalError, RangeError) as error:  # a tick without a command: it is not recorded
             if tape.is_sane(k):
                 return tape.without_numbers(k, error)
-            _, outcome = tape.diverged(k)
+            outcome = tape.diverged(k)
             return Outcome(kind="diverged", message=f"{outcome.message}; {error}", tick=k - 1, joint=outcome.joint)
         for view, rows in self._given:
             rows[k] = view
@@ -154,7 +128,7 @@ class HostedRun:
         for path, value in values.items():
             if path in self._side.parameters:
                 self._kernel.blocks.views("parameters")[path][...] = value
-        self._plant.set_parameters({path: value for path, value in values.items() if path in self._before})
+        self._plant.set_parameters({path: value for path, value in values.items() if path in self._own})
         return before
 
     def _reference(self, k: int, measured: dict[str, Float64Array]) -> None:
@@ -165,7 +139,4 @@ class HostedRun:
             sensing = subtree(self._memory, "sensing") if self._kernel.ready else None
             return self._side.seen(measured, sensing, parameters, k * self._side.dt)
 
-        if self._feed.follow(self._memory, k, state) or k >= self._filled:
-            stops = (self._ticks, self._feed.next_question(k))
-            end = min(k + self._feed.block, *(stop for stop in stops if stop is not None))
-            self._filled = k + self._feed.fill(self.tape.reference(k, end), k, state)
+        self._fill_reference(k, self._memory, state)

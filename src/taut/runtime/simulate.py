@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
-from collections.abc import Iterable, Sequence
-from typing import Any, TypeAlias
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TypeAlias
 
 import numpy as np
 
+from taut.arm.description import Arm
+from taut.base.checks import whole_number
 from taut.base.errors import RangeError, StabilityWarning, UsageError, warn
 from taut.base.paths import subtree
-from taut.base.types import ArrayLike
+from taut.base.types import ArrayLike, Float64Array
 from taut.control.tasks.phase import Phase
 from taut.control.trajectories.reference import Hold, Reference, as_reference
 from taut.controller import Controller, compile
 from taut.linear.judgement import Judgement, judge_start
 from taut.loop import Loop, ModelPlant, check_fit, duration_of_ticks, require_no_reference, state_at_start
-from taut.record.info import DYNAMICS, OPTIONS, VERSIONS, arm_json, plant_options, stated, versions
+from taut.record.info import Change, RunInfo, Stability, versions
 from taut.record.progress import Progress
 from taut.record.run import Run
-from taut.runtime.around_info import around_info
 from taut.runtime.events import Event, sorted_events
 from taut.runtime.fused import FusedRun
 from taut.runtime.host import HostPlant, RealArm
 from taut.runtime.hosted import HostedRun
-from taut.runtime.tool_info import tool_info
+from taut.runtime.info import around_info, tool_info
 
 __all__ = ["run"]
 
@@ -69,8 +71,8 @@ def run(
         The record, with one row per control tick, both ends included.
 
     Warns:
-        StabilityWarning: The sampled loop is unstable at the start pose; the outcome and `info["stability"]` name the
-            direction, the spectral radius, and the largest gain that is stable.
+        StabilityWarning: The sampled loop is unstable at the start pose; the outcome and `run.info.stability` name
+            the direction, the spectral radius, and the largest gain that is stable.
 
     Raises:
         RangeError: The same, of a plant that is a real arm.
@@ -85,8 +87,7 @@ def run(
         >>> out.outcome.ok, bool(abs(out.q[-1, 0] - 0.5) < 1e-3)
         (True, True)
     """
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
-        raise RangeError(f"seed must be a whole number >= 0; got {seed!r}", name="seed")
+    seed = whole_number("seed", seed)
     if not isinstance(ctrl, (Controller, Loop)):
         ctrl = _of_task(ctrl, plant)
     target, reference, length = _what_to_run(ctrl, plant, ref, duration)
@@ -94,22 +95,6 @@ def run(
     due = sorted_events(events, ctrl.side.rate, ticks)
     q, v = state_at_start(target.arm, q0, v0)
     law = ctrl.side.law.bound(subtree(ctrl.parameters, "law"))  # with the gains of this run
-    info: dict[str, Any] = {
-        "rate": ctrl.side.rate,
-        "duration": length,
-        "seed": int(seed),
-        "law": repr(law),
-        "arm": ctrl.side.arm.name,
-        DYNAMICS: {"controller": arm_json(ctrl.side.arm), "plant": arm_json(target.arm)},
-        "plant": target.name,
-        OPTIONS: plant_options(target),
-        "events": [event.json() for _, event in due],
-        "sensing": stated(ctrl.side.sensing),
-        "command_limits": "none" if ctrl.side.limits is None else stated(ctrl.side.limits),
-        VERSIONS: dict(versions()),
-        **tool_info(law, ctrl.side, q, ctrl.parameters),
-        **around_info(target, q, length),
-    }
     going: FusedRun | HostedRun
     at_once = {path: value for tick, event in due if tick == 0 for path, value in event.set.items()}
     if isinstance(target, ModelPlant):
@@ -118,32 +103,58 @@ def run(
             if isinstance(ctrl, Loop)
             else Loop(ctrl, target, None if ref is None else reference, duration=length)
         )
-        info["parameters"] = {path: value.tolist() for path, value in loop.parameters.items()}
-        going = FusedRun(loop, q, v, int(seed), due, info)
-        unstable = _judged(judge_start(loop, target, q, at_once), target, info)
+        parameters = _arrays(loop.parameters)
+        going = FusedRun(loop, q, v, seed, due)
+        stability = _judged(judge_start(loop, target, q, at_once), target)
     else:
         assert isinstance(ctrl, Controller)
-        both = {**ctrl.parameters, **target.parameters}
-        info["parameters"] = {path: value.tolist() for path, value in both.items()}
-        unstable = _judged(judge_start(ctrl, target, q, at_once), target, info)
-        going = HostedRun(ctrl, target, reference, ticks, q, v, due, info)
-    going.tape.unstable = unstable
+        parameters = _arrays({**ctrl.parameters, **target.parameters})
+        stability = _judged(judge_start(ctrl, target, q, at_once), target)
+        going = HostedRun(ctrl, target, reference, ticks, q, v, seed, due)
+    going.tape.unstable = stability.message if stability.stable is False else ""
+    going.tape.info = RunInfo(
+        rate=ctrl.side.rate,
+        duration=length,
+        seed=seed,
+        law=repr(law),
+        arm=ctrl.side.arm.name,
+        controller_arm=_undrawn(ctrl.side.arm),
+        plant_arm=_undrawn(target.arm),
+        plant=target.name,
+        events=tuple(Change(t=event.t, set=_arrays(event.set)) for _, event in due),
+        sensing=str(ctrl.side.sensing),
+        command_limits="none" if ctrl.side.limits is None else str(ctrl.side.limits),
+        parameters=parameters,
+        stability=stability,
+        versions=versions(),
+        around=around_info(target, q, length),
+        **tool_info(law, ctrl.side, q, ctrl.parameters),
+    )
     return _recorded(going, log, progress)
 
 
-def _judged(verdict: Judgement | str, plant: Plant, info: dict[str, Any]) -> str:
-    """Record the judgement of the start; why the loop is unstable, or nothing, after a warning.
+def _arrays(values: Mapping[str, ArrayLike]) -> dict[str, Float64Array]:
+    return {path: np.array(value, dtype=np.float64) for path, value in values.items()}
+
+
+def _undrawn(arm: Arm) -> Arm:
+    """An arm without what is only drawn of it."""
+    return dataclasses.replace(arm, visuals=(), source="", notes=())
+
+
+def _judged(verdict: Judgement | str, plant: Plant) -> Stability:
+    """The judgement of the start, after a warning where the loop is unstable.
 
     Raises:
         RangeError: It is, and the plant is a real arm.
     """
-    info["stability"] = {"stable": None, "message": verdict} if isinstance(verdict, str) else verdict.record()
-    if isinstance(verdict, str) or verdict.stable:
-        return ""
-    if isinstance(plant, RealArm) and plant.real:
-        raise RangeError(f"{verdict.message} (plant '{plant.name}' is a real arm: nothing was sent)", name="law")
-    warn(verdict.message, StabilityWarning)
-    return verdict.message
+    if isinstance(verdict, str):
+        return Stability(stable=None, message=verdict)
+    if not verdict.stable:
+        if isinstance(plant, RealArm) and plant.real:
+            raise RangeError(f"{verdict.message} (plant '{plant.name}' is a real arm: nothing was sent)", name="law")
+        warn(verdict.message, StabilityWarning)
+    return Stability(**verdict.record())
 
 
 def _of_task(task: Sequence[Phase], plant: Plant | None) -> Controller:

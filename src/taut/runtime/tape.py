@@ -1,9 +1,11 @@
-"""Tape: the rows of a run while it goes on, and the Run that they make."""
+"""A run while it goes on: OngoingRun, which takes it to its end, and Tape, its rows and the Run that they make."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from time import monotonic
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -12,26 +14,27 @@ from numpy.typing import NDArray
 from taut.base.errors import NumericalError, RangeError, TautError, UsageError
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
-from taut.codegen.layout import Block
-from taut.codegen.program import failure
+from taut.codegen.program import Block, failure
 from taut.control.command import wild_term
 from taut.control.law import Law
 from taut.control.laws.task_space import far_away, may_bound
 from taut.control.lawside import LawSide
 from taut.control.tasks.task import NO_CONTACT
+from taut.control.trajectories.feed import Feed
 from taut.control.trajectories.force_reference import HybridMotion
-from taut.control.trajectories.reference import Chunk
+from taut.control.trajectories.samples import Chunk
 from taut.loop import AnyPlant
 from taut.maths.snapshot import Snapshot
+from taut.record.info import RunInfo
 from taut.record.outcome import Outcome
 from taut.record.parts import PhaseWindow, outcome_with_phases, windows
 from taut.record.run import Run
+from taut.runtime.events import Schedule
 
-__all__ = ["RowLog", "Tape"]
+__all__ = ["OngoingRun", "RowLog", "Tape"]
 
 COLUMNS = ("q", "v", "tau", "command")
-
-
+RUNNING: Final = Outcome(kind="stopped", message="the run is still going on", tick=0)
 SANE: Final = 1e6  # [rad/s | m/s]
 SEEN: Final = 1e-3  # [m] out of reach: less than that is nobody's concern
 LOG_PERIOD: Final = 0.1  # [s] of computing between two writes of a log, which is so at most twice that behind
@@ -56,15 +59,12 @@ class Tape:
         ticks: Number of rows.
         inputs: Layout of the first table: t, ref.*, ...
         outputs: Layout of the second: q, v, tau, command, terms.*, and further columns.
-        info: What is known of the run beforehand, as plain values.
 
     Raises:
         RangeError: More rows than memory has room for.
     """
 
-    def __init__(
-        self, side: LawSide, plant: AnyPlant, ticks: int, inputs: Block, outputs: Block, info: Mapping[str, Any]
-    ) -> None:
+    def __init__(self, side: LawSide, plant: AnyPlant, ticks: int, inputs: Block, outputs: Block) -> None:
         self._side = side
         self._plant = plant
         try:
@@ -80,7 +80,7 @@ class Tape:
         self.inputs = inputs.views(self.input_rows)
         self.outputs = outputs.views(self.output_rows)
         self.inputs["t"][...] = np.arange(ticks) * side.dt
-        self.info = info
+        self.info = RunInfo()
         self._phases = () if side.task is None else side.task.names
         self.unstable = ""  # why the loop is, where the run starts
 
@@ -242,8 +242,8 @@ class Tape:
         """Whether the arm's motion in a row is one that an arm can have: then what is wrong is the law."""
         return bool((np.abs(self.outputs["v"][tick]) < SANE).all())
 
-    def diverged(self, tick: int) -> tuple[int, Outcome]:
-        """Number of rows to keep, and the outcome, when the step after row `tick` did not give finite numbers."""
+    def diverged(self, tick: int) -> Outcome:
+        """The outcome when the step after row `tick` did not give finite numbers."""
         names, units = self._side.arm.joint_names, self._side.arm.units
         finite = np.isfinite(self.output_rows[tick]).all()
         kept = tick + int(finite)
@@ -257,7 +257,7 @@ class Tape:
                 f"(tick {tick}){'' if term is None else f', of which the term {term.name!r} is {term.value}'}, where "
                 "the arm moves as an arm can"
             )
-            return kept, Outcome(kind="diverged", message=message, tick=kept - 1, joint=names[joint])
+            return Outcome(kind="diverged", message=message, tick=kept - 1, joint=names[joint])
         speeds = np.abs(self.outputs["v"][tick])
         joint = int(np.argmax(np.where(np.isfinite(speeds), speeds, np.inf)))
         message = (
@@ -266,4 +266,69 @@ class Tape:
             f"{', or error_max= where the target is far away' if may_bound(self._side.law) else ''}"
             f"{self._remarks(kept)}{self.out_of_reach(kept)}"
         )
-        return kept, Outcome(kind="diverged", message=message, tick=kept - 1, joint=names[joint])
+        return Outcome(kind="diverged", message=message, tick=kept - 1, joint=names[joint])
+
+
+class OngoingRun(ABC):
+    """A run from its first tick to its end, or to where it breaks off."""
+
+    tape: Tape
+    _events: Schedule
+    _feed: Feed
+    _ticks: int  # of the whole run
+    _filled: int = 0  # ticks that have their reference
+
+    def go(self, advance: Callable[[int], None], log: RowLog | None) -> tuple[int, Outcome]:
+        """Run to the end.
+
+        Args:
+            advance: Called now and then with how many more ticks are done.
+            log: Where rows are written while it goes on.
+
+        Returns:
+            Number of rows recorded, and the outcome.
+        """
+        tape, k, written, since = self.tape, 0, 0, monotonic()
+        outcome: Outcome | None = None
+        while outcome is None and k < self._ticks:
+            try:
+                outcome = self._refused(k)
+                if outcome is None:
+                    k, outcome = self._go_on(k)
+            except Exception as error:
+                outcome = tape.failed(k, error)
+            if outcome is not None:
+                k = outcome.tick + 1
+            if outcome is not None or k == self._ticks or monotonic() - since >= LOG_PERIOD:
+                advance(k - written)
+                if log is not None:
+                    log.write(tape.piece(written, k, RUNNING))
+                written, since = k, monotonic()
+        return k, outcome or tape.completed()
+
+    @abstractmethod
+    def _go_on(self, k: int) -> tuple[int, Outcome | None]:
+        """Some ticks from k on: the one behind them, and the outcome if the run broke off in one of them."""
+
+    @abstractmethod
+    def _before(self) -> tuple[Float64Array, Mapping[str, Float64Array]]:
+        """(n,) where the arm is before a tick, and the parameters by path."""
+
+    def _refused(self, k: int) -> Outcome | None:
+        """How the run ends before the events of a tick that have no meaning there."""
+        try:
+            self._events.check(k, *self._before())
+        except RangeError as error:
+            return self.tape.refused(k, self._events.at(k), error)
+        return None
+
+    def _end_of_block(self, k: int, size: int) -> int:
+        """Up to where nothing changes from outside, in so many ticks from k on at most."""
+        stops = (self._ticks, self._events.next(k), self._feed.next_question(k))
+        return min(k + size, *(stop for stop in stops if stop is not None))
+
+    def _fill_reference(self, k: int, memory: Mapping[str, Any], state: Callable[[], Snapshot]) -> None:
+        """See that tick k has its reference, and ticks after it, at most up to where a stream is asked again."""
+        if self._feed.follow(memory, k, state) or k >= self._filled:
+            end = self._end_of_block(k, self._feed.block)
+            self._filled = k + self._feed.fill(self.tape.reference(k, end), k, state)

@@ -10,23 +10,20 @@ from typing import Any, Final
 from taut import laws as all_laws
 from taut.arm.description import Arm
 from taut.base.checks import rate_in_hertz
-from taut.base.errors import UsageError, quoted_list, unknown_name
+from taut.base.errors import UsageError, unknown_name
 from taut.base.plot_style import short
 from taut.control.combine import Wrapper
 from taut.control.describe import law_classes
 from taut.control.law import Law
 from taut.control.limits import Limits
-from taut.control.sensing.filters import LowPass
-from taut.control.sensing.sensing import VELOCITIES, Sensing
-from taut.control.sensing.velocity import Difference, Kalman
+from taut.control.sensing.filters import Difference, Kalman, LowPass
+from taut.control.sensing.sensing import Sensing
 from taut.control.side_by_side import SideBySide
 from taut.maths.constraints.constraint import Constraint
-from taut.scenarios.reading import arguments, of_kind, read, reads, value
-from taut.scenarios.toml import Table, shown
+from taut.scenarios.reading import Table, arguments, of_kind, read, reads
 
 __all__ = ["law_of_text", "read_constraint", "read_control", "read_law"]
 
-OF_OTHERS: Final = ("Sum", "SideBySide")  # laws made of others, by a list or in Python
 CONSTRAINTS: Final = ("plane", "point", "sphere", "cylinder", "line", "hinge", "grasp", "pin", "knife_edge")
 VELOCITY_SOURCES: Final[Mapping[str, Any]] = {"low-pass": LowPass, "difference": Difference, "kalman": Kalman}
 MAX_RATE: Final = 1e6  # [Hz] of any controller that there is
@@ -43,56 +40,45 @@ LIMITS: Final[Mapping[str, Mapping[str, bool]]] = {
 
 
 @reads(Law)
-def _held(table: Table, key: str) -> Law:
+def _inner(table: Table, key: str) -> Law:
     return read_law(table.table(key, required=True))
 
 
 def read_law(table: Table) -> Law:
     """law = "PID" with its gains, or law = ["FeedForward", "PID"] with a table of gains for each."""
-    if isinstance(table.get("law"), list):
-        return _sum(table)
     table.need("law")
-    return _one_law(table, table, table.text("law"))
-
-
-def _sum(table: Table) -> Law:
+    if not isinstance(table.get("law"), list):
+        return _one_law(table.without("law"), table, table.text("law"))
     names = table.texts("law", example='["FeedForward", "PID"]') or []
-    if not names:
-        raise table.error("must be the name of a law, or an array of one at least; got []", "law")
-    total: Law | None = None
-    for name in names:
-        if names.count(name) > 1:
-            raise table.error(f"must name each law once; got '{name}' {names.count(name)} times", "law")
-        law = _one_law(table, table.table(name), name)
-        with table.blamed("law"):
-            total = law if total is None else total + law
+    if len(names) != len(set(names)) or not names:
+        raise table.error(f"must name one law at least, each once; got {names}", "law")
     table.only(("law", *names))
-    assert total is not None
-    return total
-
-
-def _one_law(table: Table, gains: Table, name: str) -> Law:
-    """The law of that name; `table` names it, and `gains` has its gains."""
-    if name == "SideBySide":
-        return _side_by_side(gains.without("law"))
-    known = {word: kind for word, kind in law_classes(all_laws).items() if word not in OF_OTHERS}
-    wrappers = {word: kind for word, kind in known.items() if issubclass(kind, Wrapper)}
-    inner = {word: kind for word, kind in known.items() if word not in wrappers}
+    laws = [_one_law(table.table(name), table, name) for name in names]
     with table.blamed("law"):
-        if name in wrappers:
-            raise UsageError(f"law '{name}' is around another one: write wrapped_by = {{ law = '{name}' }} there")
-        if name not in inner:
-            raise unknown_name("taut.laws", "law", name, inner)
-    law: Law = read(inner[name], gains, others=["wrapped_by", *(["law"] if gains is table else [])])
+        return sum(laws[1:], start=laws[0])
+
+
+def _one_law(gains: Table, table: Table, name: str) -> Law:
+    """The law of that name, which a table gives."""
+    if name == "SideBySide":
+        return _side_by_side(gains)
+    known = {word: kind for word, kind in law_classes(all_laws).items() if word != "Sum"}
+    with table.blamed("law"):
+        if name not in known:
+            raise unknown_name("taut.laws", "law", name, known)
+    if issubclass(known[name], Wrapper) and "law" not in gains:
+        raise table.error(f"'{name}' is around another one: write wrapped_by = {{ law = '{name}' }} there", "law")
+    law: Law = read(known[name], gains, others=["wrapped_by"])
     if "wrapped_by" in gains:
         outer = gains.table("wrapped_by")
         outer.need("law")
+        wrappers = {word: kind for word, kind in known.items() if issubclass(kind, Wrapper)}
         law = read(wrappers[outer.choice("law", wrappers)], outer, others=["law"], law=law)
     return law
 
 
 def _side_by_side(table: Table) -> Law:
-    """A table for each law, with the names of its joints where it does not say them by its tool."""
+    """A table for each law, with the names of its joints where it does not state them by its tool."""
     parts: dict[str, Any] = {}
     for part in table.values:
         below = table.table(part)
@@ -110,10 +96,8 @@ def read_constraint(table: Table, key: str = "constraint") -> Constraint:
     if not tables:
         raise table.error("must be a table, or an array of one at least; got []", key)
     kinds = {kind: getattr(Constraint, kind) for kind in CONSTRAINTS}
-    total: Constraint = of_kind(kinds, tables[0], blame="kind")
-    for each in tables[1:]:
-        total = total + of_kind(kinds, each, blame="kind")
-    return total
+    constraints: list[Constraint] = [of_kind(kinds, each, blame="kind") for each in tables]
+    return sum(constraints[1:], start=constraints[0])
 
 
 # -------------------------------------------------------------------- [control]
@@ -121,37 +105,17 @@ def read_constraint(table: Table, key: str = "constraint") -> Constraint:
 
 def read_control(table: Table, arm: Arm) -> tuple[float, Sensing, Limits | None]:
     """Rate [Hz], sensing and limits."""
-    sensing = arguments(Sensing)
-    table.only(["rate", "limits", *sensing])
-    rate = table.number("rate", 1000.0)
     with table.blamed():
-        rate = rate_in_hertz(rate)
+        rate = rate_in_hertz(table.get("rate", 1000.0))
     if rate > MAX_RATE:
         raise table.error(f"must be <= {MAX_RATE:g} [Hz]; got {rate:g}", "rate")
-    parts = {name: _part(table, name, arm, rate) for name in sensing if name in table}
-    return rate, Sensing(**parts), _limits(table, arm, rate)
-
-
-def _part(table: Table, name: str, arm: Arm, rate: float) -> Any:
-    """One part of the sensing, which fits the arm and the rate."""
-    written = table.get(name)
-    if name == "velocity" and not isinstance(written, dict) and written not in VELOCITIES:
-        if isinstance(written, str) and written in VELOCITY_SOURCES:
-            needed = [key for key, each in arguments(VELOCITY_SOURCES[written]).items() if each.required]
-            numbers = ", ".join(f"{key} = ..." for key in needed)
-            raise table.error(f'= "{written}" needs its numbers: {{ kind = "{written}", {numbers} }}', name)
-        raise table.error(
-            f"must be one of {quoted_list(VELOCITIES)}, or a table with kind = one of "
-            f"{quoted_list(VELOCITY_SOURCES)}; got {shown(written)}",
-            name,
-        )
-    if name == "velocity":
-        made = of_kind(VELOCITY_SOURCES, table.table(name)) if isinstance(written, dict) else written
-    else:
-        made = value(arguments(Sensing)[name], table, name)
-    with (table.table(name) if isinstance(written, dict) else table).blamed():
-        Sensing(**{name: made}).check_fit(arm, rate)
-    return made
+    made = {}
+    if isinstance(table.get("velocity"), dict):
+        made["velocity"] = of_kind(VELOCITY_SOURCES, table.table("velocity"))
+    sensing: Sensing = read(Sensing, table, others=["rate", "limits", "velocity"], **made)
+    with table.blamed():
+        sensing.check_fit(arm, rate)
+    return rate, sensing, _limits(table, arm, rate)
 
 
 def _limits(table: Table, arm: Arm, rate: float) -> Limits | None:
@@ -167,13 +131,13 @@ def _limits(table: Table, arm: Arm, rate: float) -> Limits | None:
     with below.blamed():
         made = Limits(**given) if word is None else dataclasses.replace(Limits.of(arm, **LIMITS[word]), **given)
         made.check_fit(arm, rate)
-        return made
+    return made
 
 
 # -------------------------------------------------------------------- laws as text
 
 EXAMPLE: Final = "PID(kp=100, kd=20)"
-MAX_LETTERS: Final = 2000  # of a text
+MAX_TEXT: Final = 2000  # letters
 MAX_SHOWN: Final = 80  # of them in a message
 
 
@@ -185,80 +149,51 @@ def law_of_text(text: str) -> tuple[str, Law]:
 
     Raises:
         UsageError: No such form.
-        ScenarioError: No such law or gain; the message says what there is.
+        ScenarioError: No such law or gain; the message names what exists.
     """
     label, colon, rest = text.partition(":")
     named = bool(colon) and "(" not in label
     name, words = (label.strip(), rest) if named else (" ".join(text.split()), text)
-    if not name or not name.isprintable() or len(text) > MAX_LETTERS:
+    try:
+        if not name or not name.isprintable() or len(text) > MAX_TEXT:
+            raise ValueError(text)
+        table = {**_written(ast.parse(words.strip(), mode="eval").body)}
+    except (ValueError, TypeError, LookupError, SyntaxError, RecursionError, MemoryError) as cause:
         raise UsageError(
-            f"a law is written as {EXAMPLE}, or with a name before it, stiff: {EXAMPLE}; got "
-            f"{short(text, MAX_SHOWN)!r}"
-        )
-    try:
-        tree = ast.parse(words.strip(), mode="eval").body
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as cause:
-        raise _no_law(text) from cause
-    return name, read_law(Table(f"law '{name}':", "", _table(tree, text)))
+            f"a law is written as {EXAMPLE}, each gain by its name, or with a name before it, stiff: {EXAMPLE}; got "
+            f"{short(text, MAX_SHOWN)!r}",
+            name="laws",
+            value=text,
+        ) from cause
+    return name, read_law(Table(f"law '{name}':", "", table))
 
 
-def _no_law(text: str, what: str = "") -> UsageError:
-    return UsageError(f"a law is written as {EXAMPLE}; got {short(text, MAX_SHOWN)!r}{what}", name="laws", value=text)
+def _written(node: ast.expr) -> Any:
+    """A law as the table that [laws.LABEL] of a scenario would be; any other value as TOML has it.
 
-
-def _table(node: ast.expr, text: str) -> dict[str, Any]:
-    """The table that [laws.LABEL] of a scenario would be."""
-    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add):
-        parts = [_one(part, text) for part in _parts(node)]
-        names = [part.pop("law") for part in parts]
-        return {"law": names, **dict(zip(names, parts, strict=True))}
-    return _one(node, text)
-
-
-def _parts(node: ast.expr) -> list[ast.expr]:
-    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add):
-        return [*_parts(node.left), *_parts(node.right)]
-    return [node]
-
-
-def _one(node: ast.expr, text: str) -> dict[str, Any]:
-    """One law with its gains."""
-    if isinstance(node, ast.Name):
-        return {"law": node.id}
-    if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Name):
-        raise _no_law(text)
-    if node.args or any(word.arg is None for word in node.keywords):
-        raise _no_law(text, "; each gain by its name")
-    return {"law": node.func.id, **{str(word.arg): _value(word.value, text) for word in node.keywords}}
-
-
-def _value(node: ast.expr, text: str) -> Any:
-    """A number, a word, a list, a table, or a law that is held."""
-    if isinstance(node, (ast.Call, ast.BinOp)) and not _is_number(node):
-        return _table(node, text)
-    written = ast.unparse(node)
-    try:
-        value = ast.literal_eval(_NotFinite().visit(node))
-    except (ValueError, TypeError, SyntaxError, RecursionError) as cause:
-        raise _no_law(text, f"; '{written}' is no number, list, word or law") from cause
-    return _plain(value)
-
-
-class _NotFinite(ast.NodeTransformer):
-    """nan and inf are numbers, as in TOML, so that the law itself says which gain must be finite."""
-
-    def visit_Name(self, node: ast.Name) -> ast.expr:
-        return ast.Constant(float(node.id)) if node.id.lower() in ("nan", "inf") else node
-
-
-def _is_number(node: ast.expr) -> bool:
-    return isinstance(node, ast.BinOp) and not isinstance(node.op, ast.Add)
-
-
-def _plain(value: Any) -> Any:
-    """As TOML has it: tuples are lists, and None is the word for nothing."""
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+    Raises:
+        ValueError, TypeError, KeyError: Something else.
+    """
+    match node:
+        case ast.Name(id=word):  # nan and inf are numbers, as in TOML, so that the law says which gain must be finite
+            return float(word) if word.lower() in ("nan", "inf") else {"law": word}
+        case ast.Call(func=ast.Name(id=name), args=[], keywords=gains):
+            return {"law": name, **{str(gain.arg): _written(gain.value) for gain in gains}}
+        case ast.BinOp(op=ast.Add(), left=left, right=right):
+            first, second = _as_sum(_written(left)), _as_sum(_written(right))
+            return {**first, **second, "law": first["law"] + second["law"]}
+        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            return -_written(operand)
+        case ast.List(elts=items) | ast.Tuple(elts=items):
+            return [_written(item) for item in items]
+        case ast.Dict(keys=keys, values=values):
+            return {str(ast.literal_eval(key or "")): _written(each) for key, each in zip(keys, values, strict=True)}
+    value = ast.literal_eval(node)
     return "none" if value is None else value
+
+
+def _as_sum(table: Mapping[str, Any]) -> dict[str, Any]:
+    """The table of a law as that of a sum with one part."""
+    gains = dict(table)
+    name = gains.pop("law")
+    return dict(table) if isinstance(name, list) else {"law": [name], name: gains}

@@ -1,71 +1,57 @@
-"""The plant of a scenario: [plant], what is true, and [spread], which puts its scene elsewhere in each run."""
+"""The plant of a scenario: [plant], which is true, and [spread], which puts its scene elsewhere in each run."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from taut.analysis.compare.truth import PlantChange
 from taut.arm.description import Arm
-from taut.base.errors import quoted_list
-from taut.base.fields import Declared, Field
+from taut.base.fields import Declared, Field, Part, Whole
 from taut.base.types import Float64Array
+from taut.drives import ElectricMotor, Motor, MotorModel
+from taut.environments import (
+    BandNoise,
+    Damper,
+    Environment,
+    Environments,
+    Hand,
+    Oscillation,
+    PrescribedMotion,
+    Push,
+    Spring,
+    StiffWall,
+)
 from taut.maths.adds import Adds
 from taut.maths.spatial import rotation_exp
-from taut.plant.drives.motor import ElectricMotor, Motor, MotorModel
-from taut.plant.environments.environment import Environment, Environments
-from taut.plant.environments.hands import BandNoise, Hand, Handle, Oscillation, PrescribedMotion
-from taut.plant.environments.push import Push
-from taut.plant.environments.springs import Damper, Spring, StiffWall
 from taut.plant.rigid import RigidPlant
-from taut.plant.sensors.sensors import SENSORS, Sensors
 from taut.runtime.host import HostPlant
-from taut.scenarios.arms import OF_TRUE_ARM, friction_word, pose_of, read_true_arm
-from taut.scenarios.reading import arguments, of_keys, of_kind, read, reads
-from taut.scenarios.sections import Whole
-from taut.scenarios.toml import Table, file_beside
+from taut.scenarios.arms import OF_TRUE_ARM, friction_word, read_true_arm
+from taut.scenarios.reading import Table, arguments, of_kind, read, reads
 from taut.trace.pose import Pose
 
-__all__ = ["Plant", "Spread", "plants_of", "read_plant", "read_spread"]
+__all__ = ["Plant", "Spread", "read_plant", "read_spread"]
 
 Plant: TypeAlias = RigidPlant | HostPlant
 
-MAX_STEPS: Final = 1000  # of MuJoCo in a control period, as of the other plant
 ENVIRONMENTS: Final[Mapping[str, Callable[..., Any]]] = {
     "spring": Spring,
     "damper": Damper,
     "wall": StiffWall,
-    "handle": Handle,
     "hand": Hand,
     "push": Push,
 }
 MOTIONS: Final[Mapping[str, Callable[..., Any]]] = {"oscillation": Oscillation, "noise": BandNoise}
-COMMON: Final = ("takes", "actuation", "environment")
-OPTIONS: Final = {
-    "rigid": ("integrator", "substeps", "sweeps", "energy"),
-    "mujoco": ("timestep", "scene", "scene_at", "tool_radius", "tool_length", "tip"),
-}
 
 
 @reads(Environment)
 def _environment(table: Table, key: str) -> Environment:
     """One by its kind; without a kind, a table for each of several that act together."""
     below = table.table(key)
-    if "kind" in below:
+    if "kind" in below or not all(isinstance(each, dict) for each in below.values.values()) or not below.values:
         return of_kind(ENVIRONMENTS, below)  # type: ignore[no-any-return]
-    if not below.values or not all(isinstance(each, dict) for each in below.values.values()):
-        raise below.error(
-            f"needs kind, one of {quoted_list(ENVIRONMENTS, most=len(ENVIRONMENTS))}, or a table for each of "
-            f"several: [{below.below('wall')}]"
-        )
     parts = {name: of_kind(ENVIRONMENTS, below.table(name)) for name in below.values}
-    for name in parts:
-        if not name.isidentifier():
-            raise below.error(f"must name its tables by letters, digits and underscores; got '{name}'")
     with below.blamed():
         return Environments(**parts)
 
@@ -76,87 +62,43 @@ def _motion(table: Table, key: str) -> Any:
 
 
 @reads(MotorModel)
-def _motor(table: Table, key: str) -> MotorModel:
+def _motor(table: Table, key: str) -> Any:
     """A motor with electrical numbers is an electric motor."""
-    return of_keys((Motor, ElectricMotor), table.table(key))  # type: ignore[no-any-return]
-
-
-@reads(Sensors)
-def _sensors(table: Table, key: str) -> Sensors:
-    """A table for each sensor, or "none" for one that is not there."""
     below = table.table(key)
-    numbers = (name for _, kind in SENSORS.values() for name in arguments(kind))
-    elsewhere = dict.fromkeys(numbers, f", which a sensor has, as in [{below.below('position')}]")
-    return read(Sensors, below, elsewhere=elsewhere)  # type: ignore[no-any-return]
+    return read(Motor if below.values.keys() <= arguments(Motor).keys() else ElectricMotor, below)
 
 
-def plants_of(table: Table, arm: Arm, rate: float, folder: Path) -> dict[str, Any]:
-    """The plant of a scenario, and what makes others like it: the fields that [plant] states."""
-
-    def another(change: PlantChange) -> Plant:
-        return read_plant(table, arm, rate, folder, change=change)
-
-    return {"plant": read_plant(table, arm, rate, folder), "another_plant": another}
-
-
-def read_plant(table: Table, believed: Arm, rate: float, folder: Path, *, change: PlantChange | None = None) -> Plant:
+def read_plant(table: Table, assumed: Arm, rate: float) -> Plant:
     """A rigid plant or one in MuJoCo.
 
     Args:
         table: [plant].
-        believed: The controllers' arm, from which the true one is made.
+        assumed: The controllers' arm, from which the true one is made.
         rate: Commands per second [Hz].
-        folder: Where a scene and a model lie.
-        change: What is different in it.
     """
-    change = change or PlantChange()
     make: Callable[..., Plant] = RigidPlant
-    kind = table.choice("kind", ("rigid", "mujoco"), "rigid")
-    if kind == "mujoco":
+    if table.choice("kind", ("rigid", "mujoco"), "rigid") == "mujoco":
         from taut.runtime.robots.mujoco.plant import MujocoPlant
 
         make = MujocoPlant
-        _require_slow_steps(table, rate)
-    arm = change.arm(read_true_arm(table, believed, folder))
-    if arm.n != believed.n:
+    arm = read_true_arm(table, assumed)
+    if arm.n != assumed.n:
         raise table.error(
-            f"must have as many joints as that of [arm], the {believed.n} of '{believed.name}'; got the {arm.n} of "
+            f"must have as many joints as that of [arm], the {assumed.n} of '{assumed.name}'; got the {arm.n} of "
             f"'{arm.name}'",
             "model",
         )
-    given: dict[str, Any] = {"friction": None if friction_word(table, "arm", "none") == "none" else "arm"}
-    sensors = _sensors(table, "sensors")
-    with table.blamed("sensors"):
-        given["sensors"] = change.sensors(sensors)
-    with table.blamed("adds"):
-        given["adds"] = Adds.of(table.texts("adds", example='["gravity"]') or [])
-    if kind == "mujoco" and "scene" in table:
-        with table.blamed("scene"):
-            given["scene"] = file_beside("scene", table.text("scene"), folder)
-    other = "rigid" if kind == "mujoco" else "mujoco"
+    made: dict[str, Any] = {"friction": None if friction_word(table, "arm", "none") == "none" else "arm"}
+    if "adds" in table:
+        with table.blamed("adds"):
+            made["adds"] = Adds.of(table.texts("adds", example='["gravity"]') or ())
+    if "scene" in table and "scene" in arguments(make):
+        made["scene"] = table.file_of("scene", "scene")
     plant: Plant = read(
-        make,
-        table,
-        others=["kind", *OF_TRUE_ARM, *given],
-        skip=arguments(make).keys() - {*COMMON, *OPTIONS[kind]},
-        elsewhere=dict.fromkeys(OPTIONS[other], f', which is for kind = "{other}"'),
-        blame="scene" if "scene" in given else "",
-        arm=arm,
-        **given,
+        make, table, others=["kind", *OF_TRUE_ARM, *made], blame="scene" if "scene" in made else "", arm=arm, **made
     )
     _require_start(plant, table, rate)
     return plant
-
-
-def _require_slow_steps(table: Table, rate: float) -> None:
-    """Steps of MuJoCo that a computer comes to the end of."""
-    timestep = table.number("timestep")
-    if timestep is not None and 0.0 < timestep * rate * MAX_STEPS < 1.0:
-        raise table.error(
-            f"must be >= {1.0 / (rate * MAX_STEPS):g} [s], {MAX_STEPS} of which make a control period; got "
-            f"{timestep:g}",
-            "timestep",
-        )
 
 
 def _require_start(plant: Plant, table: Table, rate: float) -> None:
@@ -172,16 +114,21 @@ def _require_start(plant: Plant, table: Table, rate: float) -> None:
         plant.start(plant.arm.home, rest, plant.parameters, dt)
 
 
-# -------------------------------------------------------------------- spread
+# -------------------------------------------------------------------- [spread]
 
 MAX_TILT: Final = 0.5 * np.pi  # [rad]
 
 
-class SpreadSection(Declared):
-    """How far chance puts the scene away from where [plant] has it."""
+class Spread(Declared):
+    """[spread]: how far chance puts the scene away from where [plant] has it, in each of several runs.
 
+    Shift and tilt are each spread evenly over a disc across the world's z axis: the shift along a vector in it, the
+    tilt about one, at the origin of the scene. The place of a run depends on the seed and its number alone.
+    """
+
+    at: Part[Pose] = Part(Pose, doc="where the scene stands in the file")
     runs: Whole = Whole(minimum=2, maximum=1000, doc="how many")
-    seed: Whole = Whole(minimum=0, default=0)
+    seed: Whole = Whole(0)
     shift: Field = Field(0.0, unit="m", minimum=0.0, doc="the largest, in any direction across z")
     tilt: Field = Field(0.0, unit="rad", minimum=0.0, maximum=MAX_TILT, doc="the largest, about any axis across z")
 
@@ -190,32 +137,18 @@ class SpreadSection(Declared):
         if not self.shift and not self.tilt:
             self.refuse("", "needs shift [m], tilt [rad] or both above zero")
 
-
-@dataclass(frozen=True, kw_only=True)
-class Spread:
-    """Where the scene stands, as chance has it.
-
-    Shift and tilt are each spread evenly over a disc across the world's z axis: the shift along a vector in it, the
-    tilt about one, at the origin of the scene. The place of a run depends on the seed and its number alone.
-    """
-
-    section: SpreadSection
-    at: Pose  # where the scene stands in the file
-    plant: Table  # [plant] in the file
-
     def place(self, run: int) -> Pose:
         """Where the scene stands in a run."""
-        rng = np.random.default_rng([self.section.seed, run])
-        shift, tilt = float(self.section.shift) * _on_disc(rng), float(self.section.tilt) * _on_disc(rng)
+        rng = np.random.default_rng([self.seed, run])
+        shift, tilt = self.shift * _on_disc(rng), self.tilt * _on_disc(rng)
         return Pose(self.at.p + shift, R=np.asarray(rotation_exp(tilt)) @ self.at.R)
 
-    def plants(self) -> Iterator[tuple[str, Table]]:
+    def plants(self, plant: Table) -> Iterator[tuple[str, Table]]:
         """Each run's name, and its section [plant]."""
-        for run in range(1, self.section.runs + 1):
+        for run in range(1, self.runs + 1):
             place, name = self.place(run), f"run {run}"
             here = {"scene_at": {"p": place.p.tolist(), "R": place.R.tolist()}}
-            values = {**self.plant.values, **here}
-            yield name, Table(f"{self.plant.file}: {name}", "plant", values)
+            yield name, Table(f"{plant.file}: {name}", "plant", {**plant.values, **here}, plant.folder)
 
 
 def _on_disc(rng: np.random.Generator) -> Float64Array:
@@ -235,8 +168,6 @@ def read_spread(root: Table) -> Spread | None:
     table, plant = root.table("spread"), root.table("plant")
     if "cases" in root:
         raise table.error("does not go with [cases]; put them in scenarios of their own")
-    section = read(SpreadSection, table)
     if plant.get("kind") != "mujoco" or "scene" not in plant:
         raise table.error('moves the scene; give [plant] kind = "mujoco" and scene')
-    at = pose_of(plant, "scene_at") if "scene_at" in plant else Pose([0.0, 0.0, 0.0])
-    return Spread(section=section, at=at, plant=plant)
+    return read(Spread, table, at=read(Pose, plant.table("scene_at")))  # type: ignore[no-any-return]

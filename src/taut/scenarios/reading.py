@@ -1,45 +1,389 @@
-"""The one walker from tables to objects: what a class or a function takes is what its table may have.
+"""The one reader of scenario files: tables that know their place, and the walker from tables to objects.
 
-A class with declared fields, a dataclass or a function states by its arguments which keys there are, which must be
-there, and which of them are objects that have tables of their own. Values are checked where the object is made.
+What a class with declared fields, a dataclass or a function takes is what its table may have: its arguments state
+which keys exist, which are required, and which of them are objects that have tables of their own. Values are checked
+where the object is made; an error then names file, section and key as they are written.
 """
 
 from __future__ import annotations
 
+import contextlib
+import copy
 import dataclasses
+import difflib
 import inspect
+import os
+import re
+import tomllib
 import types
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
+from pathlib import Path
 from typing import Any, Final, NamedTuple, Union, get_args, get_origin, get_type_hints
 
-from taut.base.errors import quoted_list
-from taut.base.fields import REQUIRED, Declared, Part, Plain
-from taut.control.gains import Memory
-from taut.scenarios.toml import EMPTY, Table
+from taut.base.checks import readable_file
+from taut.base.errors import FileError, ScenarioError, TautError, quoted_list
+from taut.base.fields import Declared, Part
+from taut.trace.pose import Pose
 
-__all__ = ["arguments", "of_keys", "of_kind", "read", "reads"]
+__all__ = [
+    "Argument",
+    "Table",
+    "arguments",
+    "of_kind",
+    "read",
+    "read_toml",
+    "reads",
+    "shown",
+    "table_of",
+    "with_values",
+]
 
-NONE: Final = "none"  # the word for an object that is not there
+MAX_BYTES: Final = 500_000  # of a file
+MAX_DEPTH: Final = 16  # tables within tables; a scenario has five
+MAX_LETTERS: Final = 100  # of a value in a message
+NONE: Final = "none"  # the word for an object that is left out
+TEXT_OR_COMMENT: Final = re.compile(
+    r'"""(?:\\.|[^\\])*?"""|\'\'\'.*?\'\'\'|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*', re.DOTALL
+)
+DOTTED: Final = re.compile(rf"(?<![^\s.,=\[\]{{}}])(?:[^\s.,=\[\]{{}}]+[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}")
+PARAMETERS: Final = {
+    "sensors": "plant.sensors",
+    "actuation": "plant.actuation",
+    "environment": "plant.environment",
+    "sensing": "control",
+    "limits": "control.limits",
+}
+"""Where parameters of a loop stand in a file, by the first word of their paths."""
+
+
+# -------------------------------------------------------------------- files
+
+
+def read_toml(path: Path, label: str = "") -> Table:
+    """The root table of a file.
+
+    Args:
+        path: The file.
+        label: What messages call it; its path if left out.
+
+    Raises:
+        FileError: It cannot be read.
+        ScenarioError: It is no TOML, or none that a scenario could be.
+    """
+    file = readable_file("scenario", path)
+    if file.stat().st_size > MAX_BYTES:
+        raise ScenarioError(f"scenario '{file}' is larger than {MAX_BYTES} bytes; a scenario is a page of text")
+    try:
+        text = file.read_text(encoding="utf-8-sig")  # editors on Windows begin a file with a mark
+    except UnicodeDecodeError as cause:
+        raise ScenarioError(f"scenario '{file}' is no UTF-8 text ({cause.reason} at byte {cause.start})") from cause
+    return table_of(text, label or str(file), f"scenario '{file}'", file.parent)
+
+
+def table_of(text: str, label: str, what: str, folder: Path = Path()) -> Table:
+    """The root table of a text.
+
+    Args:
+        text: The text.
+        label: What messages about its keys call it.
+        what: What a message calls it that it is no TOML.
+        folder: Where the files lie that it names.
+
+    Raises:
+        ScenarioError: It is no TOML, or none that a scenario could be.
+    """
+    root = Table(label, "", {}, folder)
+    dotted = DOTTED.search(TEXT_OR_COMMENT.sub(lambda found: "" if found[0][0] == "#" else "_", text))
+    if dotted is not None:  # the parser's time grows with the third power of such a key's length
+        raise _too_deep(root, dotted[0].rstrip(". "))
+    try:
+        root.values = tomllib.loads(text)
+    except (ValueError, RecursionError) as cause:  # TOML that is wrong, a number with thousands of digits
+        raise ScenarioError(f"{what} is no valid TOML: {cause}") from cause
+    _refuse_hostile(root)
+    return root
+
+
+def _too_deep(root: Table, place: str) -> ScenarioError:
+    return root.error(
+        f"has at '{place[:MAX_LETTERS]}' more than {MAX_DEPTH} tables or arrays in each other; no key takes that"
+    )
+
+
+def _refuse_hostile(root: Table) -> None:
+    """What no scenario has, and what would not fit into any message."""
+    waiting: list[tuple[tuple[str, ...], Any]] = [((), root.values)]
+    while waiting:
+        path, value = waiting.pop()
+        place = f"has at '{'.'.join(path)[:MAX_LETTERS]}'"
+        if isinstance(value, (dict, list)):
+            if len(path) == MAX_DEPTH:
+                raise _too_deep(root, ".".join(path))
+            inside = value.items() if isinstance(value, dict) else enumerate(value)
+            waiting += [((*path, str(key)), each) for key, each in inside]
+        words = list(value) if isinstance(value, dict) else []
+        if isinstance(value, str):
+            words = [value.replace("\n", "").replace("\t", "")]
+        hidden = next((word for word in words if not word.isprintable()), "")
+        if hidden:
+            raise root.error(f"{place} {shown(hidden)} with an invisible character; delete it")
+        if isinstance(value, int) and not -(2**63) <= value < 2**63:
+            raise root.error(f"{place} a whole number beyond the 64 bits of TOML; write it as 1e20")
+
+
+# -------------------------------------------------------------------- tables
+
+
+class Table:
+    """One table of a file: its values, and the place that messages name.
+
+    Args:
+        file: What messages call the file.
+        path: Of the table in it, such as "plant.actuation"; empty for the root.
+        values: The keys and what stands behind them.
+        folder: Where the files lie that it names.
+    """
+
+    def __init__(self, file: str, path: str, values: Mapping[str, Any], folder: Path = Path()) -> None:
+        self.file, self.path, self.values, self.folder = file, path, dict(values), folder
+
+    @property
+    def where(self) -> str:
+        """File and section, as messages begin with."""
+        return f"{self.file}: [{self.path}]" if self.path else self.file
+
+    def below(self, key: str) -> str:
+        """The whole path of a key; of the table itself where there is none."""
+        return ".".join(filter(None, (self.path, key)))
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.values
+
+    def get(self, key: str, default: Any = None) -> Any:
+        """The value of a key, whatever it is."""
+        return self.values.get(key, default)
+
+    # ---------------------------------------------------------------- errors
+
+    def error(self, text: str, key: str = "") -> ScenarioError:
+        """An error about this table, or about one of its keys, with which its text then begins."""
+        return ScenarioError(f"{self.where} {key}{' ' if key else ''}{text}", name=self.below(key))
+
+    @contextlib.contextmanager
+    def blamed(self, key: str = "", *, made: str = "") -> Iterator[None]:
+        """Errors of what is made from this table name it, and the key that they are about.
+
+        Args:
+            key: The key to name where an error is about none that is written here.
+            made: What is made, whose name a message need not begin with.
+        """
+        try:
+            yield
+        except ScenarioError:
+            raise
+        except TautError as cause:
+            raise self._blame(str(cause).removeprefix(f"{made} "), cause.name or "", key) from cause
+        except OverflowError as cause:  # of a period, a delay, a time that no float holds
+            raise self.error(f"is too large: {cause}", key or "a number") from cause
+
+    def _blame(self, text: str, name: str, key: str) -> ScenarioError:
+        """An error that calls a key as it is written here: q, not ref.q; in the table below where it stands there."""
+        words = re.findall(r"[^.\[\]]+", name)
+        first = next((i for i, word in enumerate(words) if word in self.values), None)
+        if first is not None:
+            key, rest = words[first], words[first + 1 :]
+            inner = self.values[key]
+            if rest and isinstance(inner, dict) and rest[0] in inner:
+                return self.table(key)._blame(text, name, "")
+            if not rest:
+                text = text.replace(name, key, 1)
+        else:
+            key = next((each for each, value in self.values.items() if _names(value, name)), key)
+        if key and not re.match(rf"[\w.]*(?<!\w){re.escape(key)}(?!\w)", text):
+            text = f"{key}: {text}"
+        return ScenarioError(f"{self.where} {text}", name=self.below(key))
+
+    def need(self, key: str, what: str = "") -> None:
+        """A key has to be there; `what` is what a message calls it.
+
+        Raises:
+            ScenarioError: It is not.
+        """
+        if key not in self.values:
+            close = difflib.get_close_matches(key, self.values, n=1)
+            hint = f"; is '{close[0]}' meant for it?" if close else ""
+            what = what or f"the key '{key}'"
+            raise ScenarioError(f"{self.where} needs {what}{hint}", name=self.below(key))
+
+    def only(self, known: Iterable[str]) -> None:
+        """Nothing but these keys may be there.
+
+        Raises:
+            ScenarioError: There is another key.
+        """
+        names = sorted(set(known))
+        for key in self.values:
+            if key not in names:
+                close = difflib.get_close_matches(key, names, n=1)
+                # All of them: a list that is cut sends the reader to the manual.
+                hint = f"did you mean '{close[0]}'?" if close else f"it takes {quoted_list(names, most=len(names))}"
+                raise ScenarioError(f"{self.where} has no key '{key}'; {hint}", name=self.below(key))
+
+    # ---------------------------------------------------------------- values
+
+    def text(self, key: str, default: Any = None) -> Any:
+        """A text."""
+        value = self.values.get(key, default)
+        if value is not default and not isinstance(value, str):
+            raise self.error(f"must be a text in quotes; got {shown(value)}", key)
+        return value
+
+    def texts(self, key: str, example: str) -> list[str] | None:
+        """An array of texts, such as the example; None where it is not there."""
+        value = self.values.get(key)
+        if value is None or (isinstance(value, list) and all(isinstance(item, str) for item in value)):
+            return value
+        raise self.error(f"must be an array of texts such as {example}; got {shown(value)}", key)
+
+    def choice(self, key: str, options: Iterable[str], default: Any = None) -> Any:
+        """One of a few words."""
+        value, words = self.values.get(key, default), tuple(options)
+        if key in self.values and (not isinstance(value, str) or value not in words):
+            raise self.error(f"must be one of {quoted_list(words, most=len(words))}; got {shown(value)}", key)
+        return value
+
+    def file_of(self, key: str, kind: str) -> Path:
+        """The file that a key names: a path from the scenario's own folder, or an absolute one.
+
+        Raises:
+            ScenarioError: It cannot be read; the message says where it was looked for.
+        """
+        name = self.text(key)
+        place = self.folder.resolve() / name
+        with self.blamed(key):
+            try:
+                return readable_file(kind, place)
+            except FileError as cause:
+                if Path(name).is_absolute() or os.path.exists(place):  # noqa: PTH110  (long names)
+                    raise
+                raise FileError(f"{cause} (paths begin at the scenario's own folder)", name=cause.name) from cause
+
+    # ---------------------------------------------------------------- tables
+
+    def at(self, path: str, values: Mapping[str, Any]) -> Table:
+        """Another table of the same file."""
+        return Table(self.file, path, values, self.folder)
+
+    def table(self, key: str, *, required: bool = False) -> Table:
+        """A table below this one; empty where it is not there."""
+        if required:
+            self.need(key, f"the section [{self.below(key)}]")
+        value = self.values.get(key, {})
+        if not isinstance(value, dict):
+            raise self.error(f"must be a table: [{self.below(key)}]; got {shown(value)}", key)
+        return self.at(self.below(key), value)
+
+    def tables(self, key: str) -> list[Table]:
+        """An array of tables: [[key]]."""
+        value = self.values.get(key, [])
+        if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
+            raise self.error(f"must be an array of tables: [[{self.below(key)}]]; got {shown(value)}", key)
+        return [self.at(f"{self.below(key)} {i}", item) for i, item in enumerate(value, start=1)]
+
+    def without(self, *keys: str) -> Table:
+        """The same place without some of its keys."""
+        return self.at(self.path, {key: value for key, value in self.values.items() if key not in keys})
+
+    def merged(self, changes: Mapping[str, Any], label: str) -> Table:
+        """This table with other values: tables merge, anything else takes the place of what was there.
+
+        Args:
+            changes: The keys with their new values.
+            label: What messages call the file then.
+        """
+        return Table(label, self.path, _merged(self.values, changes), self.folder)
+
+
+def _merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
+    both = {key: _merged(old[key], value) for key, value in new.items() if _are_tables(old.get(key), value)}
+    return {**old, **new, **both}
+
+
+def _names(value: object, name: str) -> bool:
+    """Whether a value is a name, or has it among others."""
+    return value == name if isinstance(value, str) else isinstance(value, (list, dict)) and name in value
+
+
+def _are_tables(*values: object) -> bool:
+    return all(isinstance(value, dict) for value in values)
+
+
+def shown(value: object) -> str:
+    """A value in a message: a long one is cut."""
+    text = repr(value)
+    return text if len(text) <= MAX_LETTERS else f"{text[: MAX_LETTERS - 3]}..."
+
+
+def with_values(root: Table, values: Mapping[str, Any]) -> Table:
+    """A file with other values of some keys, by their paths: {"run.duration": 2.0}; rows of [[event]] have numbers.
+
+    Paths of parameters are known too: "law.kp" in each of the laws, "law.touch.kp" in the law of a phase,
+    "sensors.position.noise", "limits.tau".
+
+    Raises:
+        ScenarioError: A path below something that is no table.
+    """
+    table = copy.deepcopy(root.values)
+    for path, value in values.items():
+        for *above, last in _places(root, path.split(".")):
+            at: Any = table
+            for word in above:
+                if isinstance(at, list):
+                    at = at[int(word) - 1] if word.isdigit() and 1 <= int(word) <= len(at) else None
+                else:
+                    at = at.setdefault(word, {}) if isinstance(at, dict) else None
+            if not isinstance(at, dict):
+                raise ScenarioError(f"{root.where} has no table '{'.'.join(above)}' for '{path}'", name=path)
+            at[last] = value
+    return root.at(root.path, table)
+
+
+def _places(root: Table, words: list[str]) -> list[list[str]]:
+    """Where a path stands in the file."""
+    first, *rest = words
+    if first != "law":
+        return [[*PARAMETERS.get(first, first).split("."), *rest]]
+    if "phases" not in root:
+        return [["laws", label, *rest] for label in root.table("laws").values]
+    names = [row.get("name", f"phase{i}") for i, row in enumerate(root.tables("phases"), start=1)]
+    if not rest or rest[0] not in names:
+        raise ScenarioError(f"{root.where} has the phases {quoted_list(names)}; write law.{names[0]}.kp", name="law")
+    return [["phases", str(1 + names.index(rest[0])), "law", *rest[1:]]]
+
+
+# -------------------------------------------------------------------- the walker
 
 Reader = Callable[[Table, str], Any]
-_READERS: Final[dict[frozenset[type], Reader]] = {}
 
 
 class Argument(NamedTuple):
     """What a class or function takes by a name."""
 
     required: bool
-    parts: frozenset[type]  # classes of objects that a table describes
+    part: type | None  # class of the object that a table describes
     plain: bool  # whether it takes values that are no tables
     optional: bool  # whether it takes None
 
 
-def reads(*kinds: type) -> Callable[[Reader], Reader]:
-    """State how an object of a class, or of one of several, is read: from a table and one of its keys."""
+_READERS: Final[dict[type, Reader]] = {Pose: lambda table, key: read(Pose, table.table(key))}
+
+
+def reads(kind: type) -> Callable[[Reader], Reader]:
+    """State how an object of a class is read from a table and one of its keys."""
 
     def keep(reader: Reader) -> Reader:
-        _READERS[frozenset(kinds)] = reader
+        _READERS[kind] = reader
         return reader
 
     return keep
@@ -55,26 +399,25 @@ def arguments(kind: Callable[..., Any]) -> Mapping[str, Argument]:
 @cache
 def _arguments(kind: Callable[..., Any]) -> Mapping[str, Argument]:
     if isinstance(kind, type) and issubclass(kind, Declared):
-        return {
-            name: Argument(field.default is REQUIRED, parts, not parts or field.convert is not None, field.optional)
+        options_of: Mapping[str, Any] = {
+            name: [
+                *(field.of if isinstance(field, Part) else ()),
+                *([field.convert] if field.convert is not None else []),  # which takes something shorter
+                *([None] if field.optional else []),
+            ]
             for name, field in kind.declared.items()
-            for parts in [frozenset(field.of if isinstance(field, Part) and not isinstance(field, Plain) else ())]
         }
-    if dataclasses.is_dataclass(kind) and kind.__dataclass_params__.init:  # type: ignore[attr-defined]
-        hints = get_type_hints(kind)
-        of = [f for f in dataclasses.fields(kind) if not isinstance(vars(kind).get(f.name), Memory)]
-        must = {f.name: f.default is f.default_factory is dataclasses.MISSING for f in of}
-        return {name: _argument(hints[name], required) for name, required in must.items()}
-    hints = get_type_hints(vars(kind)["__init__"] if isinstance(kind, type) else kind)
-    signature = inspect.signature(kind)
-    named = (p for p in signature.parameters.values() if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY))
-    return {p.name: _argument(hints.get(p.name, Any), p.default is p.empty) for p in named}
-
-
-def _argument(hint: Any, required: bool) -> Argument:
-    options = set(_options(hint))
-    parts = frozenset(each for each in options if isinstance(each, type) and _has_table(each))
-    return Argument(required, parts, bool(options - parts - {type(None)}) or not parts, type(None) in options)
+    else:
+        hinted = kind if dataclasses.is_dataclass(kind) or not isinstance(kind, type) else vars(kind)["__init__"]
+        options_of = {name: list(_options(hint)) for name, hint in get_type_hints(hinted).items()}
+    out = {}
+    for p in inspect.signature(kind).parameters.values():
+        options = [each for each in options_of.get(p.name, ()) if each not in (None, types.NoneType)]
+        parts = [each for each in options if each in _READERS or dataclasses.is_dataclass(each)]
+        parts.sort(key=lambda each: each not in _READERS)
+        optional = len(options) < len(options_of.get(p.name, ()))
+        out[p.name] = Argument(p.default is p.empty, next(iter(parts), None), len(parts) < len(options), optional)
+    return out
 
 
 def _options(hint: Any) -> Iterable[Any]:
@@ -85,81 +428,44 @@ def _options(hint: Any) -> Iterable[Any]:
         yield hint
 
 
-def _has_table(kind: type) -> bool:
-    return frozenset([kind]) in _READERS or dataclasses.is_dataclass(kind)
-
-
-def read(
-    kind: Callable[..., Any],
-    table: Table,
-    *,
-    others: Iterable[str] = (),
-    skip: Iterable[str] = (),
-    elsewhere: Mapping[str, str] = EMPTY,
-    blame: str = "",
-    **made: Any,
-) -> Any:
-    """What a table describes.
+def read(kind: Callable[..., Any], table: Table, *, others: Iterable[str] = (), blame: str = "", **made: Any) -> Any:
+    """The object that a table describes.
 
     Args:
         kind: The class or function that makes it.
         table: Keys and values.
         others: Keys that are read elsewhere.
-        skip: Arguments that no table has.
-        elsewhere: What to say of keys that have their place where the table is of another kind.
         blame: The key to name where an error is about none of those that are written.
         made: Arguments that do not come from the table.
 
     Raises:
-        ScenarioError: A key that there is not, one that is missing, a value that the object does not take.
+        ScenarioError: A key that does not exist, one that is missing, a value that the object does not take.
     """
-    known = arguments(kind)
-    free = [name for name in known if name not in made and name not in skip]
-    table.only([*free, *others], elsewhere)
+    known = {name: argument for name, argument in arguments(kind).items() if name not in made}
+    table.only([*known, *others])
     values = dict(made)
-    for name in free:
+    for name, argument in known.items():
         if name in table:
-            values[name] = value(known[name], table, name)
-        elif known[name].required:
+            values[name] = _value(argument, table, name)
+        elif argument.required:
             table.need(name)
     with table.blamed(blame, made=getattr(kind, "__name__", "")):
         return kind(**values)
 
 
-def value(argument: Argument, table: Table, key: str) -> Any:
+def _value(argument: Argument, table: Table, key: str) -> Any:
     """The value of one key: as it is written, or the object that its table describes."""
     written = table.get(key)
     if written == NONE and argument.optional:
         return None
-    tables = isinstance(written, Mapping) or (isinstance(written, list) and any(isinstance(x, dict) for x in written))
-    if not argument.parts or (argument.plain and not tables):
+    tables = isinstance(written, dict) or (isinstance(written, list) and any(isinstance(x, dict) for x in written))
+    if argument.part is None or (argument.plain and not tables):
         return written
-    reader = _READERS.get(argument.parts)
-    if reader is not None:
-        return reader(table, key)
-    below = table.table(key)
-    return of_keys(argument.parts, below)
+    reader = _READERS.get(argument.part)
+    return reader(table, key) if reader is not None else read(argument.part, table.table(key))
 
 
-def of_keys(kinds: Iterable[type], table: Table) -> Any:
-    """What a table describes: of several classes the one that has its keys."""
-    return read(_fitting(frozenset(kinds), table), table)
-
-
-def _fitting(kinds: frozenset[type], table: Table) -> type:
-    if len(kinds) == 1:
-        return next(iter(kinds))
-    by_name = {kind.__name__: arguments(kind).keys() & table.values.keys() for kind in kinds}
-    table.only({name for kind in kinds for name in arguments(kind)})
-    best = max(kinds, key=lambda kind: (len(by_name[kind.__name__]), kind.__name__))
-    for kind in kinds:
-        if by_name[kind.__name__] - by_name[best.__name__]:
-            several = sorted(f"{quoted_list(sorted(names))} of {name}" for name, names in by_name.items() if names)
-            raise table.error(f"has {' and '.join(several)}; keep one of them")
-    return best
-
-
-def of_kind(kinds: Mapping[str, Callable[..., Any]], table: Table, **made: Any) -> Any:
-    """What a table describes that names its kind: kind = "spring"."""
-    table.need("kind")
-    return read(kinds[table.choice("kind", kinds)], table, others=["kind"], **made)
+def of_kind(kinds: Mapping[str, Callable[..., Any]], table: Table, *, blame: str = "", **made: Any) -> Any:
+    """The object that a table describes, which names its kind: kind = "spring"."""
+    table.need("kind", f"kind, one of {quoted_list(kinds, most=len(kinds))}")
+    return read(kinds[table.choice("kind", kinds)], table, others=["kind"], blame=blame, **made)

@@ -1,265 +1,357 @@
-"""The reference of a scenario: [reference], what the arm is to do."""
+"""What laws follow in a scenario: [reference], and [[phases]], each with its law, its reference and its guards."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+import taut
 from taut.arm.angles import require_radians
 from taut.arm.description import Arm
-from taut.base.checks import finite_array
-from taut.base.errors import quoted_list
-from taut.base.types import ArrayLike, Float64Array
+from taut.base.checks import finite_array, finite_scalar
+from taut.base.errors import TautError, quoted_list
+from taut.base.fields import Declared, Field, Part, Whole
+from taut.base.types import Array, ArrayLike, Float64Array
 from taut.control.law import Law
-from taut.control.trajectories.chunk import chunk
-from taut.control.trajectories.force_reference import ForceFrame, TaskForce, pressing
-from taut.control.trajectories.joint import Cubic, JerkLimited, Quintic, Samples, Sine, Spline, Trapezoidal
-from taut.control.trajectories.reference import Chunk, Hold, JointMotion, Reference, Stream
-from taut.control.trajectories.task import Circle, Line, Screw
-from taut.control.trajectories.task_reference import TaskMotion, TaskSamples
-from taut.maths.snapshot import snapshot
-from taut.scenarios.arms import below_pose
-from taut.scenarios.reading import arguments, read
-from taut.scenarios.sample_policy import SamplePolicy
-from taut.scenarios.toml import Table, file_beside
+from taut.control.tasks.guards import Guard, GuardView, contact, lasting, moved, no_contact, settled
+from taut.control.tasks.phase import Phase, PhaseReference
+from taut.control.tasks.task import Task
+from taut.control.trajectories.force_reference import TaskForce, hybrid_kind, pressing
+from taut.control.trajectories.reference import Hold, JointMotion, Reference, Stream
+from taut.control.trajectories.samples import Chunk
+from taut.control.trajectories.task_reference import Axes, TaskMotion
+from taut.maths.snapshot import Snapshot, snapshot
+from taut.maths.spatial import rotation_exp
+from taut.scenarios.laws import read_law
+from taut.scenarios.reading import Table, arguments, read
 from taut.trace.pose import Pose
+from taut.trajectories import (
+    Circle,
+    Cubic,
+    JerkLimited,
+    Line,
+    Quintic,
+    Samples,
+    Screw,
+    Sine,
+    Spline,
+    Steady,
+    TaskSamples,
+    Trapezoidal,
+)
 
-__all__ = ["FORCE_KINDS", "JOINT_KINDS", "TASK_KINDS", "forces_of", "read_reference"]
+__all__ = ["TASK", "read_phases", "read_reference"]
 
-JOINT_KINDS: Final[Mapping[str, Callable[..., Any]]] = {
+POSITIONS: Final = ("q", "q0", "q1", "center", "points")  # of the joints, which may be "home"
+POSES: Final = ("pose", "T0", "T1", "T")  # of the tool, which may be "home"
+POINTS: Final = ("centre", "via", "end")  # of the tool
+ROTATIONS: Final = ("xyzw", "wxyz", "rpy", "R")
+FORCES: Final = ("press", "lam", "F_app")  # that a motion applies, as of taut.pressing
+POSE: Final = "{ p = [0.4, 0.0, 0.3], rpy = [3.14, 0.0, 0.0] }"
+HYBRID_MOTION: Final = hybrid_kind(TaskMotion)
+
+
+# -------------------------------------------------------------------- kinds without a class of their own
+
+
+def _hold() -> Hold:
+    """A hold of the first state."""
+    return Hold()
+
+
+def _force_samples(*, times: ArrayLike, F_app: ArrayLike, frame: Axes = "world") -> Chunk:
+    """Wrenches at stated times with straight lines in between."""
+    rows = finite_array("F_app", F_app, shape=(np.size(np.asarray(times, dtype=object)), 6))
+    return taut.chunk(times, [TaskForce(F_app=row, frame=frame) for row in rows])
+
+
+def _displaced(T0: Pose, *, p: ArrayLike, duration: float | None = None) -> TaskMotion | Line:
+    """A displacement from where a phase begins: in a straight line within a duration, or at once."""
+    T1 = Pose(T0.p + Pose(p).p, R=T0.R)
+    return TaskMotion(pose=T1) if duration is None else Line(T0=T0, T1=T1, duration=duration)
+
+
+TONES: Final = 3
+BAND: Final = (0.1, 0.5)  # [Hz]
+ONSET: Final = 0.7  # [s] in which the motion sets in
+
+
+class SamplePolicy(Declared):
+    """A stand-in for a learned policy: each period a chunk of poses along a smooth random path about a pose.
+
+    No two chunks agree: each is a little off the path.
+    """
+
+    T: Part[Pose] = Part(Pose, doc="the pose that it moves about")
+    period: Field = Field(0.1, unit="s", above=0.0)
+    ahead: Whole = Whole(4, minimum=1, doc="how many periods a chunk reaches")
+    size: Field = Field((0.08, 0.2), unit="m, rad", shape=2, minimum=0.0, doc="RMS of the path in each direction")
+    disagreement: Field = Field(
+        (0.003, 0.01), unit="m, rad", shape=2, minimum=0.0, doc="standard deviation of a chunk, in each direction"
+    )
+    seed: Whole = Whole(0, doc="of path and disagreement")
+
+    def __call__(self, x: Snapshot) -> Chunk:
+        """The chunk of the period in which the snapshot is taken."""
+        number = round(float(x.t) / self.period)
+        noise = np.random.default_rng([self.seed, 1 + number]).standard_normal(6)
+        offset = noise * np.repeat(self.disagreement, 3) if number else np.zeros(6)  # it starts where the tool is
+        times = self.period * np.arange(self.ahead + 1, dtype=np.float64)
+        return taut.chunk(times, [self._pose(row) for row in self._path(number * self.period + times) + offset])
+
+    def _path(self, t: Float64Array) -> Float64Array:
+        """(k, 6) offsets from T, from rest at t = 0 on [m, rad]."""
+        rng = np.random.default_rng([self.seed, 0])
+        f, phase = rng.uniform(*BAND, (TONES, 6)), rng.uniform(0.0, 2.0 * np.pi, (TONES, 6))
+        waves = np.sin(2.0 * np.pi * f * t[:, np.newaxis, np.newaxis] + phase).sum(axis=1) * np.sqrt(2.0 / TONES)
+        onset: Float64Array = -np.expm1(-((t / ONSET) ** 2))
+        path: Float64Array = onset[:, np.newaxis] * waves * np.repeat(self.size, 3)
+        return path
+
+    def _pose(self, offset: Float64Array) -> Pose:
+        R: Array = rotation_exp(offset[3:]) @ self.T.R
+        return Pose(self.T.p + offset[:3], R=R)
+
+
+# -------------------------------------------------------------------- [reference]
+
+FORCE_KINDS: Final[Mapping[str, Callable[..., Any]]] = {"force": TaskForce, "force-samples": _force_samples}
+KINDS: Final[Mapping[str, Callable[..., Any]]] = {
+    "hold": _hold,
     "set-point": JointMotion,
     "cubic": Cubic,
-    "jerk-limited": JerkLimited,
     "quintic": Quintic,
-    "samples": Samples,
+    "trapezoidal": Trapezoidal,
+    "jerk-limited": JerkLimited,
     "sine": Sine,
     "spline": Spline,
-    "trapezoidal": Trapezoidal,
+    "samples": Samples,
+    "pose": TaskMotion,
+    "line": Line,
+    "screw": Screw,
+    "circle": Circle,
+    "task-samples": TaskSamples,
+    "policy": SamplePolicy,
+    **FORCE_KINDS,
 }
-POSITIONS: Final = ("q", "q0", "q1", "center", "points")  # which "home" and relative_to_home are for
-POINTS: Final = ("centre", "via", "end")  # of the tool, which relative_to_home is for
-ROTATIONS: Final = ("xyzw", "wxyz", "rpy", "R")
-FORCES: Final = ("press", "lam", "F_app")  # what a motion is to press with, as of taut.pressing
-POSE: Final = "{ p = [0.4, 0.0, 0.3], rpy = [3.14, 0.0, 0.0] }"
+FROM_BEGIN: Final[Mapping[str, Callable[..., Any]]] = {"steady": Steady, "by": _displaced}
+"""Motions of the tool from where a phase begins."""
 
 
-def read_reference(table: Table, arm: Arm, home: Float64Array, folder: Path, laws: Mapping[str, Law]) -> Reference:
-    """A hold, a set-point or a trajectory, of joints, of the task or of a force.
+def read_reference(table: Table, arm: Arm, home: Float64Array, laws: Mapping[str, Law]) -> Reference:
+    """A hold, a set-point or a trajectory, of joints, of the tool or of a force.
 
     Args:
         table: [reference]; a hold of the first state if it is empty.
         arm: The arm that follows it.
         home: (n,) what "home" and relative_to_home mean [rad | m].
-        folder: Where a file of samples lies.
         laws: The laws by their labels: the frame that they control is the one whose pose at home is "home".
     """
     if not table.values:
         return Hold()
     table.need("kind")
-    kind = table.choice("kind", ("hold", *JOINT_KINDS, *TASK_KINDS, *FORCE_KINDS))
-    if kind == "hold":
-        table.only(("kind",))
-        made: Reference = Hold()
-    elif kind in FORCE_KINDS:
-        made = read(FORCE_KINDS[kind], table, others=["kind"], blame="kind")
-    elif kind in TASK_KINDS:
-        T = snapshot(arm, home).T(_controlled_frame(table, laws))
-        forces = forces_of(table)
-        motion = TASK_KINDS[kind](_Task(table.without(*FORCES), T, folder))
-        with table.blamed("press"):
-            made = pressing(motion, **forces) if forces else motion
+    word = table.choice("kind", KINDS)
+    kind = KINDS[word]
+    forces = {} if word in FORCE_KINDS else _forces(table)
+    motion: Any
+    own, start = table.without(*forces), _Home(table, arm, home, laws)
+    others = ["kind", *(["relative_to_home"] if arguments(kind).keys() & _OF_HOME.keys() else [])]
+    if "file" in table and kind in (Samples, TaskSamples):
+        path = table.file_of("file", "CSV file")
+        motion = start.moved(read(kind.from_csv, own, others=["file", *others], blame="file", path=path))
     else:
-        made = _of_joints(table, kind, arm, home, folder)
-    return made
+        made = start.made(kind)
+        policy = ["blend"] if kind is SamplePolicy else []
+        motion = read(kind, own, others=[*others, *made, *policy], blame="kind", **made)
+        if isinstance(motion, SamplePolicy):
+            with table.blamed():
+                motion = Stream(period=float(motion.period), source=motion, blend=table.get("blend"))
+    start.check(motion)
+    with table.blamed("press"):
+        return pressing(motion, **forces) if forces else motion
 
 
-def forces_of(table: Table) -> dict[str, Any]:
-    """What a motion is to press with: press, lam or F_app; empty if nothing is said."""
-    table.number("press")
+def _forces(table: Table) -> dict[str, Any]:
+    """The forces that a motion applies: press, lam or F_app; empty if none is stated."""
     return {name: table.get(name) for name in FORCES if name in table}
 
 
-def _controlled_frame(table: Table, laws: Mapping[str, Law]) -> str | None:
-    """The frame that all laws control."""
-    frames = {law.controlled_frame for law in laws.values()}
-    if len(frames) > 1:
-        named = [frame or "the arm's tool" for frame in frames]
-        raise table.error(
-            f"is for laws that control one frame, and these control {' and '.join(sorted(named))}; give them the "
-            "same tool, or put them in scenarios of their own"
-        )
-    return next(iter(frames), None)
+class _Home:
+    """Positions, poses and points of a [reference], which may be "home" or relative to it.
 
-
-def _relative(table: Table) -> bool:
-    """Whether positions are given from home."""
-    relative = table.get("relative_to_home", False)
-    if not isinstance(relative, bool):
-        raise table.error(f"must be true or false; got {relative!r}", "relative_to_home")
-    return relative
-
-
-# -------------------------------------------------------------------- of joints
-
-
-def _of_joints(table: Table, kind: str, arm: Arm, home: Float64Array, folder: Path) -> Reference:
-    cls, relative = JOINT_KINDS[kind], _relative(table)
-    if kind == "samples" and "file" in table:
-        table.only(("kind", "file", "relative_to_home"))
-        with table.blamed("file"):
-            made: Any = Samples.from_csv(file_beside("CSV file", table.text("file"), folder))
-    else:
-        origin = np.zeros(arm.n) if relative else home
-        given = {name: _position(table, name, origin, arm) for name in POSITIONS if name in table}
-        given = {name: each for name, each in given.items() if name in arguments(cls)}
-        others = ["kind", "relative_to_home", *given, *(["file"] if kind == "samples" else [])]
-        made = read(cls, table, others=others, blame="kind", **given)
-    names = [name for name in POSITIONS if hasattr(made, name)]
-    for name in names:
-        _check_size(table, name, getattr(made, name), arm)
-    if relative:
-        moved = {name: home + getattr(made, name) for name in names}
-        motion = isinstance(made, JointMotion)
-        made = JointMotion(**moved, v=made.v, a=made.a) if motion else dataclasses.replace(made, **moved)
-    with table.blamed("kind"):
-        for name in names:
-            require_radians(name, getattr(made, name), arm)
-    return made  # type: ignore[no-any-return]  # a sample or a trajectory
-
-
-def _position(table: Table, name: str, home: Float64Array, arm: Arm) -> Any:
-    """Positions as they are written, or "home"."""
-    written = table.get(name)
-    if isinstance(written, str):
-        if written != "home":
-            raise table.error(f'must be numbers, one per joint, or "home"; got {written!r}', name)
-        return home
-    if isinstance(written, list):
-        with table.blamed():
-            _check_size(table, name, finite_array(name, written, unit="rad | m"), arm)
-    return written
-
-
-def _check_size(table: Table, name: str, positions: Float64Array, arm: Arm) -> None:
-    count = np.shape(positions)[-1] if np.ndim(positions) else 1
-    if count != arm.n:
-        raise table.error(f"must have one entry for each of the {arm.n} joints; got {count}", name)
-
-
-# -------------------------------------------------------------------- of the tool
-
-
-class _Task:
-    """A [reference] of the tool, and where the tool is at home.
-
-    Poses may be given from there: p is then added to its position, and the rotation is by the world's axes, about the
+    Of a pose that is relative, p is added to the position at home, and the rotation is by the world's axes, about the
     tool.
     """
 
-    def __init__(self, table: Table, home: Pose, folder: Path) -> None:
-        self.table, self.home, self.folder, self.relative = table, home, folder, _relative(table)
+    def __init__(self, table: Table, arm: Arm, q: Float64Array, laws: Mapping[str, Law]) -> None:
+        self.table, self.arm, self.q, self.laws = table, arm, q, laws
+        self.relative = table.get("relative_to_home", False)
+        if not isinstance(self.relative, bool):
+            raise table.error(f"must be true or false; got {self.relative!r}", "relative_to_home")
 
-    def made(self, kind: Callable[..., Any], **given: Any) -> Any:
-        """The motion that the table describes; `given` is what was made of some of its keys."""
-        return read(kind, self.table, others=["kind", "relative_to_home", *given], blame="kind", **given)
+    @property
+    def T(self) -> Pose:
+        """The pose at home of the frame that all laws control."""
+        frames = {law.controlled_frame for law in self.laws.values()}
+        if len(frames) > 1:
+            named = sorted(frame or "the arm's tool" for frame in frames)
+            raise self.table.error(
+                f"is for laws that control one frame, and these control {' and '.join(named)}; give them the same "
+                "tool, or put them in scenarios of their own"
+            )
+        return snapshot(self.arm, self.q).T(next(iter(frames), None))
 
-    def pose(self, key: str, *, required: bool = True) -> Pose:
-        """The pose at a key; "home" is where the tool is at home, which is meant too where none is required."""
+    def made(self, kind: Callable[..., Any]) -> dict[str, Any]:
+        """The positions, poses and points that are written, in the world; T0 and T are at home if left out."""
+        known = arguments(kind)
+        out = {name: reader(self, name) for name, reader in _OF_HOME.items() if name in known and name in self.table}
+        return out | {name: self.T for name in ("T0", "T") if name in known and name not in out}
+
+    def _position(self, key: str) -> Any:
         written = self.table.get(key)
-        if written == "home" or (written is None and not required):
-            return self.home
-        if written is not None and not isinstance(written, dict):
-            raise self.table.error(f'must be a pose such as {POSE}, or "home"; got {written!r}', key)
-        return self.placed(self.table.table(key, required=True))
+        if written == "home":
+            return self.q
+        with self.table.blamed(key):
+            numbers = finite_array(key, written, unit="rad | m")
+        if numbers.ndim:
+            self._check_size(key, numbers)
+        return self.q + numbers if self.relative else written
 
-    def placed(self, table: Table) -> Pose:
+    def _pose(self, key: str) -> Pose:
+        return self.T if self.table.get(key) == "home" else self._placed(self.table.table(key))
+
+    def _poses(self, key: str) -> list[Pose]:
+        return [self._placed(each) for each in self.table.tables(key)]
+
+    def _point(self, key: str) -> Any:
+        written = self.table.get(key)
+        if not self.relative:
+            return written
+        with self.table.blamed(key):
+            return self.T.p + finite_array(key, written, shape=(3,), unit="m")
+
+    def _placed(self, table: Table) -> Pose:
         """The pose of a table, in the world."""
         if not self.relative:  # where a zero is a place, and the identity an orientation, that few arms can take
             table.need("p", "its position p")
             if not any(word in table for word in ROTATIONS):
                 raise table.error(f"needs its orientation: one of {quoted_list(ROTATIONS)}")
-        return self.moved(below_pose(table))
+        return self._in_world(read(Pose, table))
 
-    def moved(self, pose: Pose) -> Pose:
-        """A pose as it is written, in the world."""
-        return Pose(self.home.p + pose.p, R=pose.R @ self.home.R) if self.relative else pose
+    def _in_world(self, pose: Pose) -> Pose:
+        return Pose(self.T.p + pose.p, R=pose.R @ self.T.R) if self.relative else pose
 
-    def points(self) -> dict[str, Any]:
-        """The points that are there, in the world."""
-        return {key: self._point(key, self.table.get(key)) for key in POINTS if key in self.table}
+    def moved(self, samples: Samples | TaskSamples) -> Samples | TaskSamples:
+        """Samples of a file, in the world."""
+        with self.table.blamed("file"):
+            if isinstance(samples, Samples):
+                return dataclasses.replace(samples, q=self.q + samples.q) if self.relative else samples
+            return dataclasses.replace(samples, poses=[self._in_world(pose) for pose in samples.poses])
 
-    def _point(self, key: str, point: Any) -> Any:
-        if not self.relative:
-            return point
-        if not isinstance(point, list) or len(point) != 3 or not all(type(x) in (int, float) for x in point):
-            raise self.table.error(f"must be three numbers [m]; got {point!r}", key)
-        return self.home.p + point
+    def check(self, motion: Any) -> None:
+        """Positions are of this arm, and in radians."""
+        for name in POSITIONS:
+            if name in arguments(type(motion)):
+                positions = np.asarray(getattr(motion, name))
+                self._check_size(name, positions)
+                with self.table.blamed("kind"):
+                    require_radians(name, positions, self.arm)
 
-
-def _pose(task: _Task) -> TaskMotion:
-    task.table.only(("kind", "relative_to_home", "pose"))
-    return TaskMotion(pose=task.pose("pose"))
-
-
-def _line(task: _Task) -> Any:
-    return task.made(Line, T0=task.pose("T0", required=False), T1=task.pose("T1"))
-
-
-def _screw(task: _Task) -> Any:
-    return task.made(Screw, T0=task.pose("T0", required=False), T1=task.pose("T1"))
+    def _check_size(self, name: str, positions: Float64Array) -> None:
+        count = positions.shape[-1] if positions.ndim else 1
+        if count != self.arm.n:
+            raise self.table.error(f"must have one entry for each of the {self.arm.n} joints; got {count}", name)
 
 
-def _circle(task: _Task) -> Any:
-    """About an axis, or through two points more."""
-    through, about = (
-        [key for key in keys if key in task.table] for keys in (("via", "end"), ("centre", "axis", "angle"))
-    )
-    if through and about:
-        raise task.table.error("takes via and end, or centre, axis and angle, and not some of both")
-    return task.made(Circle.through if through else Circle, T0=task.pose("T0", required=False), **task.points())
-
-
-def _task_samples(task: _Task) -> Any:
-    table = task.table
-    if "file" not in table:
-        table.need("poses")
-        return task.made(TaskSamples, poses=[task.placed(each) for each in table.tables("poses")])
-    table.only(("kind", "relative_to_home", "file", "interpolation"))
-    how = {"interpolation": table.get("interpolation")} if "interpolation" in table else {}
-    with table.blamed("file"):
-        samples = TaskSamples.from_csv(file_beside("CSV file", table.text("file"), task.folder), **how)
-        return dataclasses.replace(samples, poses=[task.moved(pose) for pose in samples.poses])
-
-
-def _policy(task: _Task) -> Stream:
-    """Chunks of a stand-in for a learned policy, each period one."""
-    table = task.table
-    source = read(SamplePolicy, table.without("blend"), others=["kind", "relative_to_home"], T=task.home)
-    with table.blamed():
-        return Stream(period=source.period, source=source, blend=table.number("blend"))
-
-
-TASK_KINDS: Final[Mapping[str, Callable[[_Task], Any]]] = {
-    "pose": _pose,
-    "line": _line,
-    "screw": _screw,
-    "circle": _circle,
-    "task-samples": _task_samples,
-    "policy": _policy,
+_OF_HOME: Final[Mapping[str, Callable[[_Home, str], Any]]] = {
+    **dict.fromkeys(POSITIONS, _Home._position),
+    **dict.fromkeys(POSES, _Home._pose),
+    **dict.fromkeys(POINTS, _Home._point),
+    "poses": _Home._poses,
 }
 
 
-# -------------------------------------------------------------------- of a force
+# -------------------------------------------------------------------- [[phases]]
+
+TASK: Final = "task"  # what the law of a task is called in tables and in [[pass]]
 
 
-def _force_samples(*, times: ArrayLike, F_app: ArrayLike, frame: ForceFrame = "world") -> Chunk:
-    """Wrenches at stated times with straight lines in between."""
-    rows = finite_array("F_app", F_app, shape=(np.size(np.asarray(times, dtype=object)), 6))
-    return chunk(times, [TaskForce(F_app=row, frame=frame) for row in rows])
+def read_phases(root: Table, arm: Arm, home: Float64Array) -> Task:
+    """The task of a scenario.
+
+    Args:
+        root: The scenario.
+        arm: The arm that follows it.
+        home: (n,) what "home" means in a reference [rad | m].
+    """
+    phases = [_phase(table, arm, home) for table in root.tables("phases")]
+    try:
+        return Task.of(phases)
+    except TautError as cause:
+        raise root.error(f"[[phases]]: {cause}") from cause
 
 
-FORCE_KINDS: Final[Mapping[str, Callable[..., Any]]] = {"force": TaskForce, "force-samples": _force_samples}
+def _phase(table: Table, arm: Arm, home: Float64Array) -> Phase:
+    law = read_law(table.table("law", required=True))
+    made: dict[str, Any] = {
+        "law": law,
+        "reference": _phase_reference(table.table("reference"), law, arm, home),
+        **{word: _guard(table.table(word)) for word in ("until", "unless") if word in table},
+    }
+    phase: Phase = read(Phase, table, others=made, **made)
+    return phase
+
+
+def _phase_reference(table: Table, law: Law, arm: Arm, home: Float64Array) -> PhaseReference:
+    """A reference as in [reference], or a motion of the tool from where the phase begins."""
+    kind = FROM_BEGIN.get(table.get("kind"))
+    if kind is None:
+        return read_reference(table, arm, home, {TASK: law}) if table.values else None
+    forces = _forces(table)
+    own = table.without(*forces)
+    if law.reference is not HYBRID_MOTION and (forces or law.reference is not TaskMotion):
+        raise table.error(
+            f"is for a law of {'forces' if forces else 'the tool'}, and {type(law).__name__} follows a "
+            f"{law.reference.described()}",
+            next(iter(forces), "kind"),
+        )
+
+    def motion(T0: Pose) -> Reference:
+        begun = read(kind, own, others=["kind"], T0=T0)
+        with table.blamed():
+            return pressing(begun, **forces) if law.reference is HYBRID_MOTION else begun
+
+    motion(Pose(np.zeros(3)))  # tried at once, so that an error names its key
+    return lambda x: motion(x.T(law.controlled_frame))
+
+
+CONDITIONS: Final[Mapping[str, Callable[[GuardView, Any, Mapping[str, Any]], Any]]] = {
+    "contact": lambda x, force, axes: contact(x, force, **axes),
+    "no_contact": lambda x, force, axes: no_contact(x, force, **axes),
+    "moved": lambda x, distance, axes: moved(x, distance),  # noqa: ARG005
+    "elapsed": lambda x, duration, axes: x.elapsed >= finite_scalar("elapsed", duration, unit="s"),  # noqa: ARG005
+    "settled": lambda x, tolerances, axes: settled(x, **tolerances),  # noqa: ARG005
+}
+AXES: Final = ("direction", "frame")  # of a contact
+
+
+def _guard(table: Table) -> Guard:
+    """One condition or several, all of which have to hold; `ticks` for how many ticks on end."""
+    conditions = {word: value for word, value in table.values.items() if word in CONDITIONS}
+    axes = {name: table.get(name) for name in AXES if name in table}
+    table.only((*CONDITIONS, "ticks", *(AXES if conditions.keys() & {"contact", "no_contact"} else ())))
+    table.table("settled").only(name for name in arguments(settled) if name != "x")
+    if not conditions:
+        raise table.error(f"needs a condition, such as {{ contact = 2.0 }}: one or more of {quoted_list(CONDITIONS)}")
+
+    def guard(x: GuardView) -> Any:
+        holds: Any = np.bool_(True)
+        for word, value in conditions.items():
+            holds = CONDITIONS[word](x, value, axes) & holds
+        return holds
+
+    with table.blamed():
+        return lasting(guard, ticks=table.get("ticks")) if "ticks" in table else guard

@@ -2,47 +2,156 @@
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from taut.analysis.compare.truth import PlantChange
+import numpy as np
+
 from taut.arm.description import Arm
-from taut.base.errors import MODEL_FILES, FileError, quoted_list, unknown_name
+from taut.base.errors import MODEL_FILES, FileError, RangeError, UnknownNameError, quoted_list, unknown_name
+from taut.base.fields import Declared, Field, Plain
 from taut.base.types import ArrayLike
 from taut.control.law import Law
 from taut.control.limits import Limits
 from taut.control.sensing.sensing import Sensing
+from taut.control.side_by_side import SideBySide
 from taut.control.tasks.task import Task
 from taut.control.trajectories.reference import Reference
+from taut.record.metrics import METRICS
 from taut.runtime.events import Event
-from taut.scenarios.arms import read_arm
-from taut.scenarios.checks import Places, refuse_misfits, refuse_unfit_results
-from taut.scenarios.laws import read_control, read_law
-from taut.scenarios.phases import TASK, read_phases
-from taut.scenarios.plants import Plant, Spread, plants_of, read_plant, read_spread
-from taut.scenarios.reading import read
-from taut.scenarios.references import read_reference
-from taut.scenarios.sections import Outputs, PassFigure, RunSection, read_event, require_case, require_one
-from taut.scenarios.toml import Table, read_toml, with_values
+from taut.scenarios.experiment import read_experiment
+from taut.scenarios.plants import Plant, Spread, read_plant, read_spread
+from taut.scenarios.reading import Table, read, read_toml, shown, with_values
 
 __all__ = [
+    "FILES",
     "Outputs",
     "PassFigure",
     "Scenario",
     "Trial",
     "built_in_scenarios",
     "load_scenario",
-    "read_control_side_and_plant",
     "scenario_file",
 ]
 
 OF_A_CASE: Final = ("arm", "laws", "phases", "control", "plant", "reference", "run", "event")
 OF_ALL_CASES: Final = ("title", "outputs", "pass")
 MAX_CASES: Final = 200
+MAX_NAME: Final = 200  # bytes of a file's name; systems take 255, and a file is written under a longer one first
+FILES: Final = {
+    "plot": (".png", ".pdf", ".svg"),
+    "video": (".gif", ".mp4"),
+    "log": (".mcap",),
+    "csv": (".csv",),
+}
+
+
+class OfRuns(Declared):
+    """Base of sections about the runs: of which case, which joint, and which part of the time."""
+
+    joint: Plain[str | None] = Plain(str, optional=True, doc="the joint; all joints together if left out")
+    window: Field = Field(unit="s", shape=2, minimum=0.0, optional=True, doc="[start, end] of the part of a run")
+
+    def check(self) -> None:
+        if self.window is not None and not self.window[0] < self.window[1]:
+            self.refuse(
+                "window", f"must be [start, end] with start < end [s]; got {self.window.tolist()}", RangeError
+            )
+
+    @property
+    def span(self) -> tuple[float, float] | None:
+        """Start and end of the window [s]."""
+        if self.window is None:
+            return None
+        start, end = np.asarray(self.window).tolist()
+        return start, end
+
+    def check_metrics(self, field: str, names: Any) -> None:
+        """Names of metrics, each once."""
+        if not names or not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
+            self.refuse(field, f"must name one metric at least, each once; got {shown(names)}")
+        for name in names:
+            if name not in METRICS:
+                unknown = unknown_name("a run", "metric", name, METRICS)
+                self.refuse(field, f"must name what is measured: {unknown}", UnknownNameError)
+
+    def check_fit(self, table: Table, scenario: Scenario) -> None:
+        """The joint and the window are of the runs."""
+        if self.joint is not None and self.joint not in scenario.arm.joint_names:
+            with table.blamed("joint"):
+                raise unknown_name(f"arm '{scenario.arm.name}'", "joint", self.joint, scenario.arm.joint_names)
+        if self.window is not None and self.window[1] > scenario.duration:
+            raise table.error(
+                f"must end with the run, at {scenario.duration:g} [s]; got {self.window[1]:g}", "window"
+            )
+
+
+class Outputs(OfRuns):
+    """[outputs]: the files that a scenario makes, and what its table and pictures show."""
+
+    plot: Plain[str | None] = Plain(str, optional=True)
+    video: Plain[str | None] = Plain(str, optional=True)
+    log: Plain[str | None] = Plain(str, optional=True)
+    csv: Plain[str | None] = Plain(str, optional=True)
+    shown: Plain[str | None] = Plain(str, optional=True, doc="the law of video and log; the last if left out")
+    shown_case: Plain[str | None] = Plain(str, optional=True, doc="the case; the last if left out")
+    columns: Plain[list[str] | None] = Plain(list, optional=True, doc="metrics in the table and the plot")
+
+    def check(self) -> None:
+        super().check()
+        if self.columns is not None:
+            self.check_metrics("columns", self.columns)
+        for kind, suffixes in FILES.items():
+            name = getattr(self, kind)
+            if name is None:
+                continue
+            path = Path(name)
+            if path.name != name or path.suffix not in suffixes or len(name.encode()) > MAX_NAME:
+                rule = f"must be a file name of at most {MAX_NAME} bytes that ends in {' or '.join(suffixes)}"
+                self.refuse(kind, f"{rule}; got {shown(name)}")
+
+
+class PassFigure(OfRuns):
+    """[[pass]]: a bound on a metric that decides whether a scenario passes."""
+
+    law: Plain[str] = Plain(str)
+    metric: Plain[str] = Plain(str)
+    case: Plain[str | None] = Plain(str, optional=True, doc="every case if left out")
+    part: Plain[str | None] = Plain(str, optional=True, doc="of laws side by side the one, or of a task the phase")
+    min: Field = Field(optional=True)
+    max: Field = Field(optional=True)
+
+    def check(self) -> None:
+        super().check()
+        self.check_metrics("metric", [self.metric])
+        if self.min is None and self.max is None:
+            self.refuse("", "needs min, max or both")
+        low, high = self.bounds
+        if low > high:
+            self.refuse("min", f"must be <= max, which is {high:g}; got {low:g}", RangeError)
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Smallest and largest value that passes."""
+        return -math.inf if self.min is None else float(self.min), math.inf if self.max is None else float(self.max)
+
+    def check_fit(self, table: Table, scenario: Scenario) -> None:
+        """Joint, window and part are of the runs."""
+        super().check_fit(table, scenario)
+        if self.joint is not None and not METRICS[self.metric].per_joint:
+            raise table.error(f"'{self.metric}' is of the tool; leave joint out", "metric")
+        law = scenario.laws.get(self.law)  # another runs where it is of the user's own
+        if self.part is None or law is None:
+            return
+        parts = law.phases if isinstance(law, Task) else law.parts if isinstance(law, SideBySide) else ()
+        if self.part not in parts:
+            with table.blamed("part"):
+                raise unknown_name(f"the law '{self.law}'", "part", self.part, parts)
 
 
 class Trial(NamedTuple):
@@ -70,7 +179,6 @@ class Scenario:
     sensing: Sensing
     limits: Limits | None
     plant: Plant
-    another_plant: Callable[[PlantChange], Plant]  # like it, and different in what is stated
     reference: Reference
     duration: float  # [s]
     q0: ArrayLike | None
@@ -97,14 +205,34 @@ class Scenario:
         return Trial(self.outputs.shown_case or cases[-1], law)
 
 
+# -------------------------------------------------------------------- files
+
+
 def built_in_scenarios() -> dict[str, Path]:
     """The scenarios that come with taut, by name."""
-    folder = resources.files("taut.scenarios") / "files"
-    try:
-        found = [Path(str(item)) for item in folder.iterdir() if item.name.endswith(".toml")]
-    except OSError as cause:  # no file descriptor left
-        raise FileError(f"the built-in scenarios cannot be read: {cause.strerror}", name=str(folder)) from cause
-    return {path.stem: path for path in sorted(found)}
+    folder = Path(str(resources.files("taut.scenarios"))) / "files"
+    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+
+
+def scenario_file(name: str) -> Path:
+    """The file of a scenario, by its name or path.
+
+    Raises:
+        UnknownNameError: There is no such scenario.
+        FileError: It is a file of another kind.
+    """
+    known = built_in_scenarios()
+    if name in known:
+        return known[name]
+    path = Path(name)
+    if os.path.isdir(path):  # noqa: PTH112  (long names)
+        raise FileError(f"'{path}' is a folder; name a scenario in it, a .toml file", name=str(path))
+    if path.suffix == ".toml" or (path.name != name and not os.path.exists(path)):  # noqa: PTH110
+        return path
+    if os.path.exists(path):  # noqa: PTH110
+        what = "a robot model, which taut check reads" if path.suffix.lower() in MODEL_FILES else "no scenario"
+        raise FileError(f"'{path}' is {what}; a scenario is a .toml file", name=str(path))
+    raise unknown_name("taut", "scenario", name, known, hint="or give the path of a .toml file")
 
 
 def load_scenario(
@@ -124,17 +252,14 @@ def load_scenario(
         UnknownNameError: There is no such scenario.
     """
     path = scenario_file(name)
-    root = read_toml(path, f"scenario '{name}'")
-    if values:
-        root = with_values(root, values)
+    root = with_values(read_toml(path, f"scenario '{name}'"), values or {})
     root.only([*OF_A_CASE, *OF_ALL_CASES, "cases", "spread"])
-    spread, changed = read_spread(root), _cases_of(root)
+    spread = read_spread(root)
+    whole = read_experiment(root, own_laws)
+    experiments = {case: read_experiment(table, own_laws) for case, table in _cases_of(root).items()}
+    for case, plant in () if spread is None else spread.plants(root.table("plant")):
+        experiments[case] = {**whole, "plant": read_plant(plant, whole["arm"], whole["rate"])}
     outputs, figures = root.table("outputs"), root.tables("pass")
-    parts, places = _experiment(root, path.parent, own_laws)
-    others = {case: _experiment(each, path.parent, own_laws) for case, each in changed.items()}
-    chances = [] if spread is None else list(spread.plants())
-    names = [*others, *(case for case, _ in chances)]
-    labels = places.labels or list(parts["laws"])
     common: dict[str, Any] = {
         "name": path.stem,
         "title": root.text("title", path.stem),
@@ -142,21 +267,24 @@ def load_scenario(
         "outputs": read(Outputs, outputs),
         "figures": tuple(read(PassFigure, table) for table in figures),
     }
-    require_one(outputs, "shown", common["outputs"].shown, labels)
-    require_case(outputs, "shown_case", common["outputs"].shown_case, names)
-    for figure, table in zip(common["figures"], figures, strict=True):
-        require_one(table, "law", figure.law, labels)
-        require_case(table, "case", figure.case, names)
-    cases = {case: Scenario(**fields, **common, cases={}) for case, (fields, _) in others.items()}
-    for case, table in chances:
-        plants = plants_of(table, parts["arm"], parts["rate"], path.parent)
-        cases[case] = Scenario(**{**parts, **plants}, **common, cases={})
-    scenario = Scenario(**parts, **common, cases=cases, spread=spread)
-    refuse_misfits(scenario, places)
-    for case, (_, places_of_case) in others.items():
-        refuse_misfits(cases[case], places_of_case)
-    refuse_unfit_results(scenario, outputs, figures)
+    cases = {case: Scenario(**fields, **common, cases={}) for case, fields in experiments.items()}
+    scenario = Scenario(**whole, **common, cases=cases, spread=spread)
+    labels = list(root.table("laws").values) or list(whole["laws"])
+    for section, table in zip((scenario.outputs, *scenario.figures), (outputs, *figures), strict=True):
+        _require_one(table, {"shown": labels, "law": labels, "shown_case": list(cases), "case": list(cases)})
+        case_of = getattr(section, "case", None)
+        for case, one in (cases or {"": scenario}).items():
+            if case_of in (None, case):
+                section.check_fit(table, one)
     return scenario
+
+
+def _require_one(table: Table, known: Mapping[str, list[str]]) -> None:
+    """Names of laws and cases are those of the scenario."""
+    for key, names in known.items():
+        if key in table and not names:
+            raise table.error(f"is for a scenario with cases, [cases.{table.get(key)!r}]; leave it out", key)
+        table.choice(key, names)
 
 
 def _cases_of(root: Table) -> dict[str, Table]:
@@ -168,132 +296,20 @@ def _cases_of(root: Table) -> dict[str, Table]:
     if "cases" not in root:
         return {}
     table = root.table("cases")
-    if not table.values:
-        raise table.error('needs one case at least: [cases."G = 100".plant.gears] with the keys that it replaces')
-    if len(table.values) > MAX_CASES:
-        raise table.error(f"has {len(table.values)} cases; at most {MAX_CASES} are read")
-    whole, laws = root.without("cases"), root.get("laws")
+    if not 0 < len(table.values) <= MAX_CASES or not all(name.strip() for name in table.values):
+        raise table.error(
+            f'needs 1 to {MAX_CASES} cases, each with a name: [cases."G = 100".plant.gears] with the keys that it '
+            "replaces"
+        )
+    whole, laws = root.without("cases"), root.table("laws").values
     cases = {}
     for name in table.values:
         changes = table.table(name)
-        changes.only(OF_A_CASE, elsewhere=dict.fromkeys(OF_ALL_CASES, ", which all cases share"))
-        theirs = changes.get("laws")
-        if not name.strip():
-            raise table.error("has a case without a name")
-        if isinstance(laws, dict) and isinstance(theirs, dict) and not theirs.keys() <= laws.keys():
+        changes.only(OF_A_CASE)
+        more = changes.get("laws", {}).keys() - laws.keys() if isinstance(changes.get("laws"), dict) else ()
+        if more:
             raise changes.error(
-                f"changes the law {quoted_list([law for law in theirs if law not in laws])}, which [laws] does not "
-                "have: every law runs in every case"
+                f"changes the law {quoted_list(sorted(more))}, which [laws] does not have: each law runs in each case"
             )
-        cases[name] = whole.replaced(changes.values, f"{root.where}: case '{name}'")
+        cases[name] = whole.merged(changes.values, f"{root.where}: case '{name}'")
     return cases
-
-
-def _experiment(root: Table, folder: Path, own_laws: Mapping[str, Law] | None) -> tuple[dict[str, Any], Places]:
-    """The fields of a scenario that say what is run, and the tables that they came from."""
-    arm = read_arm(root.table("arm", required=True), folder)
-    task = root.tables("phases")
-    _refuse_beside_task(root, task, own_laws)
-    section = root.table("laws", required=own_laws is None and not task)
-    labels = [TASK] if task else list(section.values)
-    laws: dict[str, Law] = dict(own_laws or {})
-    task_law: dict[str, Law | Task] = {}
-    if task:
-        law_places = {TASK: task[0]}
-    elif own_laws is None:
-        if not labels:
-            raise section.error("needs one law at least: [laws.PID] with law = 'PID' and its gains")
-        law_places = {label: section.table(label) for label in labels}
-        laws = {label: read_law(table) for label, table in law_places.items()}
-    else:
-        law_places = {label: Table(f"--law {label}:", "", {}) for label in own_laws}
-    control, run, events = root.table("control"), root.table("run", required=True), root.tables("event")
-    rate, sensing, limits = read_control(control, arm)
-    plants = plants_of(root.table("plant", required=True), arm, rate, folder)
-    plant: Plant = plants["plant"]
-    if task:
-        task_law = {TASK: read_phases(root, task, arm, plant.arm.home, folder)}
-    reference = root.table("reference")
-    fields = {
-        "source": root.where,
-        "arm": arm,
-        "laws": task_law or laws,
-        "rate": rate,
-        "sensing": sensing,
-        "limits": limits,
-        **plants,
-        "reference": read_reference(reference, arm, plant.arm.home, folder, laws),
-        "events": tuple(read_event(table) for table in events),
-        **read(RunSection, run).values(plant.arm),
-    }
-    places = Places(
-        labels=labels,
-        laws=law_places,
-        control=control,
-        plant=root.table("plant"),
-        reference=reference,
-        run=run,
-        events=events,
-    )
-    return fields, places
-
-
-def read_control_side_and_plant(path: Path) -> dict[str, Any]:
-    """arm, plant, rate and sensing of a file with [arm], [plant] and [control], such as a scenario.
-
-    Raises:
-        ScenarioError: A section breaks the schema.
-        FileError: The file cannot be read.
-    """
-    root = read_toml(path, f"plant '{path}'")
-    arm = read_arm(root.table("arm", required=True), path.parent)
-    rate, sensing, _ = read_control(root.table("control"), arm)
-    plant = read_plant(root.table("plant", required=True), arm, rate, path.parent)
-    return {"arm": arm, "plant": plant, "rate": rate, "sensing": sensing}
-
-
-def _refuse_beside_task(root: Table, task: list[Table], own_laws: Mapping[str, Law] | None) -> None:
-    """Each phase has its law and its reference."""
-    if not task:
-        return
-    if own_laws is not None:
-        raise root.error("has [[phases]], each with a law of its own, which --law cannot take the place of")
-    for name in ("laws", "reference"):
-        if name in root:
-            raise root.error(f"has [[phases]], each with its law and its reference; leave [{name}] out")
-
-
-def scenario_file(name: str) -> Path:
-    """The file of a scenario, by its name or path.
-
-    Raises:
-        UnknownNameError: There is no such scenario.
-        FileError: It is a file of another kind.
-    """
-    known = built_in_scenarios()
-    if name in known:
-        return known[name]
-    path = Path(name)
-    _refuse_other_files(path)
-    if name.endswith(".toml") or "/" in name or "\\" in name:
-        return path
-    hint = "or give the path of a .toml file"
-    try:
-        if Path(f"{name}.toml").is_file():
-            hint = f"or mean the file {name}.toml"
-    except OSError:  # a name that is too long for a file
-        pass
-    raise unknown_name("taut", "scenario", name, known, hint=hint)
-
-
-def _refuse_other_files(path: Path) -> None:
-    """A file of another kind is refused by its kind, not that no scenario has its name."""
-    if os.path.isdir(path):  # noqa: PTH112  (long names)
-        raise FileError(f"'{path}' is a folder; name a scenario in it, a .toml file", name=str(path))
-    if path.suffix.lower() == ".toml" or not os.path.isfile(path):  # noqa: PTH113
-        return
-    if path.suffix.lower() in MODEL_FILES:
-        raise FileError(
-            f"'{path}' is a robot model, which taut check reads; a scenario is a .toml file", name=str(path)
-        )
-    raise FileError(f"'{path}' is no scenario; a scenario is a .toml file", name=str(path))

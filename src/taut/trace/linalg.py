@@ -221,11 +221,11 @@ def _back(values: list[Any], shape: tuple[int, ...]) -> Array:
     return np.array(values, dtype=np.float64).reshape(shape)
 
 
-SWEEPS: Final = 5
+JACOBI_SWEEPS: Final = 5
 TINIEST: Final = 1e-300
 
 
-def times_square_root(C: Matrix, x: Array, sweeps: int = SWEEPS) -> Array:
+def times_square_root(C: Matrix, x: Array, sweeps: int = JACOBI_SWEEPS) -> Array:
     """C^(1/2) x of a symmetric positive semidefinite matrix, by cyclic Jacobi rotations.
 
     A fixed number of sweeps keeps it straight-line code; five are enough for 6 x 6 matrices, to some 1e-6. The

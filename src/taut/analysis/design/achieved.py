@@ -17,7 +17,7 @@ from taut.control.closed_loop import ClosedLoop
 from taut.control.law import Law
 from taut.control.trajectories.force_reference import TaskForce
 from taut.control.trajectories.reference import JointMotion
-from taut.linear.linearise import Linearisation
+from taut.linear.linear_system import LinearSystem
 from taut.linear.margins import common_delay
 
 __all__ = ["Achieved", "Limit", "Requirement", "Steps", "force_pole"]
@@ -113,7 +113,7 @@ class Achieved:
 
     law: Law
     stated: ClosedLoop
-    system: Linearisation
+    system: LinearSystem
     specification: Specification
     delay: float
     hold: Float64Array | None
@@ -160,13 +160,13 @@ class Achieved:
         lin, (x, rows, end) = self.system, self._ahead
         poles, parts = self._modes
         slowest = float(-poles.real[(parts > BAND).any(axis=1)].max())
-        count = int(np.clip(TIME_CONSTANTS / slowest / lin.dt, MIN_TICKS, MAX_TICKS))
+        count = int(np.clip(TIME_CONSTANTS / slowest / lin.period, MIN_TICKS, MAX_TICKS))
         command = lin.C[list(lin.rows("command"))]
         e, commands = np.zeros((count, x.shape[1])), np.zeros((count, *end.shape))
         for k in range(count):
             e[k], commands[k] = np.diag(rows @ x), end - command @ x
             x = lin.A @ x
-        return Steps(t=np.asarray(lin.dt * np.arange(count)), e=e, command=commands)
+        return Steps(t=np.asarray(lin.period * np.arange(count)), e=e, command=commands)
 
     @cached_property
     def _modes(self) -> tuple[NDArray[np.complex128], Float64Array]:
@@ -176,7 +176,7 @@ class Achieved:
         parts = (rows @ shapes).T * np.linalg.lstsq(shapes, start, rcond=None)[0]
         upper = (z.imag >= -ROUNDING) & (np.abs(z) > INSTANT)
         groups: list[tuple[list[complex], list[NDArray[np.complex128]]]] = []
-        for s, part in zip((np.log(z[upper]) / self.system.dt).tolist(), parts[upper], strict=True):
+        for s, part in zip((np.log(z[upper]) / self.system.period).tolist(), parts[upper], strict=True):
             poles, members = next((g for g in groups if abs(g[0][0] - s) <= SAME * abs(s)), ([], []))
             if not poles:
                 groups.append((poles, members))
@@ -274,10 +274,9 @@ class Achieved:
             ]
         else:
             kfp, kfi = (np.diag(gain) for gain in self.stated.force)
-            late = round(self.delay / self.system.dt)
-            rows = [
-                (f"row {i}", force_pole(float(kfp[i]), float(kfi[i]), self.system.dt, late)) for i in range(len(kfp))
-            ]
+            dt = self.system.period
+            late = round(self.delay / dt)
+            rows = [(f"row {i}", force_pole(float(kfp[i]), float(kfi[i]), dt, late)) for i in range(len(kfp))]
         for direction, got in rows:
             yield Requirement(
                 name="force", direction=direction, unit="1/s", asked=asked, got=got,
@@ -306,12 +305,12 @@ class Achieved:
             )  # fmt: skip
         if drives:
             return
-        angles = np.abs(np.angle(lin.poles[np.abs(lin.poles) > INSTANT])) / lin.dt
-        margin = common_delay(lin.system.sensitivity, lin.dt, angles)
-        yield Limit(name="delay margin", value=margin * lin.dt, unit="s", where="all torques together")
+        angles = np.abs(np.angle(lin.poles[np.abs(lin.poles) > INSTANT])) / lin.period
+        margin = common_delay(lin.sensitivity, lin.period, angles)
+        yield Limit(name="delay margin", value=margin * lin.period, unit="s", where="all torques together")
         disk = lin.margins().disk
         yield Limit(name="gain margin", value=disk.gain[1], unit="-", where="all torques independently (disk margin)")
-        moved = np.abs(lin.moved)
+        moved = np.abs(lin.point.moved)
         if moved.max() > DROOP:
             worst = int(moved.argmax())
             yield Limit(name="droop", value=float(moved[worst]), unit=arm.units[worst], where=arm.joint_names[worst])

@@ -26,13 +26,13 @@ from taut.control.sensing.sensing import Sensing
 from taut.controller import Controller, compile
 from taut.linear.judgement import judge
 from taut.linear.linear_system import LinearSystem
-from taut.linear.linearise import Linearisation, linearise, rest_of
-from taut.linear.loop_map import finite_derivative, loop_map
+from taut.linear.linearise import linearise, rest_of
+from taut.linear.period import finite_derivative, loop_map
 from taut.loop import DT, Loop
 from taut.maths.adds import Adds
 from taut.maths.snapshot import Snapshot, snapshot
 from taut.plant.drives.actuation import Actuation
-from taut.plant.environments.push import Push
+from taut.plant.environments.hands import Push
 from taut.plant.environments.springs import Spring
 from taut.plant.rigid import RigidPlant
 
@@ -295,7 +295,7 @@ def achieved(
     """The linear model of the loop about its equilibrium at a pose, and the closed loop that its law states there."""
     system, plant = linearise(loop, at=q, within=ANYWHERE), loop.plant
     assert isinstance(plant, RigidPlant)
-    x, drives = snapshot(loop.side.arm, system.q), loop.side.probe.kind != "torque"
+    x, drives = snapshot(loop.side.arm, system.point.q), loop.side.probe.kind != "torque"
     carries = Adds.of(plant.adds).gravity
     return Achieved(
         law=loop.side.single_law,
@@ -309,7 +309,7 @@ def achieved(
     )
 
 
-def lowest_rate(loop: Loop, q: Float64Array, system: Linearisation) -> float:
+def lowest_rate(loop: Loop, q: Float64Array, system: LinearSystem) -> float:
     """[Hz] the servo rate down to which the loop is stable with the same gains; 0 for none that was found."""
     map_ = loop_map(loop)
     point = rest_of(loop, map_, q, ANYWHERE).point
@@ -321,7 +321,7 @@ def lowest_rate(loop: Loop, q: Float64Array, system: Linearisation) -> float:
         A = finite_derivative(map_, dataclasses.replace(point, parameters=parameters)).A
         return LinearSystem(A=A[np.ix_(states, states)], dt=1.0 / rate).stable
 
-    high = 1.0 / system.dt
+    high = 1.0 / system.period
     low = 0.5 * high
     while low > MIN_RATE and stable(low):
         high, low = low, 0.5 * low
@@ -333,14 +333,14 @@ def lowest_rate(loop: Loop, q: Float64Array, system: Linearisation) -> float:
     return high
 
 
-def blamed(loop: Loop, q: Float64Array, system: Linearisation) -> tuple[str, list[Limit]]:
+def blamed(loop: Loop, q: Float64Array, system: LinearSystem) -> tuple[str, list[Limit]]:
     """Why a loop is unstable, and the largest factors on single gains with which it would be stable."""
     try:
         found = judge(loop, at=q)
     except TautError:  # no equilibrium near the reference
-        return system.system.unstable_because, []
+        return system.unstable_because, []
     factors = [Limit(name="largest factor", value=x, unit="-", where=path) for path, x in found.largest.items()]
-    return system.system.unstable_because if found.stable else found.message, factors
+    return system.unstable_because if found.stable else found.message, factors
 
 
 def worst(limits: Sequence[Limit]) -> tuple[Limit, ...]:

@@ -13,7 +13,7 @@ from taut.base.plot_style import INK, SMALL, WIDTH, colour, prepared
 from taut.base.result import Content, Result, Table
 from taut.base.types import Float64Array
 from taut.control.law import Law
-from taut.linear.linearise import Linearisation
+from taut.linear.linear_system import LinearSystem
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -48,7 +48,7 @@ class Design(Result):
     arm: str
     rate: float
     poses: Float64Array
-    systems: tuple[Linearisation, ...]
+    systems: tuple[LinearSystem, ...]
     directions: tuple[str, ...]
     steps: Steps | None
     unstable: str

@@ -339,7 +339,7 @@ def singularity(run: ExaminedRun) -> Finding | None:
         name: run.energy(record.terms[name][near]) for name in ("singularity", "reach") if name in record.terms
     }
     term = max(given_up, key=lambda name: given_up[name], default="P")
-    speed_limit = record.info.get("limits", {}).get("velocity", {})
+    speed_limit = record.info.limits.get("velocity", {})
     used = np.abs(record.v) / np.array([speed_limit.get(joint, np.inf) for joint in record.joint_names])
     fast = used[near].max() > 1.0 >= used[~near].max(initial=0.0)
     if not given_up.get(term, 0.0) > 1e-3 * float(energy[near].sum()):

@@ -17,7 +17,6 @@ from taut.analysis.diagnosis.model import model_of_run
 from taut.arm.description import Arm
 from taut.base.errors import UsageError
 from taut.base.result import Content, Result, Table
-from taut.record.info import PHASES
 from taut.record.run import Run
 
 if TYPE_CHECKING:
@@ -148,7 +147,7 @@ def doctor(run: Run, *, arm: Arm | None = None, checks: Sequence[Check] = CHECKS
         problems.append(f"{len(kept)} ticks, {len(kept) / run.rate:.3g} s, are too short for most checks")
     examine = _Examination(arm=arm, checks=checks, threshold=threshold, ran_away=ran_away)
     with np.errstate(over="ignore"):
-        found = examine.phases(kept) if PHASES in run.info else examine(kept)
+        found = examine.phases(kept) if run.info.phases else examine(kept)
     return dataclasses.replace(
         found,
         findings=_ordered(found.findings),
@@ -280,9 +279,8 @@ def _before_running_away(run: Run, min_ticks: int) -> Run:
     It did where a command is not a number or a joint is faster than any arm; of a run that ended so or in a fault,
     what is ten times beyond the limits of torque or speed is left out too, with less than 50 ms within them between.
     """
-    info = run.info.get("limits", {})
     speed, effort = (
-        np.array([info.get(kind, {}).get(joint, np.inf) for joint in run.joint_names])
+        np.array([run.info.limits.get(kind, {}).get(joint, np.inf) for joint in run.joint_names])
         for kind in ("velocity", "effort")
     )
     wild = np.flatnonzero((np.abs(run.v) > TOO_FAST).any(axis=1) | ~np.isfinite(run.command).all(axis=1))

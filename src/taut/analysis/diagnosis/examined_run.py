@@ -17,8 +17,6 @@ from taut.base.types import Array, Float64Array
 from taut.control.limits import LIMIT_TERMS
 from taut.control.trajectories.force_reference import HybridMotion, TaskForce
 from taut.control.trajectories.task_reference import TaskMotion
-from taut.maths.chain import Chain
-from taut.record.info import PARTS, TOOL
 from taut.record.metrics import RESTING
 from taut.record.run import Run
 from taut.record.tool import expected_deviation
@@ -95,15 +93,15 @@ class ExaminedRun:
     @cached_property
     def length(self) -> float:
         """[m] of the stretched arm, from the first joint to the tool: 1 rad of a joint moves the tool as far."""
-        if TOOL not in self.run.info:
+        chain = self.run.info.tool
+        if chain is None:
             return 1.0
-        chain = Chain.of_json(self.run.info[TOOL])
         return float(sum(np.linalg.norm(p) for p in [*(link.p for link in chain.links[1:]), chain.p])) or 1.0
 
     @property
     def of_task(self) -> bool:
         """Whether the reference is a motion of the tool."""
-        return isinstance(self.run.reference.motion, TaskMotion) and TOOL in self.run.info
+        return isinstance(self.run.reference.motion, TaskMotion) and self.run.info.tool is not None
 
     @property
     def presses(self) -> bool:
@@ -118,7 +116,7 @@ class ExaminedRun:
         Of laws side by side, each of its own. None of a law that controls a force, whose error of motion is only
         known along its constraint.
         """
-        if PARTS in self.run.info:
+        if self.run.info.parts:
             return self._of_parts(lambda part: part.error)
         if self.run.error is not None or self.presses or not self.of_task:
             return None if self.presses else self.run.error
@@ -133,7 +131,7 @@ class ExaminedRun:
     def _of_parts(self, of: Callable[[ExaminedRun], Float64Array | None]) -> Float64Array | None:
         """(k, n) what is known of each of several laws side by side, in the columns of their joints."""
         out = np.zeros_like(self.run.q)
-        for name in self.run.info[PARTS]:
+        for name in self.run.info.parts:
             own = self.run.part(name)
             values = of(ExaminedRun(run=own, model=None, threshold=self.threshold))
             if values is None:
@@ -148,7 +146,7 @@ class ExaminedRun:
         smallest = np.array([at_tool if unit == "m" else at_tool / self.length for unit in self.run.units])
         if self.error is None:
             return smallest
-        if PARTS in self.run.info:
+        if self.run.info.parts:
             of_parts = self._of_parts(lambda part: np.broadcast_to(part.tolerance, part.run.q.shape))
             assert of_parts is not None
             return np.asarray(of_parts[0])
@@ -165,7 +163,7 @@ class ExaminedRun:
     @cached_property
     def reference_speed(self) -> Float64Array:
         """(k, m) speed of the reference, of joints or of the tool; zeros where it rests."""
-        if PARTS in self.run.info:
+        if self.run.info.parts:
             speeds = self._of_parts(lambda part: np.abs(part.reference_speed).max(axis=1, keepdims=True))
             assert speeds is not None
             return speeds
@@ -178,10 +176,10 @@ class ExaminedRun:
     @cached_property
     def error_rate(self) -> Float64Array | None:
         """(k, n) time derivative of the error, which damping acts on; None where it is not known."""
-        v = None if PARTS in self.run.info else getattr(self.run.reference.motion, "v", None)
+        v = None if self.run.info.parts else getattr(self.run.reference.motion, "v", None)
         if v is not None:
             return np.asarray(v - self.run.v, dtype=np.float64)
-        return None if PARTS in self.run.info or np.any(self.reference_speed) else -self.run.v
+        return None if self.run.info.parts or np.any(self.reference_speed) else -self.run.v
 
     @cached_property
     def settled(self) -> Array:
@@ -243,14 +241,14 @@ class ExaminedRun:
     @cached_property
     def arm_effort(self) -> Float64Array:
         """(n,) effort limits of the arm, inf where none is known."""
-        known = self.run.info.get("limits", {}).get("effort", {})
+        known = self.run.info.limits.get("effort", {})
         return np.array([known.get(joint, np.inf) for joint in self.run.joint_names], dtype=np.float64)
 
     @cached_property
     def effort_limit(self) -> Float64Array | None:
         """(n,) effort limits of the arm, else of the controller; None where not all are known."""
         limit = self.arm_effort
-        own = np.asarray(self.run.info.get("parameters", {}).get("limits.tau", np.inf), dtype=np.float64)
+        own = np.asarray(self.run.info.parameters.get("limits.tau", np.inf), dtype=np.float64)
         if own.shape in ((), (self.n,)):
             limit = np.where(np.isfinite(limit), limit, own)
         return limit if self.of_torque and np.isfinite(limit).all() else None
@@ -287,9 +285,7 @@ class ExaminedRun:
     @cached_property
     def external(self) -> Float64Array:
         """(k, n) J^T F_ext of the measured wrench; zeros where none was measured."""
-        tool = self.model.tool if self.model is not None else None
-        if tool is None and TOOL in self.run.info:
-            tool = Chain.of_json(self.run.info[TOOL])
+        tool = self.run.info.tool if self.model is None else self.model.tool
         if "F_ext" not in self.run.extra or tool is None:
             return np.zeros_like(self.run.q)
         return np.asarray(np.einsum("kij,ki->kj", tool.jacobians(self.run.q), self.run.extra["F_ext"]))

@@ -15,11 +15,11 @@ from scipy.optimize import least_squares, lsq_linear
 from taut.arm.description import Arm
 from taut.base.errors import MatchError, UsageError
 from taut.base.types import Array, Float64Array
-from taut.codegen.function import native
+from taut.codegen.kernel import native
 from taut.maths import dynamics as dyn
 from taut.maths.chain import Chain
 from taut.maths.model import PayloadValues, model_of
-from taut.record.info import DYNAMICS, arm_from_json, arm_json, differences
+from taut.record.info import differences
 from taut.record.metrics import MOVING
 from taut.record.run import Run
 
@@ -56,20 +56,14 @@ def model_of_run(run: Run, arm: Arm | None) -> tuple[ArmModel | None, str]:
                 f"{', '.join(arm.joint_names)}; give the arm that the controller was compiled for",
                 name="arm",
             )
-        of_log = _of_log(run)
-        apart = () if of_log is None else differences(arm_json(of_log), arm_json(arm))
+        of_log = run.info.controller_arm
+        apart = () if of_log is None else differences(of_log, arm)
         other = f"; it differs from the controller's arm in the log in {', '.join(apart)}" if apart else ""
         return ArmModel(run=run, arm=arm), f"arm '{arm.name}' as given{other}"
-    known = _of_log(run)
+    known = run.info.controller_arm
     if known is None or known.joint_names != run.joint_names:  # of laws side by side, one part has fewer
         return None, "none: give the arm of the controller, arm= or --arm, to have gravity and payload checked"
-    return ArmModel(run=run, arm=known), f"arm '{run.info.get('arm')}' of the controller, as the run holds it"
-
-
-def _of_log(run: Run) -> Arm | None:
-    """The controller's arm, as the run keeps it: the same for a run in memory and for its log."""
-    known = run.info.get(DYNAMICS, {})
-    return arm_from_json(known["controller"]) if isinstance(known, Mapping) and "controller" in known else None
+    return ArmModel(run=run, arm=known), f"arm '{run.info.arm}' of the controller, as the run holds it"
 
 
 @functools.lru_cache(maxsize=16)
@@ -97,8 +91,8 @@ class ArmModel:
         The log has the declared payload at the start, and when it was changed.
         """
         out = np.zeros((len(self.run), 10))
-        sets: list[tuple[float, Mapping[str, Any]]] = [(-np.inf, self.run.info.get("parameters", {}))]
-        sets += [(float(event["t"]), event["set"]) for event in self.run.info.get("events", ())]
+        sets: list[tuple[float, Mapping[str, Any]]] = [(-np.inf, self.run.info.parameters)]
+        sets += [(event.t, event.set) for event in self.run.info.events]
         for t, values in sorted(sets, key=lambda pair: pair[0]):
             for name, columns in PAYLOAD.items():
                 if f"model.payload.{name}" in values:

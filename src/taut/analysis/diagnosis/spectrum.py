@@ -221,8 +221,8 @@ def _alternates(y: Float64Array, line: Sinusoid, dt: float) -> bool:
 
 def _unstable(run: ExaminedRun) -> Oscillation | None:
     """A loop that left its limits before a sinusoid could be fitted, and that was judged unstable at its start."""
-    judged = run.run.info.get("stability", {})
-    if not run.ran_away or judged.get("stable") is not False or len(run.run) < 3:
+    judged = run.run.info.stability
+    if not run.ran_away or judged is None or judged.stable is not False or len(run.run) < 3:
         return None
     i = int(np.argmax(np.max(np.abs(run.feedback / run.scale), axis=0)))
     return Oscillation(joint=i, window=slice(0, len(run.run)), fraction=1.0, sinusoid=None)
@@ -298,10 +298,10 @@ def oscillation(run: ExaminedRun, kind: str) -> Finding | None:
         return None
     i, line, ticks = found.joint, found.sinusoid, len(run.run)
     unit = run.run.effort_units[i]
-    judged = run.run.info.get("stability", {})
+    judged = run.run.info.stability
     evidence: dict[str, tuple[float, str]] = {}
     if line is None:
-        evidence = {"spectral radius": (judged.get("radius", math.nan), "1")}
+        evidence = {"spectral radius": (math.nan if judged is None or judged.radius is None else judged.radius, "1")}
     else:
         ticks = max(64, round(12.0 * TWO_PI / (line.omega * run.dt)))
         evidence = {
@@ -313,9 +313,7 @@ def oscillation(run: ExaminedRun, kind: str) -> Finding | None:
     evidence["amplitude"] = (0.5 * float(np.ptp(run.run.q[shown, i])), run.run.units[i])
     lacks = found.term == "D" and found.evidence["of the work on it"][0] == 0.0
     factor = f", about {0.7 / line.zeta:.2g} times for a damping ratio of 0.7" if line and line.zeta > 0.005 else ""
-    stability = (
-        f"; {judged.get('message', 'the sampled loop was judged unstable')}" if judged.get("stable") is False else ""
-    )
+    stability = f"; {judged.message}" if judged is not None and judged.stable is False else ""
     by = {"I": ("wind-up",), **dict.fromkeys((*LIMIT_TERMS, "torque"), ("saturation",))}
     return run.finding(
         *(found.term, i, found.fraction, {**evidence, **found.evidence}),

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
 
 import numpy as np
 
-from taut.base.types import Float64Array
+from taut.base.types import Float64Array, Matrix6
 from taut.control.combine import bare
 from taut.control.gains import GainValue
 from taut.control.law import Law
@@ -27,9 +25,9 @@ __all__ = ["FeltImpedance", "felt_impedance"]
 class FeltImpedance:
     """D x_ddot + B x_dot + K x = F_ext of the tool's deviation from its reference, in world axes."""
 
-    D: Float64Array  # (6, 6) [kg, kg m^2]
-    B: Float64Array  # (6, 6) [N s/m, N m s/rad]
-    K: Float64Array  # (6, 6) [N/m, N m/rad]
+    D: Matrix6  # [kg, kg m^2]
+    B: Matrix6  # [N s/m, N m s/rad]
+    K: Matrix6  # [N/m, N m/rad]
 
     def response(
         self, t: Float64Array, F_ext: Float64Array, x0: Float64Array, v0: Float64Array
@@ -55,15 +53,6 @@ class FeltImpedance:
             mean = solvers[h] @ (self.D @ v[i] + 0.5 * h * (middle - self.K @ x[i]))
             x[i + 1], v[i + 1] = x[i] + h * mean, 2.0 * mean - v[i]
         return x, v
-
-    def json(self) -> dict[str, Any]:
-        """As plain values."""
-        return {name: getattr(self, name).tolist() for name in ("D", "B", "K")}
-
-    @classmethod
-    def of_json(cls, values: Mapping[str, Sequence[Sequence[float]]]) -> Self:
-        """The inverse of `json`."""
-        return cls(**{name: np.array(values[name]) for name in ("D", "B", "K")})
 
 
 def felt_impedance(law: Law, x: Snapshot) -> FeltImpedance | None:

@@ -11,7 +11,8 @@ from taut.base.errors import RangeError, UsageError
 from taut.base.types import Float64Array, Vector, Vector3, Wrench
 from taut.control.laws.task_space import wrench_moved
 from taut.control.trajectories.force_reference import HybridMotion, Pressing
-from taut.control.trajectories.reference import Chunk, Hold, Reference, Sample
+from taut.control.trajectories.reference import Hold, Reference, Sample
+from taut.control.trajectories.samples import Chunk
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.constraints.constraint import Constraint
 from taut.maths.constraints.rows import ConstraintRows, OfVelocity

@@ -18,7 +18,8 @@ from taut.control.law import Law, MemoryView
 from taut.control.laws.null_space import Posture, check_null, with_null_space
 from taut.control.laws.task_space import bounded_inertia, check_sensor, task_gain, wrench_at
 from taut.control.laws.tool_loop import tool_loop
-from taut.control.trajectories.force_reference import FRAMES, ForceFrame, HybridMotion, TaskForce
+from taut.control.trajectories.force_reference import HybridMotion, TaskForce
+from taut.control.trajectories.task_reference import FRAMES, Axes
 from taut.maths import dynamics as dyn
 from taut.maths.constraints.constraint import Constraint
 from taut.maths.constraints.rows import ConstraintRows
@@ -28,7 +29,7 @@ from taut.maths.task_inertia import TaskInertia
 from taut.trace import math as tm
 
 if TYPE_CHECKING:
-    from taut.plant.force_feedback import RigidTouch
+    from taut.plant.contact import RigidTouch
 
 __all__ = ["E_INT_MAX", "ForceControl", "asked_multipliers", "misses", "of_wrench", "wrench_of_torques"]
 
@@ -120,7 +121,7 @@ class ForceControl(Law):
     kfi: Gain = task_gain(0.0, unit="1/s", shape=6, accepts=ANY)
     kdamp: Gain = task_gain(unit="N s/m, N m s/rad", shape=6, optional=True)
     e_int_max: Gain = Gain(E_INT_MAX, unit="N s, N m s", shape=2, accepts=("pair",), above=0.0)
-    frame: Choice[ForceFrame] = Choice(*FRAMES)
+    frame: Choice[Axes] = Choice(*FRAMES)
     null: Law | None = Posture()
     integral: Part[Integral] = Part(Integral, default=Integral())
     tool: str | None = None

@@ -15,7 +15,7 @@ from taut.control.command import Command, Torque
 from taut.control.gains import Gain
 from taut.control.law import Law, MemoryView, call
 from taut.control.trajectories.reference import JointMotion
-from taut.maths.friction_law import FrictionValues, dry_limit
+from taut.maths.friction import FrictionValues, dry_limit
 from taut.maths.snapshot import Snapshot
 from taut.trace import math as tm
 

@@ -27,7 +27,7 @@ from taut.control.laws.constraints import (
 )
 from taut.control.laws.force import E_INT_MAX, asked_multipliers, misses, of_wrench
 from taut.control.laws.task_space import check_sensor, wrench_at
-from taut.control.trajectories.force_reference import MOST_ROWS, HybridMotion, hybrid_kind
+from taut.control.trajectories.force_reference import MAX_MULTIPLIERS, HybridMotion, hybrid_kind
 from taut.control.trajectories.reference import Reference, Sample
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.constraints.constraint import Constraint
@@ -141,8 +141,8 @@ class HybridMotionForce(Law):
         motion = self.motion
         if issubclass(motion.reference, HybridMotion):
             self.refuse("motion", f"must be a law such as TaskComputedTorque; got {type(motion).__name__}")
-        if self.rows > MOST_ROWS:
-            self.refuse("constraint", f"must have up to {MOST_ROWS} rows; it has {self.rows}")
+        if self.rows > MAX_MULTIPLIERS:
+            self.refuse("constraint", f"must have up to {MAX_MULTIPLIERS} rows; it has {self.rows}")
         if self.measures and self.feedback == "wrench" and self.constraint.frame is None:
             self.refuse(
                 "feedback",

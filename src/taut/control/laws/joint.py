@@ -6,10 +6,11 @@ desired minus actual, f(v) the friction of the plant: b v for viscous, mu sign(v
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 from taut.base.fields import Part
-from taut.control.closed_loop import ClosedLoop
 from taut.control.command import Command, Terms, Torque, Velocity
 from taut.control.gains import Gain
 from taut.control.integral import Integral
@@ -17,6 +18,9 @@ from taut.control.law import Law, MemoryView
 from taut.control.trajectories.reference import JointMotion, Sample
 from taut.maths.snapshot import Snapshot
 from taut.trace import math as tm
+
+if TYPE_CHECKING:
+    from taut.control.closed_loop import ClosedLoop, PlacedGains
 
 __all__ = [
     "PID",
@@ -51,7 +55,7 @@ class PID(Law):
 
     def closed_loop(self, x: Snapshot) -> ClosedLoop:
         """M e_ddot + kd e_dot + kp e + ki int(e) = 0, each joint with its own inertia unless gains are matrices."""
-        return ClosedLoop.of_joints(
+        return _of_joints(
             x, lambda g: replace(self, kp=g.K, kd=g.D, ki=g.Ki), inertia=x.M, stiffness=True, decentralised=True
         )
 
@@ -102,7 +106,7 @@ class ComputedTorque(Law):
 
     def closed_loop(self, x: Snapshot) -> ClosedLoop:
         """e_ddot + kd e_dot + kp e + ki int(e) = 0."""
-        return ClosedLoop.of_joints(x, lambda g: replace(self, kp=g.K, kd=g.D, ki=g.Ki))
+        return _of_joints(x, lambda g: replace(self, kp=g.K, kd=g.D, ki=g.Ki))
 
     def command(
         self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float
@@ -141,7 +145,7 @@ class GravityPID(Law):
 
     def closed_loop(self, x: Snapshot) -> ClosedLoop:
         """M e_ddot + kd e_dot + kp e + ki int(e) = 0, each joint with its own inertia unless gains are matrices."""
-        return ClosedLoop.of_joints(
+        return _of_joints(
             x, lambda g: replace(self, kp=g.K, kd=g.D, ki=g.Ki), inertia=x.M, stiffness=True, decentralised=True
         )
 
@@ -169,9 +173,7 @@ class GravityCompensation(Law):
 
     def closed_loop(self, x: Snapshot) -> ClosedLoop:
         """M v_dot + kd v = 0."""
-        return ClosedLoop.of_joints(
-            x, lambda g: replace(self, kd=g.D), inertia=x.M, single_pole="always", decentralised=True
-        )
+        return _of_joints(x, lambda g: replace(self, kd=g.D), inertia=x.M, single_pole="always", decentralised=True)
 
     def command(self, x: Snapshot, ref: Sample) -> Command:  # noqa: ARG002
         return Torque(gravity=x.g, D=-(self.kd @ x.v))
@@ -193,7 +195,7 @@ class VelocityPI(Law):
 
     def closed_loop(self, x: Snapshot) -> ClosedLoop:
         """e_ddot + kp e_dot + ki e = 0; with ki = 0 one pole, e_dot + kp e = 0."""
-        return ClosedLoop.of_joints(x, lambda g: replace(self, kp=g.D, ki=g.K), single_pole="possible")
+        return _of_joints(x, lambda g: replace(self, kp=g.D, ki=g.K), single_pole="possible")
 
     def command(
         self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float
@@ -201,3 +203,10 @@ class VelocityPI(Law):
         e = x.difference(ref.q)
         e_int, integral = self.integral.step(memory.integral, e, dt, ki=self.ki, cut=lambda: x.tau_cut)
         return Velocity(feedforward=ref.v, P=self.kp @ e, I=self.ki @ e_int), {"integral": integral}
+
+
+def _of_joints(x: Snapshot, gains: Callable[[PlacedGains], Law], **options: Any) -> ClosedLoop:
+    """The closed loop of a law of joints; for a design alone, so that a controller does not load it."""
+    from taut.control.closed_loop import ClosedLoop
+
+    return ClosedLoop.of_joints(x, gains, **options)

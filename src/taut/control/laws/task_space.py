@@ -21,8 +21,7 @@ from taut.control.law import Law
 from taut.control.laws.task_error import Coordinates, ErrorKind, TaskError, check_coordinates, dimensions, task_error
 from taut.control.side_by_side import SideBySide
 from taut.control.trajectories.task_reference import TaskMotion
-from taut.maths.out_of_reach import Asked, Beyond, distance_beyond, spheres
-from taut.maths.singularity import TOP_SPEED
+from taut.maths.singularity import TOP_SPEED, Asked, Beyond, distance_beyond, spheres
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import curve, pose_log_rate, rotated, rotated_matrix, turned_back
 from taut.maths.task_inertia import TaskInertia

@@ -189,16 +189,15 @@ class LossOfContact(Wrapper):
             after["e_int"] = tm.where(missing > 0.5, memory.e_int, after["e_int"])
             rows = self.law.constraint.at(x)
             held = Constrained.of(rows, x.M_factors)
-            softer = (s - 1.0) * (after["lam"] - self._gentle(after["lam"]))
+            softer = (s - 1.0) * (after["lam"] - self._gentle(self.law.constraint, after["lam"]))
             braked = rows.rate(x.v) * np.array(rows.one_sided, dtype=np.float64) / (BRAKING + dt)
             braking = held.of_bias((s - 1.0) * braked)
             after["lam"] = after["lam"] + softer + braking
             command = Torque(command.terms + Terms(lost=held.pressing(softer + braking)))
         return command, after
 
-    def _gentle(self, lam: Vector) -> Vector:
+    def _gentle(self, constraint: Constraint, lam: Vector) -> Vector:
         """(k,) the multipliers with which a one-sided row is still sought when it is lost."""
-        constraint = self.law.constraint
         least = -GENTLE * np.where(constraint.moments, self.contact[1], self.contact[0])
         out: Vector = tm.where(np.array(constraint.one_sided), tm.maximum(lam, least), lam)
         return out

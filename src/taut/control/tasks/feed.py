@@ -25,8 +25,7 @@ __all__ = ["TaskFeed", "TaskSteps", "feed_of"]
 NEXT: Final = "law.next"
 TICKS: Final = "law.ticks"
 TASK_BLOCK: Final = 256  # ticks that a run takes at once: more would be taken back where a phase begins among them
-AHEAD: Final = 512  # ticks whose samples are made at once where ticks are taken one by one
-ONE_BY_ONE: Final = 16  # the same of a trajectory that gives one at a time, so that no tick waits long for them
+AHEAD: Final = 256  # ticks whose samples are made at once where ticks are taken one by one
 
 
 def feed_of(side: LawSide, ref: Reference, q: Float64Array, parameters: Callable[[], Mapping[str, Any]]) -> Feed:
@@ -160,11 +159,6 @@ class TaskFeed:
         """The first tick after `tick` at which the source of a stream is asked; None if never."""
         question = None if self._inner is None else self._inner.next_question(tick - self._since)
         return None if question is None else question + self._since
-
-    @property
-    def in_rows(self) -> bool:
-        """Whether the samples of many ticks cost little more than that of one, once the reference is made."""
-        return self._inner is None or self._inner.in_rows
 
     def fill(
         self, views: Mapping[str, Float64Array], first: int, state: Callable[[], Any], given: Sample | None = None
@@ -334,5 +328,4 @@ class TaskSteps:
         if self._feed.waits:
             return 1
         question = self._feed.next_question(tick)
-        count = AHEAD if self._feed.in_rows else ONE_BY_ONE
-        return count if question is None else min(count, question - tick)
+        return AHEAD if question is None else min(AHEAD, question - tick)

@@ -8,7 +8,7 @@ from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
 
-from taut.base.checks import finite_scalar, one_of, require_at_least, vector
+from taut.base.checks import finite_scalar, one_of, require_at_least, vector, whole_number
 from taut.base.errors import RangeError, ShapeError, UsageError, unknown_name
 from taut.base.types import ArrayLike
 from taut.control.trajectories.reference import JointMotion
@@ -257,9 +257,7 @@ def lasting(guard: Callable[[Any], Any], *, ticks: int) -> Lasting:
         raise UsageError(
             f"lasting takes a guard, such as lambda x: taut.guards.contact(x, 2.0); got {guard!r}", name="guard"
         )
-    if isinstance(ticks, bool) or not isinstance(ticks, (int, np.integer)) or ticks < 1:
-        raise RangeError(f"ticks must be a whole number >= 1; got {ticks!r}", name="ticks", rule=">= 1")
-    return Lasting(guard=guard, ticks=int(ticks))
+    return Lasting(guard=guard, ticks=whole_number("ticks", ticks, minimum=1))
 
 
 def condition(result: Any, who: str) -> Any:

@@ -14,7 +14,7 @@ from taut.base.errors import RangeError, UsageError, unknown_name
 from taut.control.describe import all_laws
 from taut.control.law import Law
 from taut.control.tasks.guards import Guard, Lasting, contact
-from taut.control.trajectories.reference import Chunk, Hold, Reference, Sample, Stream, Trajectory, as_reference
+from taut.control.trajectories.reference import Hold, Reference, Sample, Trajectory, as_reference
 from taut.maths.snapshot import Snapshot
 
 __all__ = ["STOP", "Phase", "PhaseReference", "named_phases"]
@@ -135,10 +135,8 @@ class Phase:
         except UsageError as cause:
             raise UsageError(f"{who}: {cause}", name="reference") from cause
         sample = given.sample if isinstance(given, Hold) else given
-        if isinstance(sample, Trajectory) and not isinstance(sample, (Sample, Stream, Chunk)):
+        if isinstance(sample, Trajectory):
             sample = sample.at(0.0)
-        if isinstance(sample, Chunk):
-            sample = sample.samples[0]
         if isinstance(sample, Sample) and not isinstance(sample, self.law.reference):
             raise UsageError(
                 f"{who}: its law follows {self.law.reference.described()}; the reference gives {sample.described()}",

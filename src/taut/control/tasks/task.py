@@ -39,7 +39,7 @@ T = TypeVar("T")
 RUNNING, UNTIL, UNLESS, TIMEOUT, NO_CONTACT = range(5)
 ENDED: Final = {UNTIL: "until", UNLESS: "unless", TIMEOUT: "timeout", NO_CONTACT: "no contact"}
 """What ended a phase, by the code that is recorded in the last tick of it."""
-BESIDE: Final = 0.1  # [rad | m] to a state beside a singular one
+OFFSET_FROM_SINGULAR: Final = 0.1  # [rad | m] to a state beside a singular one
 TICK_ROUNDING: Final = 1e-6  # [ticks] by which a timeout that is meant to be a whole number of ticks may miss one
 MADE_BY: Final = {kind.kind: kind for kind in (Torque, Velocity, Position)}
 
@@ -392,7 +392,7 @@ def _beside_singular(evaluated: Callable[[Snapshot], T], x: Snapshot, *, idle: b
     except NumericalError:
         if not idle:
             raise
-        return evaluated(x.at(x.q + BESIDE * np.cos(np.arange(x.n)), x.v))
+        return evaluated(x.at(x.q + OFFSET_FROM_SINGULAR * np.cos(np.arange(x.n)), x.v))
 
 
 def _zeros(memory: Any) -> Any:

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
 import numpy as np
 
-from taut.arm.angles import require_radians
+from taut.arm.angles import require_radians, short_way
 from taut.arm.description import Arm
 from taut.base.errors import TautError, UsageError
 from taut.base.types import Float64Array
-from taut.control.trajectories.fade import Fade, can_fade
-from taut.control.trajectories.reference import Chunk, Hold, Reference, Sample, Stream, sample_rows
+from taut.control.trajectories.reference import Hold, JointMotion, Reference, Rows, Sample, Stream, sample_rows
+from taut.control.trajectories.samples import Chunk
+from taut.control.trajectories.task_reference import TaskMotion, faded, offset, quintic_between
 
 __all__ = ["Feed", "ReferenceFeed"]
 
@@ -100,14 +102,9 @@ class ReferenceFeed:
         """
         if not isinstance(self._ref, Stream):
             return None
-        period = self._ref.period / self._dt  # [ticks]
+        period: float = self._ref.period / self._dt  # [ticks]
         j = math.floor(tick / period + NEAR) + 1
         return max(tick + 1, math.ceil(j * period - NEAR))
-
-    @property
-    def in_rows(self) -> bool:
-        """Whether the samples of many ticks cost little more than that of one."""
-        return isinstance(self._ref, (Sample, Stream)) or getattr(self._ref, "rows", None) is not None
 
     def fill(
         self, views: Mapping[str, Float64Array], first: int, state: Callable[[], Any], *, ahead: bool = True
@@ -182,11 +179,56 @@ class ReferenceFeed:
         return answer
 
 
+@dataclass(frozen=True)
 class _Constant:
     """A sample as a trajectory."""
 
-    def __init__(self, sample: Sample) -> None:
-        self._sample = sample
+    sample: Sample
 
     def at(self, t: float) -> Sample:  # noqa: ARG002
-        return self._sample
+        return self.sample
+
+
+# -------------------------------------------------------------------- from one motion to another
+
+
+def can_fade(kind: type[Sample]) -> bool:
+    """Whether samples of this kind are motions, with rates."""
+    return kind in (JointMotion, TaskMotion)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fade:
+    """What led from a new motion to an old one when it took its place, which fades to nothing as a quintic."""
+
+    kind: type[Sample]
+    since: float  # [s]
+    duration: float  # [s]
+    start: Any  # the offset at `since`
+
+    @classmethod
+    def of(cls, kind: type[Sample], old: Rows, new: Rows, since: float, duration: float, arm: Arm) -> Fade:
+        """The fade from one motion to another.
+
+        Args:
+            kind: Kind of sample of both.
+            old: Its fields at `since`, one row each.
+            new: The same of what takes its place.
+            since: [s].
+            duration: [s].
+            arm: Whose continuous joints go the short way round.
+        """
+        if kind is TaskMotion:
+            return cls(kind=kind, since=since, duration=duration, start=offset(old, new))
+        q = short_way(old["q"] - new["q"], arm.continuous)
+        return cls(kind=kind, since=since, duration=duration, start=(q, old["v"] - new["v"], old["a"] - new["a"]))
+
+    def applied(self, rows: Rows, times: Float64Array) -> dict[str, Float64Array]:
+        """The new motion with what is left of the old one, at times from `since` on [s]."""
+        x = np.clip((times - self.since) / self.duration, 0.0, 1.0)
+        full = {name: np.broadcast_to(values, (len(times), *values.shape[1:])) for name, values in rows.items()}
+        if self.kind is TaskMotion:
+            return faded(full, x, self.duration, self.start)
+        none = (np.zeros_like(self.start[0]),) * 3
+        left = quintic_between(x, self.duration, self.start, none)
+        return {name: full[name] + part for name, part in zip(("q", "v", "a"), left, strict=True)}

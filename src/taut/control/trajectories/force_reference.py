@@ -5,22 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, ClassVar, Final, Literal, Self
+from typing import Any, ClassVar, Final, Self
 
 import numpy as np
 
 from taut.base.checks import finite_array, finite_scalar, one_of, read_only, vector
 from taut.base.errors import RangeError, ShapeError, UsageError
+from taut.base.fields import Field, Part, Plain
 from taut.base.types import Array, ArrayLike, Float64Array, Rotation, Wrench
-from taut.control.trajectories.reference import Hold, JointMotion, Sample, Trajectory
-from taut.control.trajectories.task_reference import TaskMotion
+from taut.control.trajectories.reference import Hold, JointMotion, Rows, Sample, Shapes, Trajectory
+from taut.control.trajectories.task_reference import FRAMES, Axes, TaskMotion
+from taut.control.trajectories.timing import Motion
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import rotated
 
-__all__ = ["MOST_ROWS", "HybridMotion", "TaskForce", "hybrid_kind", "pressing"]
+__all__ = ["MAX_MULTIPLIERS", "HybridMotion", "TaskForce", "hybrid_kind", "pressing"]
 
-ForceFrame = Literal["world", "tool"]
-FRAMES: Final[tuple[ForceFrame, ...]] = ("world", "tool")
 UNIT: Final = "N, N m"
 
 
@@ -53,11 +53,13 @@ class TaskForce(Sample):
         Section 10.3 force control.
     """
 
+    _shapes: ClassVar[Shapes] = {"F_world": (6,), "F_tool": (6,)}
+
     F_world: Array  # (6,) the part in world axes
     F_tool: Array  # (6,) the part in the tool's axes
 
     def __init__(
-        self, *, F_app: ArrayLike | None = None, F_ext: ArrayLike | None = None, frame: ForceFrame = "world"
+        self, *, F_app: ArrayLike | None = None, F_ext: ArrayLike | None = None, frame: Axes = "world"
     ) -> None:
         one_of("frame", frame, FRAMES)
         if (F_app is None) == (F_ext is None):
@@ -85,17 +87,6 @@ class TaskForce(Sample):
         return turned
 
     @classmethod
-    def fields(cls, n: int) -> dict[str, tuple[int, ...]]:  # noqa: ARG003
-        return {"F_world": (6,), "F_tool": (6,)}
-
-    @classmethod
-    def of(cls, values: Mapping[str, Any]) -> Self:
-        made = object.__new__(cls)
-        for name in ("F_world", "F_tool"):
-            object.__setattr__(made, name, values[name])
-        return made
-
-    @classmethod
     def at_rest(cls, x: Snapshot, tool: str | None) -> Self:  # noqa: ARG003
         """No force at all."""
         return cls.of({"F_world": np.zeros(6), "F_tool": np.zeros(6)})
@@ -110,8 +101,8 @@ class TaskForce(Sample):
         return f"TaskForce(F_app={self.F_world.tolist()})"
 
 
-MOST_ROWS: Final = 12  # of all constraints at once
-FORCES: Final = {"press": (1,), "lam": (MOST_ROWS,), "F_app": (6,), "given": (1,)}
+MAX_MULTIPLIERS: Final = 12  # of all constraints at once
+FORCES: Final = {"press": (1,), "lam": (MAX_MULTIPLIERS,), "F_app": (6,), "given": (1,)}
 
 
 class HybridMotion(Sample):
@@ -154,9 +145,7 @@ class HybridMotion(Sample):
         return cls(cls.kind.of(values), *(values[name] for name in FORCES))
 
     @classmethod
-    def between(
-        cls, times: Float64Array, knots: Float64Array, rows: Mapping[str, Float64Array]
-    ) -> dict[str, Float64Array]:
+    def between(cls, times: Float64Array, knots: Float64Array, rows: Rows) -> dict[str, Float64Array]:
         forces = {name: rows[name] for name in FORCES}
         motion = {name: values for name, values in rows.items() if name not in FORCES}
         return {**cls.kind.between(times, knots, motion), **super().between(times, knots, forces)}
@@ -183,55 +172,47 @@ def hybrid_kind(motion: type[Sample]) -> type[HybridMotion]:
 OF_TASK, OF_JOINTS = hybrid_kind(TaskMotion), hybrid_kind(JointMotion)  # so that logs find them
 
 
-class Pressing:
-    """A trajectory of motion, with forces, as one trajectory."""
+class Pressing(Motion[HybridMotion]):
+    """A motion with forces as one trajectory; made by `taut.pressing`."""
 
-    def __init__(
-        self,
-        motion: Sample | Trajectory,
-        press: float | Callable[[float], float],
-        lam: Array,
-        F_app: Array,
-        given: Array,
-    ) -> None:
-        self._motion, self._press, self._lam, self._F_app, self._given = motion, press, lam, F_app, given
-
-    def at(self, t: float) -> Sample:
-        """The sample at time t [s]."""
-        motion = self._motion if isinstance(self._motion, Sample) else self._motion.at(t)
-        press = _checked_press(self._press(t), t) if callable(self._press) else self._press
-        return hybrid_kind(type(motion))(motion, np.array([press]), self._lam, self._F_app, self._given)
+    of: Part[Any] = Part(Sample, Trajectory)
+    press: Plain[float | Callable[[float], float]] = Plain()
+    lam: Field = Field(unit=UNIT, shape=MAX_MULTIPLIERS)
+    F_app: Field = Field(unit=UNIT, shape=6)
+    given: Field = Field(shape=1)
 
     @property
     def motion(self) -> Sample | Trajectory:
         """The motion without the forces."""
-        return self._motion
+        motion: Sample | Trajectory = self.of
+        return motion
 
     @property
     def presses(self) -> bool:
         """Whether it asks for a press, if only later."""
-        return callable(self._press) or self._press > 0.0
-
-    @property
-    def rows(self) -> Callable[[Float64Array], Sample] | None:
-        """Samples at many times at once, where the motion gives them so: much faster than one by one."""
-        of_motion: Callable[[Float64Array], Sample] | None = getattr(self._motion, "rows", None)
-        if of_motion is None:
-            return None
-
-        def rows(times: Float64Array) -> Sample:
-            motion, k = of_motion(times), len(times)
-            given = [self._press(float(t)) if callable(self._press) else self._press for t in times]
-            press = np.array([_checked_press(value, float(t)) for value, t in zip(given, times, strict=True)])
-            others = (np.tile(values, (k, 1)) for values in (self._lam, self._F_app, self._given))
-            return hybrid_kind(type(motion))(motion, press[:, np.newaxis], *others)
-
-        return rows
+        return callable(self.press) or self.press > 0.0
 
     @property
     def duration(self) -> float | None:
         """[s] of the motion, where it has one."""
-        return getattr(self._motion, "duration", None)
+        return getattr(self.of, "duration", None)
+
+    def rows(self, times: Float64Array) -> HybridMotion:
+        motion = _motion_rows(self.of, times)
+        given = [self.press(float(t)) if callable(self.press) else self.press for t in times]
+        press = np.array([[_checked_press(value, float(t))] for value, t in zip(given, times, strict=True)])
+        others = (np.tile(values, (len(times), 1)) for values in (self.lam, self.F_app, self.given))
+        return hybrid_kind(type(motion))(motion, press, *others)
+
+
+def _motion_rows(motion: Any, times: Float64Array) -> Sample:
+    """Samples of a motion at many times; one by one where it does not give them at once."""
+    if getattr(motion, "rows", None) is not None:
+        rows: Sample = motion.rows(times)
+        return rows
+    samples = [motion if isinstance(motion, Sample) else motion.at(float(t)) for t in times]
+    kind = type(samples[0])
+    return kind.of({name: np.stack([getattr(sample, name) for sample in samples]) for name in kind.fields(1)})
 
 
 def pressing(
@@ -284,20 +265,20 @@ def pressing(
     ]
     if len(given) > 1:
         raise UsageError(f"pressing takes one of press, lam and F_app; got {' and '.join(given)}", name=given[1])
-    full, count = np.zeros(MOST_ROWS), 0
+    full, count = np.zeros(MAX_MULTIPLIERS), 0
     if lam is not None:
-        rows = finite_array("lam", lam, unit="N, N m")
-        if rows.ndim != 1 or not 1 <= len(rows) <= MOST_ROWS:
+        rows = finite_array("lam", lam, unit=UNIT)
+        if rows.ndim != 1 or not 1 <= len(rows) <= MAX_MULTIPLIERS:
             raise ShapeError(
                 f"lam must be (k,), one for each row of the constraint; got shape {rows.shape}", name="lam"
             )
         full[: len(rows)], count = rows, len(rows)
-    wrench = np.zeros(6) if F_app is None else vector("F_app", F_app, 6, unit="N, N m")
+    wrench = np.zeros(6) if F_app is None else vector("F_app", F_app, 6, unit=UNIT)
     force = press if callable(press) else _checked_press(press)
     if isinstance(taken, Sample) and not callable(force):
         kind = hybrid_kind(type(taken))
         return kind(taken, read_only([force]), read_only(full), read_only(wrench), read_only([float(count)]))
-    return Pressing(taken, force, read_only(full), read_only(wrench), read_only([float(count)]))
+    return Pressing(of=taken, press=force, lam=full, F_app=wrench, given=[float(count)])
 
 
 def _checked_press(value: object, t: float | None = None) -> float:

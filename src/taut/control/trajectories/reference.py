@@ -8,24 +8,25 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol, Self, TypeAlias, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, TypeAlias, runtime_checkable
 
 import numpy as np
 
-from taut.base.checks import entry_names, finite_array, finite_scalar, positive_scalar, vector
+from taut.base.checks import entry_names, finite_array, vector
 from taut.base.errors import RangeError, ShapeError, UsageError, unknown_name
+from taut.base.fields import Declared, Field, Part, Plain
 from taut.base.types import Array, ArrayLike, Float64Array
 from taut.maths.snapshot import Snapshot
 from taut.trace import math as tm
 from taut.trace.pose import ROTATION_TOLERANCE, Pose
 
 __all__ = [
-    "Chunk",
     "Hold",
     "JointMotion",
     "Reference",
+    "Rows",
     "Sample",
+    "Shapes",
     "Stream",
     "Trajectory",
     "as_reference",
@@ -34,11 +35,17 @@ __all__ = [
     "stream",
 ]
 
+Shapes: TypeAlias = Mapping[str, tuple[int | str, ...]]
+Rows: TypeAlias = Mapping[str, Float64Array]
+"""The fields of samples by name, each with one row per time, (k, ...)."""
+
 
 class Sample(ABC):
     """One sample of a reference, as a law sees it. Final subclasses state their fields."""
 
     __slots__ = ()
+    _shapes: ClassVar[Shapes] = {}
+    """Shape of each field by name; "n" stands for the number of joints."""
 
     if not TYPE_CHECKING:  # type checkers know the fields
 
@@ -50,14 +57,17 @@ class Sample(ABC):
             raise AttributeError(str(unknown_name(f"a {cls.__name__}", "field", name, known)), name=name, obj=None)
 
     @classmethod
-    @abstractmethod
     def fields(cls, n: int) -> dict[str, tuple[int, ...]]:
         """Shape of each field, for an arm of n joints."""
+        return {name: tuple(n if k == "n" else int(k) for k in shape) for name, shape in cls._shapes.items()}
 
     @classmethod
-    @abstractmethod
     def of(cls, values: Mapping[str, Any]) -> Self:
         """A sample from values that are known to fit; symbols too."""
+        made = object.__new__(cls)
+        for name in cls._shapes:
+            object.__setattr__(made, name, values[name])
+        return made
 
     @property
     def motion(self) -> Sample:
@@ -70,9 +80,7 @@ class Sample(ABC):
         return cls.__name__
 
     @classmethod
-    def between(
-        cls, times: Float64Array, knots: Float64Array, rows: Mapping[str, Float64Array]
-    ) -> dict[str, Float64Array]:
+    def between(cls, times: Float64Array, knots: Float64Array, rows: Rows) -> dict[str, Float64Array]:
         """Each field (k, ...) at many times, from rows at the knots: linear in each number unless overridden.
 
         Args:
@@ -111,6 +119,8 @@ class JointMotion(Sample):
         [0.0, 0.0]
     """
 
+    _shapes: ClassVar[Shapes] = {"q": ("n",), "v": ("n",), "a": ("n",)}
+
     q: Array
     v: Array
     a: Array
@@ -125,21 +135,8 @@ class JointMotion(Sample):
         object.__setattr__(self, "a", _zeros(n) if a is None else vector("ref.a", a, n, unit="rad/s^2 | m/s^2"))
 
     @classmethod
-    def fields(cls, n: int) -> dict[str, tuple[int, ...]]:
-        return {"q": (n,), "v": (n,), "a": (n,)}
-
-    @classmethod
-    def of(cls, values: Mapping[str, Any]) -> Self:
-        made = object.__new__(cls)
-        for name in ("q", "v", "a"):
-            object.__setattr__(made, name, values[name])
-        return made
-
-    @classmethod
-    def between(
-        cls, times: Float64Array, knots: Float64Array, rows: Mapping[str, Float64Array]
-    ) -> dict[str, Float64Array]:
-        out = {name: _interpolated(times, knots, table) for name, table in rows.items()}
+    def between(cls, times: Float64Array, knots: Float64Array, rows: Rows) -> dict[str, Float64Array]:
+        out = Sample.between(times, knots, rows)
         outside = (times < knots[0]) | (times > knots[-1])
         out["v"][outside] = out["a"][outside] = 0.0
         return out
@@ -184,77 +181,29 @@ class Trajectory(Protocol):
         ...
 
 
-@dataclass(frozen=True, kw_only=True)
-class Hold:
+class Hold(Declared):
     """Stay: at the sample, or at the state of the first tick. Never times out."""
 
-    sample: Sample | None = None
+    sample: Part[Sample | None] = Part(Sample, optional=True)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Stream:
-    """Samples that arrive one by one; in simulation `source(x)` gives the next sample, or chunk, each period."""
+class Stream(Declared):
+    """Samples that arrive one by one; made by `taut.stream`."""
 
-    period: float  # [s]
-    source: Callable[[Any], Sample | Chunk] | None = None
-    blend: float | None = None  # [s]
-
-    def __post_init__(self) -> None:
-        positive_scalar("period", self.period, unit="s")
-        if self.blend is not None:
-            positive_scalar("blend", self.blend, unit="s")
-        if self.source is not None and not callable(self.source):
-            raise UsageError(f"source must be a function of the snapshot; got {self.source!r}", name="source")
+    period: Field = Field(unit="s", above=0.0, run_time=False)
+    source: Plain[Callable[[Any], Any] | None] = Plain(Callable, optional=True)  # type: ignore[arg-type]  # an abstract class
+    blend: Field = Field(unit="s", above=0.0, optional=True, run_time=False)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Chunk:
-    """A few future samples with their times, as a learned policy emits them.
-
-    Between joint motions it is linear in each number, between task motions a smooth motion through their poses,
-    twists and accelerations. Before its first time it rests at its first position, after its last time at its last.
-    """
-
-    times: Float64Array  # (k,) [s] from the moment it starts
-    samples: tuple[Sample, ...]
-
-    def at(self, t: float) -> Sample:
-        """The sample at time t [s]."""
-        rows = self._blend(np.array([t]))
-        return type(self.samples[0]).of({name: values[0] for name, values in rows.items()})
-
-    def rows(self, times: Float64Array) -> Sample:
-        """Samples at many times, as arrays (k, ...)."""
-        return type(self.samples[0]).of(self._blend(times))
-
-    def _blend(self, times: Float64Array) -> dict[str, Float64Array]:
-        """Each field at many times (k, ...)."""
-        kind = type(self.samples[0])
-        return kind.between(times, self.times, self._table)
-
-    @cached_property
-    def _table(self) -> dict[str, Float64Array]:
-        """Each field at the times of the chunk (m, ...)."""
-        names = type(self.samples[0]).fields(1)
-        return {name: np.stack([getattr(sample, name) for sample in self.samples]) for name in names}
-
-
-Reference: TypeAlias = Sample | Hold | Stream | Chunk | Trajectory
+Reference: TypeAlias = Sample | Hold | Stream | Trajectory
 
 
 def hold(sample: Sample | None = None) -> Hold:
     """Stay at `sample`; without one, at the state of the first tick. Never times out."""
-    if sample is not None and not isinstance(sample, Sample):
-        raise UsageError(
-            f"hold takes a sample such as taut.JointMotion(q=...) or taut.TaskMotion(pose=...); got {sample!r}",
-            name="sample",
-        )
     return Hold(sample=sample)
 
 
-def stream(
-    *, period: float, source: Callable[[Any], Sample | Chunk] | None = None, blend: float | None = None
-) -> Stream:
+def stream(*, period: float, source: Callable[[Any], Any] | None = None, blend: float | None = None) -> Stream:
     """Samples that come one a period, from a policy, a planner or a person.
 
     With `blend` the reference passes smoothly from what it was to each new sample or chunk: what leads from the new
@@ -268,7 +217,7 @@ def stream(
         source: In simulation, a function of the snapshot that gives a sample or a chunk.
         blend: Time to pass from one answer to the next [s], such as the period itself.
     """
-    return Stream(period=finite_scalar("period", period, unit="s"), source=source, blend=blend)
+    return Stream(period=period, source=source, blend=blend)
 
 
 # -------------------------------------------------------------------- reading one
@@ -280,9 +229,7 @@ def as_reference(ref: object) -> Reference:
     Raises:
         UsageError: It is none of them.
     """
-    if isinstance(ref, (Sample, Hold, Stream, Chunk)):
-        return ref
-    if isinstance(ref, Trajectory):
+    if isinstance(ref, (Sample, Hold, Stream, Trajectory)):
         return ref
     hint = "; a pose to go to is taut.TaskMotion(pose=...)" if isinstance(ref, Pose) else ""
     raise UsageError(

@@ -1,37 +1,84 @@
-"""Trajectories of task space: paths of the tool as functions of time, with `at(t)` and `rows(times)`.
+"""Trajectories of the tool: line, screw, circle, and a motion at a constant velocity.
 
-Before its start a trajectory rests at its first pose, after its end at its last. Twists and accelerations are the
-exact rates of the pose, in world axes.
+Twists and accelerations are the exact rates of the pose, in world axes.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Final, Literal
+from abc import abstractmethod
+from typing import Final, Literal
 
 import numpy as np
 
-from taut.base.checks import finite_scalar, one_of, positive_scalar, vector
-from taut.base.errors import RangeError, UsageError
-from taut.base.types import ArrayLike, Float64Array, Rotation, Vector3
+from taut.base.errors import RangeError
+from taut.base.fields import Choice, Field, Part
+from taut.base.types import Float64Array, Rotation, Vector3
+from taut.control.trajectories.reference import Rows
 from taut.control.trajectories.task_reference import TaskMotion
-from taut.control.trajectories.timing import Scaling, ScalingKind, Size, Timing, timed
-from taut.maths.rotation_rows import exp_rows, to_body_rates
-from taut.maths.spatial import left_jacobian_inverse, rotation_log
+from taut.control.trajectories.timing import Motion, ScalingKind, Size, Timing
+from taut.maths.spatial import exp_rows, left_jacobian_inverse, rotation_log, to_body_rates
 from taut.trace.pose import Pose
 
-__all__ = ["Circle", "Line", "Screw", "Steady", "checked_pose", "task_rows", "turn_between"]
+__all__ = ["Circle", "Line", "Screw", "Steady"]
 
-HALF_TURN: Final = 1e-9  # [rad] a rotation this close to pi has two ways
-NO_PART: Final = 1e-6  # a component of a unit vector this small counts as none
+HALF_TURN_TOLERANCE: Final = 1e-9  # [rad] a rotation this close to pi has two ways
+NO_COMPONENT: Final = 1e-6  # a component of a unit vector this small counts as none
 DEGREES: Final = 30.0  # [rad] from which on a round number is one of degrees
-FLAT: Final = 1e-6  # [m] how far from the circle's plane its centre may be
-STRAIGHT: Final = 1e-9  # sine of an angle below which three points are on one line
-ORIENTATIONS: Final = ("keep", "turn")
+IN_PLANE: Final = 1e-6  # [m] how far from the circle's plane its centre may be
+MIN_SINE: Final = 1e-9  # of an angle below which three points are on one line
+DURATION_ROUNDING: Final = 1e-9  # relative, of a duration that is the shortest one
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Line:
+class TaskPath(Motion[TaskMotion]):
+    """Base of the motions of the tool from rest to rest along a path, in a duration, or as fast as limits allow.
+
+    A subclass states its `size` and `along(s)`, the path and its derivatives by s from 0 to 1.
+    """
+
+    T0: Part[Pose] = Part(Pose)
+    duration: Field = Field(unit="s", above=0.0, optional=True, run_time=False)
+    velocity: Field = Field(unit="m/s, rad/s", shape=2, accepts=("pair",), above=0.0, optional=True)
+    acceleration: Field = Field(unit="m/s^2, rad/s^2", shape=2, accepts=("pair",), above=0.0, optional=True)
+    scaling: Choice[ScalingKind] = Choice("quintic", "cubic", "trapezoidal")
+
+    def check(self) -> None:
+        self.__dict__["_timing"] = timing = self._timed(self.prepared())
+        self.__dict__["duration"] = timing.duration
+
+    @abstractmethod
+    def prepared(self) -> Size:
+        """Check and keep what follows from the fields; the size of the path."""
+
+    @abstractmethod
+    def along(self, s: Float64Array) -> Rows:
+        """The path at s (k, 1): p, R, and its derivatives by s in world axes: way, bend, turn, each (k, 3)."""
+
+    def _timed(self, size: Size) -> Timing:
+        if (self.velocity is None) != (self.acceleration is None):
+            missing = "velocity" if self.velocity is None else "acceleration"
+            self.refuse("", f"needs {missing} too, as (linear, angular) [{self.declared[missing].unit}]")
+        if self.velocity is None:
+            if self.duration is None:
+                self.refuse("", "needs duration [s], or velocity and acceleration, each (linear, angular)")
+            return Timing.lasting(self.scaling, self.duration, max(size.length, size.turn, size.bend))
+        fastest = Timing.fastest(self.scaling, size, self.velocity, self.acceleration)
+        if self.duration is None:
+            return fastest
+        if self.duration < fastest.duration * (1.0 - DURATION_ROUNDING):
+            rule = f"must be >= {fastest.duration:.6g} [s], which velocity and acceleration allow"
+            self.refuse("duration", f"{rule}; got {self.duration:g}", RangeError)
+        return fastest.stretched(self.duration)
+
+    def rows(self, times: Float64Array) -> TaskMotion:
+        s, rate, second = (x[:, np.newaxis] for x in self.__dict__["_timing"].at(times))
+        path = self.along(s)
+        by_s = np.hstack(np.broadcast_arrays(path["way"], path["turn"]))
+        bend = np.hstack([path["bend"], np.zeros_like(path["bend"])])
+        twist, acceleration = rate * by_s, second * by_s + rate**2 * bend
+        return TaskMotion.of({"p": path["p"], "R": path["R"], "twist": twist, "acceleration": acceleration})
+
+
+class Line(TaskPath):
     """A straight line of the tool's origin, while the orientation turns about one axis (slerp).
 
     p = p_0 + s (p_1 - p_0) and R = R_0 exp(s log(R_0^T R_1)), with s(t) from 0 to 1.
@@ -59,32 +106,20 @@ class Line:
         ([0.4, 0.1, 0.3], 0.1875)
     """
 
-    T0: Pose
-    T1: Pose
-    duration: float | None = None  # [s]
-    velocity: ArrayLike | None = None  # (2,) [m/s, rad/s]
-    acceleration: ArrayLike | None = None  # (2,) [m/s^2, rad/s^2]
-    scaling: ScalingKind = "quintic"
+    T1: Part[Pose] = Part(Pose)
 
-    def __post_init__(self) -> None:
-        T0, T1 = checked_pose("T0", self.T0), checked_pose("T1", self.T1)
-        turn = turn_between(T0.R, T1.R)
-        _keep(self, Size(length=_norm(T1.p - T0.p), bend=0.0, turn=_norm(turn)), _turn=turn)
+    def prepared(self) -> Size:
+        self.__dict__["_turn"] = turn = _rotation_between(self.T0.R, self.T1.R)
+        return Size(length=_norm(self.T1.p - self.T0.p), bend=0.0, turn=_norm(turn))
 
-    def at(self, t: float) -> TaskMotion:
-        """The sample at time t [s]."""
-        return _one(self.rows(_instant(t)))
-
-    def rows(self, times: Float64Array) -> TaskMotion:
-        """Samples at many times, as arrays (k, ...)."""
-        s, way, turn = self._timing.at(times), self.T1.p - self.T0.p, self._turn  # type: ignore[attr-defined]
-        R = self.T0.R @ exp_rows(s[0][:, np.newaxis] * turn)
-        p = self.T0.p + s[0][:, np.newaxis] * way
-        return _moving(s, p, np.broadcast_to(way, p.shape), np.zeros_like(p), R, self.T0.R @ turn)
+    def along(self, s: Float64Array) -> Rows:
+        turn, R0 = self.__dict__["_turn"], self.T0.R
+        way = np.broadcast_to(self.T1.p - self.T0.p, (len(s), 3))
+        p, R = self.T0.p + s * way, R0 @ exp_rows(s * turn)
+        return {"p": p, "R": R, "way": way, "bend": np.zeros_like(p), "turn": R0 @ turn}
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Screw:
+class Screw(TaskPath):
     """A screw motion: the tool keeps one body twist from T0 to T1, but for its speed.
 
     T = T_0 exp(s log(T_0^-1 T_1)), with s(t) from 0 to 1: the tool turns about an axis in space and slides along it,
@@ -112,45 +147,38 @@ class Screw:
         Lynch and Park, Modern Robotics (2017), section 9.2.1 (straight-line paths in SE(3)).
     """
 
-    T0: Pose
-    T1: Pose
-    duration: float | None = None  # [s]
-    velocity: ArrayLike | None = None  # (2,) [m/s, rad/s]
-    acceleration: ArrayLike | None = None  # (2,) [m/s^2, rad/s^2]
-    scaling: ScalingKind = "quintic"
+    T1: Part[Pose] = Part(Pose)
 
-    def __post_init__(self) -> None:
-        T0, T1 = checked_pose("T0", self.T0), checked_pose("T1", self.T1)
-        w = turn_between(T0.R, T1.R)
-        v = left_jacobian_inverse(w) @ (T0.R.T @ (T1.p - T0.p))
-        size = Size(length=_norm(v), bend=_norm(np.cross(w, v)), turn=_norm(w))
-        _keep(self, size, _turn=w, _slide=v)
+    def prepared(self) -> Size:
+        w = _rotation_between(self.T0.R, self.T1.R)
+        v = left_jacobian_inverse(w) @ (self.T0.R.T @ (self.T1.p - self.T0.p))
+        self.__dict__.update(_turn=w, _slide=v)
+        return Size(length=_norm(v), bend=_norm(np.cross(w, v)), turn=_norm(w))
 
-    def at(self, t: float) -> TaskMotion:
-        """The sample at time t [s]."""
-        return _one(self.rows(_instant(t)))
-
-    def rows(self, times: Float64Array) -> TaskMotion:
-        """Samples at many times, as arrays (k, ...)."""
-        s, R0 = self._timing.at(times), self.T0.R  # type: ignore[attr-defined]
-        w, v = self._turn, self._slide  # type: ignore[attr-defined]  # set in __post_init__
-        along = s[0][:, np.newaxis]
-        R = R0 @ exp_rows(along * w)
+    def along(self, s: Float64Array) -> Rows:
+        w, v, R0 = self.__dict__["_turn"], self.__dict__["_slide"], self.T0.R
+        R = R0 @ exp_rows(s * w)
         # The left Jacobian of a vector is the right one of its opposite.
-        moved, _ = to_body_rates(-along * w, np.broadcast_to(v, (len(times), 3)), np.zeros((len(times), 3)))
-        p = self.T0.p + (along * moved) @ R0.T
-        return _moving(s, p, R @ v, R @ np.cross(w, v), R, R0 @ w)
+        moved, _ = to_body_rates(-s * w, np.broadcast_to(v, (len(s), 3)), np.zeros((len(s), 3)))
+        return {
+            "p": self.T0.p + (s * moved) @ R0.T,
+            "R": R,
+            "way": R @ v,
+            "bend": R @ np.cross(w, v),
+            "turn": R0 @ w,
+        }
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Circle:
-    """A circle, or an arc of one, from where the tool is at the start.
+class Circle(TaskPath):
+    """A circle, or an arc of one, from where the tool is at the start: about an axis, or through two points more.
 
     Args:
         T0: First pose; its origin is on the circle.
         centre: (3,) [m].
         axis: (3,) normal of the circle's plane, of any length; the tool goes about it by the right-hand rule.
         angle: [rad] how far; a whole turn by default, negative for the other way round, more for more turns.
+        via: (3,) a point of the arc that it goes through [m], in place of centre, axis and angle, which follow.
+        end: (3,) the point where that arc ends [m].
         orientation: "keep" the first orientation, or "turn" with the circle.
         duration: [s]; what the limits need if left out. Afterwards: how long it takes.
         velocity: (linear, angular) largest speeds [m/s, rad/s].
@@ -166,209 +194,74 @@ class Circle:
         >>> ring = Circle(T0=Pose([0.5, 0.0, 0.3]), centre=[0.4, 0.0, 0.3], axis=[0, 0, 1], duration=4.0)
         >>> ring.at(2.0).p.round(6).tolist(), round(ring.radius, 6)
         ([0.3, 0.0, 0.3], 0.1)
-        >>> arc = Circle.through(T0=Pose([0.5, 0.0, 0.3]), via=[0.4, 0.1, 0.3], end=[0.3, 0.0, 0.3], duration=1.0)
+        >>> arc = Circle(T0=Pose([0.5, 0.0, 0.3]), via=[0.4, 0.1, 0.3], end=[0.3, 0.0, 0.3], duration=1.0)
         >>> round(arc.angle, 9) == round(np.pi, 9)
         True
     """
 
-    T0: Pose
-    centre: ArrayLike  # (3,) [m]
-    axis: ArrayLike  # (3,)
-    angle: float = 2.0 * np.pi  # [rad]
-    orientation: Literal["keep", "turn"] = "keep"
-    duration: float | None = None  # [s]
-    velocity: ArrayLike | None = None  # (2,) [m/s, rad/s]
-    acceleration: ArrayLike | None = None  # (2,) [m/s^2, rad/s^2]
-    scaling: ScalingKind = "quintic"
+    centre: Field = Field(unit="m", shape=3, optional=True)
+    axis: Field = Field(shape=3, optional=True)
+    angle: Field = Field(2.0 * np.pi, unit="rad", run_time=False)
+    via: Field = Field(unit="m", shape=3, optional=True)
+    end: Field = Field(unit="m", shape=3, optional=True)
+    orientation: Choice[Literal["keep", "turn"]] = Choice("keep", "turn")
 
-    def __post_init__(self) -> None:
-        T0 = checked_pose("T0", self.T0)
-        centre, axis = vector("centre", self.centre, 3, unit="m"), vector("axis", self.axis, 3)
-        angle = finite_scalar("angle", self.angle, unit="rad")
+    def prepared(self) -> Size:
+        given = [name for name in ("centre", "axis", "via", "end") if getattr(self, name) is not None]
+        if given == ["via", "end"] and "angle" not in self.specified:
+            self._through_points()
+        elif given != ["centre", "axis"]:
+            self.refuse("", "takes centre and axis, with an angle where it is no whole turn; or via and end")
+        angle, axis = self.angle, self.axis
         if abs(angle) >= DEGREES and abs(angle) % 5.0 == 0.0:
-            raise RangeError(
-                f"angle must be in radians; got {angle:g}, which is {abs(angle) / (2.0 * np.pi):.3g} turns; if it is "
-                f"in degrees, np.radians({angle:g}) converts it",
-                name="angle",
-                value=angle,
-                rule="radians",
-            )
-        one_of("orientation", self.orientation, ORIENTATIONS)
+            rule = f"must be in radians; got {angle:g}; if it is in degrees, np.radians({angle:g}) converts it"
+            self.refuse("angle", rule, RangeError)
         if not axis.any():
-            raise RangeError("axis must have a direction; got zeros", name="axis", rule="not zero")
+            self.refuse("axis", "must have a direction; got zeros", RangeError)
         axis = axis / np.abs(axis).max()
         axis = axis / _norm(axis)
-        off = float(axis @ (T0.p - centre))
-        nearest = centre + off * axis
-        if abs(off) > FLAT:
-            raise RangeError(
-                f"centre must be in the plane through T0 that the axis is normal to; it is {abs(off):.3g} m off, and "
-                f"the nearest point is {nearest.round(6).tolist()}",
-                name="centre",
-                value=off,
-                rule="in the plane",
-            )
-        spoke = T0.p - nearest
-        if _norm(spoke) < FLAT:
-            raise RangeError(
-                "centre is where the circle starts, so that it has no radius; give another point",
-                name="centre",
-                rule="a radius",
-            )
-        for name, value in (("centre", nearest), ("axis", axis), ("angle", angle)):
-            object.__setattr__(self, name, value)
-        length, turn = abs(angle) * _norm(spoke), abs(angle) if self.orientation == "turn" else 0.0
-        _keep(self, Size(length=length, bend=abs(angle) * length, turn=turn), _spoke=spoke)
+        off = float(axis @ (self.T0.p - self.centre))
+        if abs(off) > IN_PLANE:
+            rule = f"must be in the plane through T0 that the axis is normal to; it is {abs(off):.3g} m off"
+            self.refuse("centre", rule, RangeError)
+        centre = self.centre + off * axis
+        spoke = self.T0.p - centre
+        if _norm(spoke) < IN_PLANE:
+            rule = "is where the circle starts, so that it has no radius; give another point"
+            self.refuse("centre", rule, RangeError)
+        self.__dict__.update(centre=centre, axis=axis, _spoke=spoke)
+        length = abs(angle) * _norm(spoke)
+        return Size(length=length, bend=abs(angle) * length, turn=abs(angle) if self.orientation == "turn" else 0.0)
 
-    @classmethod
-    def through(
-        cls,
-        *,
-        T0: Pose,
-        via: ArrayLike,
-        end: ArrayLike,
-        orientation: Literal["keep", "turn"] = "keep",
-        duration: float | None = None,
-        velocity: ArrayLike | None = None,
-        acceleration: ArrayLike | None = None,
-        scaling: ScalingKind = "quintic",
-    ) -> Circle:
-        """The arc from T0 through one point to another.
-
-        Args:
-            T0: First pose.
-            via: (3,) a point in between [m].
-            end: (3,) the last point [m].
-            orientation: As above, like what follows.
-            duration: [s].
-            velocity: (linear, angular) [m/s, rad/s].
-            acceleration: (linear, angular) [m/s^2, rad/s^2].
-            scaling: "quintic", "cubic" or "trapezoidal".
-
-        Raises:
-            RangeError: Points that are the same, or on one line.
-        """
-        checked_pose("T0", T0)
-        b, c = (vector(name, x, 3, unit="m") - T0.p for name, x in (("via", via), ("end", end)))
+    def _through_points(self) -> None:
+        """Centre, axis and angle of the arc from T0 through `via` to `end`, in their place."""
+        b, c = self.via - self.T0.p, self.end - self.T0.p
         normal = np.cross(b, c)
-        if _norm(normal) <= STRAIGHT * _norm(b) * _norm(c):
-            raise RangeError(
-                "via and end must make a circle with T0: three different points that are not on one line; for a "
-                "straight line take taut.trajectories.Line",
-                name="via",
-                rule="three points of a circle",
-            )
-        centre = np.cross((b @ b) * c - (c @ c) * b, normal) / (2.0 * (normal @ normal))
+        if _norm(normal) <= MIN_SINE * _norm(b) * _norm(c):
+            rule = "must make a circle with T0 and end: three different points that are not on one line"
+            self.refuse("via", f"{rule}; for a straight line take taut.trajectories.Line", RangeError)
+        spoke = np.cross((c @ c) * b - (b @ b) * c, normal) / (2.0 * (normal @ normal))  # from the centre to T0
         axis = normal / _norm(normal)
-        x, y = -centre, np.cross(axis, -centre)
-        angle = float(np.arctan2((c - centre) @ y, (c - centre) @ x)) % (2.0 * np.pi)
-        return cls(
-            T0=T0,
-            centre=T0.p + centre,
-            axis=axis,
-            angle=angle,
-            orientation=orientation,
-            duration=duration,
-            velocity=velocity,
-            acceleration=acceleration,
-            scaling=scaling,
-        )
+        angle = float(np.arctan2((c + spoke) @ np.cross(axis, spoke), (c + spoke) @ spoke)) % (2.0 * np.pi)
+        self.__dict__.update(centre=self.T0.p - spoke, axis=axis, angle=angle, via=None, end=None)
 
     @property
     def radius(self) -> float:
         """[m]."""
-        return _norm(self._spoke)  # type: ignore[attr-defined]
+        return _norm(self.__dict__["_spoke"])
 
-    def at(self, t: float) -> TaskMotion:
-        """The sample at time t [s]."""
-        return _one(self.rows(_instant(t)))
-
-    def rows(self, times: Float64Array) -> TaskMotion:
-        """Samples at many times, as arrays (k, ...)."""
-        s, turn = self._timing.at(times), self.angle * np.asarray(self.axis)  # type: ignore[attr-defined]
-        turned = exp_rows(s[0][:, np.newaxis] * turn)
-        spoke = turned @ self._spoke  # type: ignore[attr-defined]
-        p, way = np.asarray(self.centre) + spoke, np.cross(turn, spoke)
+    def along(self, s: Float64Array) -> Rows:
+        turn = self.angle * self.axis
+        turned = exp_rows(s * turn)
+        spoke = turned @ self.__dict__["_spoke"]
+        way = np.cross(turn, spoke)
+        path = {"p": self.centre + spoke, "way": way, "bend": np.cross(turn, way)}
         if self.orientation == "turn":
-            return _moving(s, p, way, np.cross(turn, way), turned @ self.T0.R, turn)
-        R = np.broadcast_to(self.T0.R, turned.shape)
-        return _moving(s, p, way, np.cross(turn, way), R, np.zeros(3))
+            return {**path, "R": turned @ self.T0.R, "turn": turn}
+        return {**path, "R": np.broadcast_to(self.T0.R, turned.shape), "turn": np.zeros(3)}
 
 
-# -------------------------------------------------------------------- what they share
-
-
-def checked_pose(name: str, pose: object) -> Pose:
-    """A pose that a caller hands in.
-
-    Raises:
-        UsageError: It is none.
-    """
-    if not isinstance(pose, Pose):
-        raise UsageError(f"{name} must be a taut.Pose(p=..., rpy=...); got {type(pose).__name__}", name=name)
-    return pose
-
-
-def turn_between(R0: Rotation, R1: Rotation) -> Vector3:
-    """(3,) the rotation vector from R0 to R1, in the axes of R0 [rad]; by pi the way that `Line` states."""
-    w = np.asarray(rotation_log(R0.T @ R1), dtype=np.float64)
-    angle = _norm(w)
-    if np.pi - angle < HALF_TURN:
-        lead = next(x for x in w / angle if abs(x) > NO_PART)
-        if lead < 0.0:
-            return w * (1.0 - 2.0 * np.pi / angle)
-    return w
-
-
-def task_rows(p: Float64Array, R: Float64Array, twist: Float64Array, acceleration: Float64Array) -> TaskMotion:
-    """Samples from arrays (k, 3), (k, 3, 3), (k, 6), (k, 6) in world axes."""
-    return TaskMotion.of({"p": p, "R": R, "twist": twist, "acceleration": acceleration})
-
-
-def _moving(
-    scaling: Scaling, p: Float64Array, way: Float64Array, bend: Float64Array, R: Float64Array, turn: Vector3
-) -> TaskMotion:
-    """Motion along a path, whose rotation per unit of s is constant in the world.
-
-    Args:
-        scaling: s and its two rates.
-        p: (k, 3) [m].
-        way: (k, 3) dp/ds [m].
-        bend: (k, 3) d^2p/ds^2 [m].
-        R: (k, 3, 3).
-        turn: (3,) [rad].
-    """
-    _, rate, second = (x[:, np.newaxis] for x in scaling)
-    turns = np.broadcast_to(turn, p.shape)
-    twist = rate * np.hstack([way, turns])
-    acceleration = second * np.hstack([way, turns]) + rate**2 * np.hstack([bend, np.zeros_like(bend)])
-    return task_rows(p, R, twist, acceleration)
-
-
-def _keep(trajectory: Line | Screw | Circle, size: Size, **values: Any) -> None:
-    """The timing of a trajectory, and what follows from its fields."""
-    limits = trajectory.duration, trajectory.velocity, trajectory.acceleration
-    timing: Timing = timed(type(trajectory).__name__, size, trajectory.scaling, *limits)
-    object.__setattr__(trajectory, "_timing", timing)
-    object.__setattr__(trajectory, "duration", timing.duration)
-    for name, value in values.items():
-        object.__setattr__(trajectory, name, value)
-
-
-def _instant(t: float) -> Float64Array:
-    return np.array([finite_scalar("t", t, unit="s")])
-
-
-def _one(rows: TaskMotion) -> TaskMotion:
-    return task_rows(rows.p[0], rows.R[0], rows.twist[0], rows.acceleration[0])
-
-
-def _norm(x: Float64Array) -> float:
-    return float(np.linalg.norm(x))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Steady:
+class Steady(Motion[TaskMotion]):
     """A motion at a constant velocity without an end, which starts from rest.
 
     v(t) = V (3 u^2 - 2 u^3) with u = t / ramp, and V from then on. With a phase's guard it is a guarded move: "down
@@ -393,36 +286,35 @@ class Steady:
         ([0.4, 0.0, 0.28], -0.02)
     """
 
-    T0: Pose
-    velocity: ArrayLike = (0.0, 0.0, 0.0)  # (3,) [m/s]
-    angular: ArrayLike = (0.0, 0.0, 0.0)  # (3,) [rad/s]
-    ramp: float = 0.1  # [s]
+    T0: Part[Pose] = Part(Pose)
+    velocity: Field = Field((0.0, 0.0, 0.0), unit="m/s", shape=3)
+    angular: Field = Field((0.0, 0.0, 0.0), unit="rad/s", shape=3)
+    ramp: Field = Field(0.1, unit="s", above=0.0, run_time=False)
 
-    def __post_init__(self) -> None:
-        checked_pose("T0", self.T0)
-        for name, unit in (("velocity", "m/s"), ("angular", "rad/s")):
-            object.__setattr__(self, name, vector(name, getattr(self, name), 3, unit=unit))
-        if not np.any(self.velocity) and not np.any(self.angular):
-            raise RangeError("velocity or angular must be above zero, or nothing moves; got zeros", name="velocity")
-        object.__setattr__(self, "ramp", positive_scalar("ramp", self.ramp, unit="s"))
-
-    def at(self, t: float) -> TaskMotion:
-        """The sample at time t [s]."""
-        rows = self.rows(np.array([finite_scalar("t", t, unit="s")]))
-        return TaskMotion.of({name: getattr(rows, name)[0] for name in TaskMotion.fields(1)})
+    def check(self) -> None:
+        if not self.velocity.any() and not self.angular.any():
+            self.refuse("velocity", "or angular must be above zero, or nothing moves; got zeros", RangeError)
 
     def rows(self, times: Float64Array) -> TaskMotion:
-        """Samples at many times, as arrays (k, ...)."""
         u = np.clip(times / self.ramp, 0.0, 1.0)[:, np.newaxis]
         late = np.maximum(times - self.ramp, 0.0)[:, np.newaxis]
         way = self.ramp * u**3 * (1.0 - 0.5 * u) + late  # [s] at full speed
         speed, rate = u * u * (3.0 - 2.0 * u), 6.0 * u * (1.0 - u) / self.ramp
-        V = np.concatenate([np.asarray(self.velocity), np.asarray(self.angular)])
-        return TaskMotion.of(
-            {
-                "p": self.T0.p + way * V[:3],
-                "R": exp_rows(way * V[3:]) @ self.T0.R,
-                "twist": speed * V,
-                "acceleration": rate * V,
-            }
-        )
+        V = np.concatenate([self.velocity, self.angular])
+        p, R = self.T0.p + way * V[:3], exp_rows(way * V[3:]) @ self.T0.R
+        return TaskMotion.of({"p": p, "R": R, "twist": speed * V, "acceleration": rate * V})
+
+
+def _rotation_between(R0: Rotation, R1: Rotation) -> Vector3:
+    """(3,) the rotation vector from R0 to R1, in the axes of R0 [rad]; by pi the way that `Line` states."""
+    w = np.asarray(rotation_log(R0.T @ R1), dtype=np.float64)
+    angle = _norm(w)
+    if np.pi - angle < HALF_TURN_TOLERANCE:
+        lead = next(x for x in w / angle if abs(x) > NO_COMPONENT)
+        if lead < 0.0:
+            return w * (1.0 - 2.0 * np.pi / angle)
+    return w
+
+
+def _norm(x: Float64Array) -> float:
+    return float(np.linalg.norm(x))

@@ -1,29 +1,34 @@
-"""TaskMotion: what a law of task space follows; and TaskSamples, recorded or computed poses as a motion."""
+"""TaskMotion: what a law of task space follows; between samples of it, and from one motion to another."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal, Self
+from typing import ClassVar, Final, Literal
 
 import numpy as np
 
-from taut.base.checks import finite_scalar, one_of, read_only, vector
-from taut.base.errors import FileError, ShapeError, TautError, UsageError
+from taut.base.checks import one_of, read_only, vector
+from taut.base.errors import UsageError
 from taut.base.types import Array, ArrayLike, Float64Array
-from taut.control.tables import read_rows, require_moderate, sample_times
-from taut.control.trajectories.reference import Sample
-from taut.control.trajectories.task_blend import between
-from taut.maths.rotation_rows import exp_rows, log_rows
+from taut.control.trajectories.reference import Rows, Sample, Shapes
 from taut.maths.snapshot import Snapshot
-from taut.maths.spatial import rotated
+from taut.maths.spatial import exp_rows, from_body_rates, log_rows, rotated, to_body_rates
 from taut.trace.pose import Pose
 
-__all__ = ["TaskMotion", "TaskSamples"]
+__all__ = [
+    "FRAMES",
+    "Axes",
+    "Offset",
+    "TaskMotion",
+    "differences",
+    "faded",
+    "offset",
+    "quintic_between",
+    "rotated_rows",
+]
 
-MotionFrame = Literal["world", "tool"]
-FRAMES: Final[tuple[MotionFrame, ...]] = ("world", "tool")
+Axes = Literal["world", "tool"]
+FRAMES: Final[tuple[Axes, ...]] = ("world", "tool")
 
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
@@ -56,6 +61,8 @@ class TaskMotion(Sample):
         Section 10.2.3 task space motion control.
     """
 
+    _shapes: ClassVar[Shapes] = {"p": (3,), "R": (3, 3), "twist": (6,), "acceleration": (6,)}
+
     p: Array  # (3,) [m]
     R: Array  # (3, 3)
     twist: Array  # (6,) world axes
@@ -67,7 +74,7 @@ class TaskMotion(Sample):
         pose: Pose,
         twist: ArrayLike | None = None,
         acceleration: ArrayLike | None = None,
-        frame: MotionFrame = "world",
+        frame: Axes = "world",
     ) -> None:
         if not isinstance(pose, Pose):  # callers without a type checker
             raise UsageError(
@@ -88,24 +95,11 @@ class TaskMotion(Sample):
         return Pose.of(self.R, self.p)
 
     @classmethod
-    def fields(cls, n: int) -> dict[str, tuple[int, ...]]:  # noqa: ARG003
-        return {"p": (3,), "R": (3, 3), "twist": (6,), "acceleration": (6,)}
-
-    @classmethod
-    def of(cls, values: Mapping[str, Any]) -> Self:
-        made = object.__new__(cls)
-        for name in ("p", "R", "twist", "acceleration"):
-            object.__setattr__(made, name, values[name])
-        return made
-
-    @classmethod
-    def between(
-        cls, times: Float64Array, knots: Float64Array, rows: Mapping[str, Float64Array]
-    ) -> dict[str, Float64Array]:
+    def between(cls, times: Float64Array, knots: Float64Array, rows: Rows) -> dict[str, Float64Array]:
         return between(times, knots, rows)
 
     @classmethod
-    def at_rest(cls, x: Snapshot, tool: str | None) -> Self:
+    def at_rest(cls, x: Snapshot, tool: str | None) -> TaskMotion:
         T, zero = x.T(tool), np.zeros(6)
         return cls.of({"p": T.p, "R": T.R, "twist": zero, "acceleration": zero})
 
@@ -117,173 +111,140 @@ class TaskMotion(Sample):
         )
 
 
-Interpolation = Literal["spline", "linear"]
-WAYS: Final[tuple[Interpolation, ...]] = ("spline", "linear")
-ORDERS: Final = {  # of a rotation's columns in a file
-    "xyzw": ("qx", "qy", "qz", "qw"),
-    "wxyz": ("qw", "qx", "qy", "qz"),
-    "rpy": ("roll", "pitch", "yaw"),
-}
-EXAMPLE: Final = "t, x, y, z, qx, qy, qz, qw"
+# -------------------------------------------------------------------- between samples
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TaskSamples:
-    """Poses at stated times. Before the first it rests there, after the last there.
+Offset = tuple[Float64Array, Float64Array, Float64Array]
+"""A vector and its two rates, a row for each time."""
 
-    With "spline", positions are a cubic spline and orientations a rotation spline with continuous acceleration
-    (SciPy's `RotationSpline`); both start and end at rest. With "linear", positions are linear in between and
-    orientations slerp; the twist jumps at each sample, and the acceleration is zero. Twists and accelerations are the
-    rates of that motion. Of a rotation by exactly pi from one sample to the next either way may be gone.
+
+def between(times: Float64Array, knots: Float64Array, rows: Rows) -> dict[str, Float64Array]:
+    """Each field at many times, from rows at the knots; at rest before the first and after the last.
+
+    From one knot to the next the position is the quintic with the given velocities and accelerations at both ends; so
+    is the rotation vector from the orientation at the one to that at the other, which is slerp where both turn at the
+    mean rate. Twist and acceleration are the rates of that motion.
+    """
+    if len(knots) == 1:
+        zero = np.zeros((len(times), 6))
+        places = np.zeros(len(times), dtype=np.intp)
+        return {"p": rows["p"][places], "R": rows["R"][places], "twist": zero, "acceleration": zero.copy()}
+    i = np.clip(np.searchsorted(knots, times, side="right") - 1, 0, len(knots) - 2)
+    h = (knots[i + 1] - knots[i])[:, np.newaxis]
+    x = np.clip((times - knots[i]) / h[:, 0], 0.0, 1.0)
+    linear = [tuple(part[i + end] for part in _linear(rows)) for end in (0, 1)]
+    p, v, a = quintic_between(x, h, *linear)  # type: ignore[arg-type]  # tuples of three
+    ends = _pieces(knots, rows)
+    r = quintic_between(x, h, *[tuple(part[i] for part in end) for end in ends])  # type: ignore[arg-type]
+    R = rows["R"][i] @ exp_rows(r[0])
+    omega, alpha = (rotated_rows(R, part) for part in to_body_rates(*r))
+    out = {"p": p, "R": R, "twist": np.hstack([v, omega]), "acceleration": np.hstack([a, alpha])}
+    outside = (times < knots[0]) | (times > knots[-1])
+    for name in ("twist", "acceleration"):
+        out[name][outside] = 0.0
+    return out
+
+
+def quintic_between(x: Float64Array, h: Float64Array | float, start: Offset, end: Offset) -> Offset:
+    """The quintic with the given values, rates and accelerations at both ends, and its two rates.
 
     Args:
-        times: (k,) [s], increasing.
-        poses: k poses.
-        interpolation: "spline" or "linear".
-
-    Raises:
-        ShapeError: Not as many poses as times.
-        RangeError: Times that do not increase.
-        UsageError: Something that is no pose, another interpolation.
-
-    Example:
-        >>> poses = [Pose([0.4, 0.0, 0.3]), Pose([0.4, 0.1, 0.3]), Pose([0.4, 0.1, 0.4])]
-        >>> TaskSamples(times=[0.0, 1.0, 2.0], poses=poses, interpolation="linear").at(0.5).twist.tolist()
-        [0.0, 0.1, 0.0, 0.0, 0.0, 0.0]
+        x: (k,) where between the ends, 0 to 1.
+        h: (k,) or one number: time from end to end [s].
+        start: Value, rate and acceleration at x = 0, (k, m) each, or (m,).
+        end: The same at x = 1.
     """
-
-    times: ArrayLike  # (k,) [s]
-    poses: Sequence[Pose]
-    interpolation: Interpolation = "spline"
-
-    def __post_init__(self) -> None:
-        one_of("interpolation", self.interpolation, WAYS)
-        times, poses = sample_times(self.times), self.poses
-        if not isinstance(poses, Sequence) or not all(isinstance(pose, Pose) for pose in poses):
-            raise UsageError("poses must be a list of taut.Pose(p=..., rpy=...)", name="poses")
-        if len(poses) != len(times):
-            raise ShapeError(
-                f"poses must have one pose per time; got {len(poses)} for {len(times)} times", name="poses"
-            )
-        object.__setattr__(self, "times", times)
-        object.__setattr__(self, "poses", tuple(poses))
-        p, R = np.stack([pose.p for pose in poses]), np.stack([pose.R for pose in poses])
-        require_moderate("poses", p)
-        made: Any = _Linear(times, p, R)
-        if self.interpolation == "spline" and len(times) > 1:
-            made = _Spline(times, p, R)
-        object.__setattr__(self, "_motion", made)
-
-    @classmethod
-    def from_csv(cls, path: str | os.PathLike[str], *, interpolation: Interpolation = "spline") -> TaskSamples:
-        """Samples from a CSV file: a header, then one row per sample.
-
-        Args:
-            path: The header names the columns `t, x, y, z` and those of the rotation, which say its order:
-                `qx, qy, qz, qw`, or `qw, qx, qy, qz`, or `roll, pitch, yaw` [rad].
-            interpolation: "spline" or "linear".
-
-        Raises:
-            FileError: No such file, no header, a column or a number that does not fit, a row that is no pose.
-        """
-        header, table = read_rows(path, EXAMPLE, _columns)
-        order = next(word for word, names in ORDERS.items() if tuple(header[4:]) == names)
-        poses = []
-        for number, row in enumerate(table, start=1):
-            try:
-                poses.append(Pose(row[1:4], **{order: row[4:]}))
-            except TautError as cause:
-                raise FileError(f"{path}, sample {number}: {cause}", name=str(path)) from cause
-        return cls(times=table[:, 0], poses=poses, interpolation=interpolation)
-
-    @property
-    def duration(self) -> float:
-        """Time of the last sample [s]."""
-        return float(np.asarray(self.times)[-1])
-
-    def at(self, t: float) -> TaskMotion:
-        """The sample at time t [s]."""
-        rows = self.rows(np.array([finite_scalar("t", t, unit="s")]))
-        return TaskMotion.of({name: getattr(rows, name)[0] for name in TaskMotion.fields(1)})
-
-    def rows(self, times: Float64Array) -> TaskMotion:
-        """Samples at many times, as arrays (k, ...)."""
-        knots = np.asarray(self.times)
-        p, R, twist, acceleration = self._motion.rows(np.clip(times, knots[0], knots[-1]))  # type: ignore[attr-defined]
-        outside = (times < knots[0]) | (times > knots[-1])
-        twist[outside] = acceleration[outside] = 0.0
-        return TaskMotion.of({"p": p, "R": R, "twist": twist, "acceleration": acceleration})
+    x, h = x[:, np.newaxis], np.asarray(h, dtype=np.float64).reshape(-1, 1)
+    (y0, v0, a0), (y1, v1, a1) = start, end
+    v0, v1, a0, a1 = v0 * h, v1 * h, a0 * h**2, a1 * h**2
+    change = y1 - y0
+    c3 = 10.0 * change - 6.0 * v0 - 4.0 * v1 - 1.5 * a0 + 0.5 * a1
+    c4 = -15.0 * change + 8.0 * v0 + 7.0 * v1 + 1.5 * a0 - a1
+    c5 = 6.0 * change - 3.0 * v0 - 3.0 * v1 - 0.5 * a0 + 0.5 * a1
+    y = y0 + x * (v0 + x * (0.5 * a0 + x * (c3 + x * (c4 + x * c5))))
+    rate = v0 + x * (a0 + x * (3.0 * c3 + x * (4.0 * c4 + x * 5.0 * c5)))
+    return y, rate / h, (a0 + x * (6.0 * c3 + x * (12.0 * c4 + x * 20.0 * c5))) / h**2
 
 
-def _columns(header: Sequence[str]) -> list[str]:
-    """What the columns of a file with this header should be."""
-    rotation = next((names for names in ORDERS.values() if names[0] == (header[4:5] or [""])[0]), ORDERS["xyzw"])
-    return ["t", "x", "y", "z", *rotation]
+def _linear(rows: Rows) -> Offset:
+    return rows["p"], rows["twist"][:, :3], rows["acceleration"][:, :3]
 
 
-Rows = tuple[Float64Array, Float64Array, Float64Array, Float64Array]  # p, R, twist, acceleration
+def _pieces(knots: Float64Array, rows: Rows) -> tuple[Offset, Offset]:
+    """The rotation vector from each knot's orientation and its rates: at the knot, and at the next one."""
+    R = rows["R"]
+    omega, alpha = (_rotated_back(R, rows[name][:, 3:]) for name in ("twist", "acceleration"))
+    reach = log_rows(R[:-1].transpose(0, 2, 1) @ R[1:])
+    start = np.zeros((len(knots) - 1, 3)), omega[:-1], alpha[:-1]
+    return start, (reach, *from_body_rates(reach, omega[1:], alpha[1:]))
 
 
-class _Linear:
-    """Straight lines with slerp."""
-
-    def __init__(self, knots: Float64Array, p: Float64Array, R: Float64Array) -> None:
-        self._knots, self._p, self._R = knots, p, R
-        h = np.diff(knots)[:, np.newaxis]
-        self._v = np.diff(p, axis=0) / h
-        self._omega = log_rows(R[:-1].transpose(0, 2, 1) @ R[1:]) / h  # in the axes of both ends
-
-    def rows(self, times: Float64Array) -> Rows:
-        zero = np.zeros((len(times), 6))
-        if len(self._knots) == 1:
-            places = np.zeros(len(times), dtype=np.intp)
-            return self._p[places], self._R[places], zero, zero.copy()
-        i = np.clip(np.searchsorted(self._knots, times, side="right") - 1, 0, len(self._knots) - 2)
-        passed = (times - self._knots[i])[:, np.newaxis]
-        R = self._R[i] @ exp_rows(passed * self._omega[i])
-        twist = np.hstack([self._v[i], np.einsum("kij,kj->ki", self._R[i], self._omega[i])])
-        return self._p[i] + passed * self._v[i], R, twist, zero
+def differences(times: Float64Array, p: Float64Array, R: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Twists and accelerations (k, 6) from poses alone: central differences, one-sided at the ends."""
+    if len(times) == 1:
+        return np.zeros((1, 6)), np.zeros((1, 6))
+    h = np.diff(times)[:, np.newaxis]
+    slopes = log_rows(R[:-1].transpose(0, 2, 1) @ R[1:]) / h  # in the axes of both ends
+    omega = np.vstack([slopes[:1], (h[1:] * slopes[:-1] + h[:-1] * slopes[1:]) / (h[1:] + h[:-1]), slopes[-1:]])
+    twist = np.hstack([np.gradient(p, times, axis=0), rotated_rows(R, omega)])
+    return twist, np.gradient(twist, times, axis=0)
 
 
-class _Spline:
-    """A cubic spline of positions and a rotation spline, both at rest at their ends."""
-
-    def __init__(self, knots: Float64Array, p: Float64Array, R: Float64Array) -> None:
-        from scipy.interpolate import CubicSpline
-        from scipy.spatial.transform import Rotation, RotationSpline
-
-        self._knots = knots
-        self._p = CubicSpline(knots, p, bc_type="clamped")
-        self._R = RotationSpline(knots, Rotation.from_matrix(R))
-
-    def rows(self, times: Float64Array) -> Rows:
-        s, rate, second = self._eased(times)
-        R = self._R(s).as_matrix()
-        omega = rate * self._R(s, 1)  # in the tool's axes
-        alpha = rate**2 * self._R(s, 2) + second * self._R(s, 1)
-        angular = [np.einsum("kij,kj->ki", R, x) for x in (omega, alpha)]
-        twist, acceleration = (np.hstack([self._p(times, k + 1), x]) for k, x in enumerate(angular))
-        return self._p(times), R, twist, acceleration
-
-    def _eased(self, times: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """Time of the rotation spline, which starts and ends at a rate: eased in its first and last piece.
-
-        The time runs evenly where the pieces meet, so that the angular acceleration stays continuous.
-        """
-        knots = self._knots
-        s, rate, second = times.copy(), np.ones((len(times), 1)), np.zeros((len(times), 1))
-        ease = EASE if len(knots) > 2 else REST_TO_REST
-        for end, inner, forwards in ((knots[0], knots[1], True), (knots[-1], knots[-2], False)):
-            h = inner - end
-            here = (times <= inner) if forwards else (times > inner)
-            if len(knots) == 2:
-                here = np.full(len(times), forwards)
-            x = (times[here] - end) / h
-            s[here] = end + h * ease(x)
-            rate[here, 0] = ease.deriv()(x)
-            second[here, 0] = ease.deriv(2)(x) / h
-        return s, rate, second
+# -------------------------------------------------------------------- from one motion to another
 
 
-EASE: Final = np.polynomial.Polynomial((0.0, 0.0, 3.0, -3.0, 1.0))  # from rest to an even run
-REST_TO_REST: Final = np.polynomial.Polynomial((0.0, 0.0, 3.0, -2.0))
+def offset(old: Rows, new: Rows) -> tuple[Offset, Offset]:
+    """What leads from a new motion to an old one at one instant: of the position, and of the rotation as exp(r).
+
+    Args:
+        old: One row of each field.
+        new: One row of each field.
+    """
+    linear = tuple(a - b for a, b in zip(_linear(old), _linear(new), strict=True))
+    back = new["R"].transpose(0, 2, 1) @ old["R"]
+    omega, alpha = (_rotated_back(old["R"], old[name][:, 3:]) for name in ("twist", "acceleration"))
+    omega_new, alpha_new = (_rotated_back(new["R"], new[name][:, 3:]) for name in ("twist", "acceleration"))
+    seen, seen_rate = _rotated_back(back, omega_new), _rotated_back(back, alpha_new)
+    # In the axes of the old one, with w = omega - seen: seen' = seen_rate - w x seen.
+    w = omega - seen
+    r = log_rows(back)
+    return linear, (r, *from_body_rates(r, w, alpha - seen_rate + np.cross(w, seen)))  # type: ignore[return-value]
+
+
+def faded(rows: Rows, x: Float64Array, duration: float, start: tuple[Offset, Offset]) -> dict[str, Float64Array]:
+    """A motion with an offset that fades: all of it at x = 0, none from x = 1 on.
+
+    Args:
+        rows: The motion, (k, ...) by field.
+        x: (k,) share of the fade that has passed, 0 to 1.
+        duration: [s] of the fade.
+        start: The offset at x = 0, as `offset` gives it.
+    """
+    none = (np.zeros((1, 3)),) * 3
+    p, v, a = quintic_between(x, duration, start[0], none)
+    r = quintic_between(x, duration, start[1], none)
+    turn = exp_rows(r[0])
+    w, w_rate = to_body_rates(*r)
+    seen, seen_rate = (
+        _rotated_back(turn, _rotated_back(rows["R"], rows[name][:, 3:])) for name in ("twist", "acceleration")
+    )
+    R = rows["R"] @ turn
+    omega, alpha = rotated_rows(R, seen + w), rotated_rows(R, seen_rate + w_rate - np.cross(w, seen))
+    return {
+        "p": rows["p"] + p,
+        "R": R,
+        "twist": np.hstack([rows["twist"][:, :3] + v, omega]),
+        "acceleration": np.hstack([rows["acceleration"][:, :3] + a, alpha]),
+    }
+
+
+def rotated_rows(R: Float64Array, x: Float64Array) -> Float64Array:
+    """R x, row by row."""
+    out: Float64Array = np.einsum("kij,kj->ki", R, x)
+    return out
+
+
+def _rotated_back(R: Float64Array, x: Float64Array) -> Float64Array:
+    """R^T x, row by row."""
+    out: Float64Array = np.einsum("kji,kj->ki", R, x)
+    return out

@@ -14,8 +14,8 @@ import numpy as np
 from taut.arm.description import Arm
 from taut.base.errors import UsageError
 from taut.base.types import ArrayLike, Float64Array, Twist, Vector
-from taut.maths.constraints import shapes
-from taut.maths.constraints.function import arguments, of_moments, of_poses, of_velocity, rows_of, sides
+from taut.maths.constraints import functions
+from taut.maths.constraints.functions import is_timed, of_moments, of_poses, of_velocity, rows_of, sides
 from taut.maths.constraints.rows import ConstraintRows, OfJoints, OfJointVelocity, OfPoses, OfVelocity, Piece, joined
 from taut.maths.snapshot import Snapshot
 from taut.trace import math as tm
@@ -192,7 +192,7 @@ class Constraint:
             rows: How many.
             one_sided: As for a constraint of the pose.
         """
-        timed = arguments("function", function, 1)
+        timed = is_timed("function", function, 1)
         count = rows_of(rows)
         return cls.of([OfJoints(function=function, timed=timed, count=count, one_sided=sides(one_sided, count))])
 
@@ -210,7 +210,7 @@ class Constraint:
             >>> geared.at(taut.snapshot(taut.load_arm("planar2"), [0.1, 0.2])).A_q.tolist()
             [[1.0, -2.0]]
         """
-        arguments("function", function, 1, may_be_timed=False)
+        is_timed("function", function, 1, may_be=False)
         return cls.of([OfJointVelocity(function=function, count=rows_of(rows))])
 
     @classmethod
@@ -233,7 +233,7 @@ class Constraint:
             sideways: (3,) the wheel's axle, or the normal of the blade, in the tool's axes.
             frame: The frame; the arm's tool if left out.
         """
-        side = shapes.unit("sideways", sideways)
+        side = functions.unit("sideways", sideways)
         return cls.pfaffian(lambda T: tm.array([*(T.R @ side), 0.0, 0.0, 0.0]), frame=frame)
 
     @classmethod
@@ -261,8 +261,7 @@ class Constraint:
             period: Of that [s].
             frame: The frame; the arm's tool if left out.
         """
-        phi = shapes.plane(point, normal, face, velocity, sway, period)
-        surface = shapes.plane_surface(point, normal, velocity, sway, period)
+        phi, surface = functions.plane(point, normal, face, velocity, sway, period)
         return cls.of([of_poses(phi, (frame,), one_sided if face is None else (one_sided, False, False), surface)])
 
     @classmethod
@@ -284,8 +283,8 @@ class Constraint:
             one_sided: Whether the surface only pushes.
             frame: The frame; the arm's tool if left out.
         """
-        surface = shapes.plane_surface(point, normal, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0)
-        return cls.of([of_poses(shapes.point(point, normal), (frame,), (one_sided, False, False), surface)])
+        phi, surface = functions.point(point, normal)
+        return cls.of([of_poses(phi, (frame,), (one_sided, False, False), surface)])
 
     @classmethod
     def sphere(
@@ -298,10 +297,7 @@ class Constraint:
         frame: str | None = None,
     ) -> Self:
         """The tool's origin on a sphere: outside of it, or in its hollow."""
-        phi = shapes.sphere(center, radius, inside=inside)
-        surface = shapes.Surface(
-            kind="sphere", point=np.asarray(center, dtype=float), radius=float(radius), inside=inside
-        )
+        phi, surface = functions.sphere(center, radius, inside=inside)
         return cls.of([of_poses(phi, (frame,), one_sided, surface)])
 
     @classmethod
@@ -316,20 +312,13 @@ class Constraint:
         frame: str | None = None,
     ) -> Self:
         """The tool's origin on a cylinder about an axis through a point: outside of it, or in its hollow."""
-        phi = shapes.cylinder(point, axis, radius, inside=inside)
-        surface = shapes.Surface(
-            kind="cylinder",
-            point=np.asarray(point, dtype=float),
-            axis=shapes.unit("axis", axis),
-            radius=float(radius),
-            inside=inside,
-        )
+        phi, surface = functions.cylinder(point, axis, radius, inside=inside)
         return cls.of([of_poses(phi, (frame,), one_sided, surface)])
 
     @classmethod
     def line(cls, *, point: ArrayLike, axis: ArrayLike, frame: str | None = None) -> Self:
         """The tool's origin on a straight line through a point, along an axis, its rotation free: two rows."""
-        return cls.of([of_poses(shapes.line(point, axis), (frame,), False)])
+        return cls.of([of_poses(functions.line(point, axis), (frame,), False)])
 
     @classmethod
     def hinge(cls, *, point: ArrayLike, axis: ArrayLike, T: Pose, frame: str | None = None) -> Self:
@@ -341,7 +330,7 @@ class Constraint:
             T: A pose of the tool that it can be in.
             frame: The frame; the arm's tool if left out.
         """
-        return cls.of([of_poses(shapes.hinge(point, axis, T), (frame,), False)])
+        return cls.of([of_poses(functions.hinge(point, axis, T), (frame,), False)])
 
     @classmethod
     def grasp(cls, first: str, second: str, *, T: Pose | None = None) -> Self:
@@ -355,7 +344,7 @@ class Constraint:
             second: Another, on another branch.
             T: Pose of the second in the first; the two coincide if left out.
         """
-        return cls.of([of_poses(shapes.grasp(T), (first, second), False)])
+        return cls.of([of_poses(functions.grasp(T), (first, second), False)])
 
     @classmethod
     def pin(
@@ -368,7 +357,7 @@ class Constraint:
             second: Another, on another branch.
             directions: (k, 3) in which they coincide, in world axes; all three if left out, two for a planar chain.
         """
-        return cls.of([of_poses(shapes.pin(directions), (first, second), False)])
+        return cls.of([of_poses(functions.pin(directions), (first, second), False)])
 
     def __repr__(self) -> str:
         return f"Constraint({self.count} {'row' if self.count == 1 else 'rows'})"

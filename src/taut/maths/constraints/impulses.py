@@ -10,11 +10,11 @@ from taut.base.types import Matrix, Vector
 from taut.trace import math as tm
 from taut.trace.linalg import LTDL, factor_spd
 
-__all__ = ["SWEEPS", "Touch", "both", "choose", "contact_impulses", "held_impulses", "opposite"]
+__all__ = ["CONTACT_SWEEPS", "Touch", "both", "choose", "contact_impulses", "held_impulses", "opposite"]
 
-SWEEPS: Final = 4  # of block Gauss-Seidel where several contacts act together
-ROUNDS: Final = 3  # of the direction of sliding, which depends on the normal force and the other way round
-STEPS: Final = 3  # of Newton's method for all contacts at once
+CONTACT_SWEEPS: Final = 4  # of block Gauss-Seidel where several contacts act together
+SLIDING_ROUNDS: Final = 3  # of the direction of sliding, which depends on the normal force and the other way round
+CONTACT_NEWTON_STEPS: Final = 3  # of Newton's method for all contacts at once
 SLACK: Final = 1e-11  # of the diagonal, so that contacts that share a load need not be independent
 JAMMED: Final = 1e-3  # least share of a normal mobility that friction leaves; below it rigid bodies jam
 NOTHING: Final = 1e-30
@@ -50,7 +50,7 @@ def contact_impulses(
     guess: Sequence[Any],
     *,
     radius: Sequence[Any] | None = None,
-    sweeps: int = SWEEPS,
+    sweeps: int = CONTACT_SWEEPS,
 ) -> Vector:
     """Impulses p of contacts, from the velocities r that their rows would have without any.
 
@@ -92,7 +92,7 @@ def contact_impulses(
     if alone and not touches[0].tangents:
         return tm.array(p)
     modes, miss = _modes(W, r, touches, mu, reach, there, p)
-    for _ in range(STEPS):
+    for _ in range(CONTACT_NEWTON_STEPS):
         new = _newton(W, r, touches, modes)
         new_modes, left = _modes(W, r, touches, mu, reach, there, new)
         better = left < miss
@@ -170,7 +170,7 @@ class _Block:
         if self.touch.one_sided:
             sticks = both(sticks, stop[0] > 0.0)
         signed, d, speed = mu, (0.0, 0.0), None
-        for _ in range(ROUNDS):
+        for _ in range(SLIDING_ROUNDS):
             if not self.touch.one_sided:
                 signed = choose(p_h[0] < 0.0, -mu, mu)
             z = [_sum(r_t[k], ((self.across[i, k], p_h[i]) for i in range(h))) for k in range(2)]

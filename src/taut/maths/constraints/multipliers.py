@@ -1,18 +1,26 @@
-"""The dynamics of an arm under constraints: multipliers and the projection of forces, eqs. 10.40 to 10.44."""
+"""An arm under constraints: multipliers and the projection of forces, eqs. 10.40 to 10.44, and states on them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Final
 
-from taut.base.types import Matrix, Vector
-from taut.maths.constraints.rows import DEPENDENT, ConstraintRows
-from taut.maths.snapshot import Snapshot
+import numpy as np
+
+from taut.arm.description import Arm
+from taut.base.checks import vector
+from taut.base.errors import RangeError, UsageError
+from taut.base.types import ArrayLike, Float64Array, Matrix, Vector
+from taut.maths.constraints.constraint import Constraint
+from taut.maths.constraints.rows import MIN_INDEPENDENT_PART, ConstraintRows
+from taut.maths.snapshot import Snapshot, snapshot
 from taut.trace import math as tm
 from taut.trace.linalg import LTDL, factor_spd
 
-__all__ = ["Constrained", "force_projector"]
+__all__ = ["Constrained", "force_projector", "onto"]
 
+MULTIPLIER_STEPS: Final = 30
+ON_CONSTRAINT: Final = 1e-12  # [m, rad] of phi
 CHAIN: Final = 1e-4  # [1/kg, 1/(kg m^2)] of mobility: less of it is a direction that a chain does not have
 
 
@@ -32,7 +40,7 @@ class Constrained:
     def of(cls, rows: ConstraintRows, M_factors: LTDL) -> Constrained:
         """That of rows at a state whose mass matrix has these factors."""
         W = M_factors.solve(rows.A_q.T)
-        return cls(rows=rows, Minv_AT=W, mobility=factor_spd(rows.A_q @ W, DEPENDENT))
+        return cls(rows=rows, Minv_AT=W, mobility=factor_spd(rows.A_q @ W, MIN_INDEPENDENT_PART))
 
     def against(self, tau: Vector) -> Vector:
         """(n,) the part of torques that pushes against the constraints, (I - P) tau."""
@@ -84,3 +92,44 @@ def force_projector(A: Matrix, mobility: Matrix) -> Matrix:
     pressed = pressed + (tm.eye(len(A)) - pressed @ A.T) @ pressed  # a Newton step: of A^T nothing is left
     out: Matrix = tm.eye(len(mobility)) - A.T @ pressed
     return out
+
+
+def onto(constraint: Constraint, arm: Arm, q: ArrayLike) -> Float64Array:
+    """(n,) joint positions with phi = 0, near q: Newton's steps in the measure of the arm's kinetic energy.
+
+    Args:
+        constraint: The constraint.
+        arm: The arm.
+        q: (n,) where to begin [rad | m].
+
+    Raises:
+        RangeError: No state of the arm near there keeps to it.
+        UsageError: No constraint, no arm.
+
+    Example:
+        >>> import taut
+        >>> arm = taut.load_arm("panda")
+        >>> board = Constraint.plane(point=[0.0, 0.0, 0.4], normal=[0.0, 0.0, 1.0])
+        >>> taut.snapshot(arm, onto(board, arm, arm.home)).T().p[2].round(9).item()
+        0.4
+    """
+    if not isinstance(constraint, Constraint):  # callers without a type checker
+        raise UsageError(f"onto takes a taut.Constraint; got {type(constraint).__name__}", name="constraint")
+    if not isinstance(arm, Arm):
+        raise UsageError(f"onto takes an arm from taut.load_arm; got {type(arm).__name__}", name="arm")
+    at = vector("q", q, arm.n, joints=arm.joint_names)
+    for _ in range(MULTIPLIER_STEPS):
+        x = snapshot(arm, at)
+        rows = constraint.at(x)
+        phi = np.asarray(rows.phi, dtype=np.float64)
+        if np.abs(phi).max() < ON_CONSTRAINT:
+            return at
+        A = np.asarray(rows.A_q, dtype=np.float64)
+        W = x.M_factors.solve(A.T)
+        step = W @ np.linalg.lstsq(A @ W, phi, rcond=None)[0]
+        at = at - step * min(1.0, 0.5 / max(1e-12, float(np.abs(step).max())))
+    raise RangeError(
+        f"no state of '{arm.name}' near q keeps to the constraint: after {MULTIPLIER_STEPS} steps phi is "
+        f"[{', '.join(f'{value:.3g}' for value in phi)}]; begin elsewhere, or put the constraint within reach",
+        name="constraint",
+    )

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
 
 from taut.base.errors import ShapeError
 from taut.base.types import Array, Matrix, Twist, Vector
-from taut.maths.constraints.shapes import Surface
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import moved
 from taut.trace import math as tm
 from taut.trace.linalg import LTDL, factor_spd
 from taut.trace.pose import Pose
 
+if TYPE_CHECKING:
+    from taut.maths.constraints.functions import Surface
+
 __all__ = [
-    "DEPENDENT",
+    "MIN_INDEPENDENT_PART",
     "ConstraintRows",
     "OfJointVelocity",
     "OfJoints",
@@ -30,7 +32,9 @@ __all__ = [
 ]
 
 
-DEPENDENT: Final = 1e-7  # of a row's square, what it has that later rows have not: below it, it is left out
+MIN_INDEPENDENT_PART: Final = (
+    1e-7  # of a row's square, what it has that later rows have not: below it, it is left out
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,7 +58,7 @@ class ConstraintRows:
     def factors(self) -> LTDL:
         """Of A A^T, without rows that depend on later ones."""
         assert self.A is not None
-        return factor_spd(self.A @ self.A.T, DEPENDENT)
+        return factor_spd(self.A @ self.A.T, MIN_INDEPENDENT_PART)
 
     @property
     def rate(self) -> Callable[[Vector], Vector]:

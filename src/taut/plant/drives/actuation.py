@@ -1,20 +1,25 @@
-"""The drives between command and arm: delay, amplifier, motor, gear. Pure functions with parameters and memory."""
+"""The drives between command and arm: delay, amplifier, motor, gear."""
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
 
+from taut.arm.description import Arm
 from taut.base.errors import RangeError
 from taut.base.fields import Declared, Field, Part
-from taut.base.types import Vector
-from taut.plant.drives.motor import MotorModel, TorqueLoop
-from taut.plant.drives.transmission import Transmission
+from taut.base.paths import subtree
+from taut.base.types import ArrayLike, Vector
+from taut.plant.drives.drivetrain import Transmission
+from taut.plant.drives.motor import IDEAL, MotorInput, MotorModel, MotorStep, TorqueLoop
 from taut.trace import math as tm
 
 __all__ = ["Actuation", "Ripple", "delayed"]
 
+Values = Mapping[str, Any]
 MAX_TAPS: Final = 1000
 PARTS: Final = ("motor", "ripple", "transmission", "torque_loop")
 
@@ -114,6 +119,45 @@ class Actuation(Declared):
                 value=float(self.delay),
             )
         return round(taps)
+
+    # ---------------------------------------------------------------- the pure functions
+
+    def start(self, arm: Arm, weight: Vector, parameters: Values) -> dict[str, Any]:
+        """The drives' memory at the start: they hold the arm, as its brakes did before, or give all they can."""
+        motor, p = self.motor or IDEAL, subtree(parameters, "actuation.motor")
+        memory = motor.start(weight, arm.gear, parameters.get("actuation.bandwidth"), p)
+        if self.torque_loop is not None:
+            memory["torque_loop"] = tm.zeros(arm.n)
+        return memory
+
+    def step(
+        self, arm: Arm, memory: Values, q: Vector, v: Vector, parameters: Values, dt: Any, added: ArrayLike = 0.0
+    ) -> MotorStep:
+        """One step, dt long, with motors at q and v (joint units) when it starts, and the memory after it.
+
+        The order is that of the signals: inner loop, resolution, the motor's curve, the lag, ripple. What the plant
+        adds to the command itself comes after all of them, but the inner loop's sensor has it too.
+        """
+        p = subtree(parameters, "actuation")
+        tau, error = memory["held"], None
+        if self.torque_loop is not None:
+            error = tau + added - memory["tau_link"] - parameters.get("sensors.torque.bias", 0.0)
+            tau = tau + p["torque_loop.kp"] * error + memory["torque_loop"]
+        if self.resolution is not None:
+            tau = p["resolution"] * tm.floor(tau / p["resolution"] + 0.5)
+        ripple: Any = 1.0
+        if self.ripple is not None:
+            ripple = 1.0 + p["ripple.amplitude"] * tm.sin(p["ripple.periods"] * arm.gear * q)
+        x = MotorInput(
+            tau=tau, v=v, gear=arm.gear, ripple=ripple, memory=memory, p=subtree(p, "motor"),
+            bandwidth=p.get("bandwidth"), dt=dt,
+        )  # fmt: skip
+        given = (self.motor or IDEAL).step(x)
+        if self.torque_loop is None:
+            return given
+        grown = memory["torque_loop"] + p["torque_loop.ki"] * dt * error
+        integral = tm.where(given.cut * error > 0.0, memory["torque_loop"], grown)
+        return dataclasses.replace(given, memory={**given.memory, "torque_loop": integral})
 
 
 def delayed(command: Vector, line: Any) -> tuple[Vector, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -12,7 +12,17 @@ from taut.base.fields import Declared, Field
 from taut.base.types import Float64Array, Vector
 from taut.trace import math as tm
 
-__all__ = ["IDEAL", "ElectricMotor", "Motor", "MotorModel", "MotorStep", "TorqueLoop", "lagged", "mean_lagged"]
+__all__ = [
+    "IDEAL",
+    "ElectricMotor",
+    "Motor",
+    "MotorInput",
+    "MotorModel",
+    "MotorStep",
+    "TorqueLoop",
+    "lagged",
+    "mean_lagged",
+]
 
 Values = Mapping[str, Any]
 
@@ -29,6 +39,20 @@ def mean_lagged(command: Vector, state: Vector, bandwidth: Any, dt: Any) -> tupl
     mean: Vector = command + (state - command) * ((1.0 - left) / (bandwidth * dt))
     after: Vector = command + (state - command) * left
     return mean, after
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotorInput:
+    """What a motor meets in one step."""
+
+    tau: Vector  # (n,) what is asked for, at the joints [N m | N]
+    v: Vector  # (n,) joint speeds when the step begins [rad/s | m/s]
+    gear: Float64Array  # (n,) revolutions of the motor per revolution of the joint
+    ripple: Any  # factor of the motor's torque at this position
+    memory: Values  # before the step
+    p: Values  # current values of the fields by name
+    bandwidth: Any  # of the amplifier [rad/s]; None for an ideal one
+    dt: Any  # length of the step [s]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,58 +81,13 @@ class MotorModel(Declared):
         """Memory at the start, when the motors hold the arm with tau: of the lag, where there is a bandwidth."""
         return {} if bandwidth is None else {"motor": tau}
 
-    def step(
-        self,
-        tau: Vector,
-        v: Vector,
-        gear: Float64Array,
-        ripple: Any,
-        memory: Values,
-        p: Values,
-        bandwidth: Any,
-        dt: Any,
-    ) -> MotorStep:
-        """One step of dt [s].
-
-        Args:
-            tau: (n,) what is asked for, at the joints [N m | N].
-            v: (n,) joint speeds when the step begins.
-            gear: (n,) turns of the motor per turn of the joint.
-            ripple: Factor of the motor's torque at this position.
-            memory: Before the step.
-            p: Current values of the fields by name.
-            bandwidth: Of the amplifier [rad/s]; None for an ideal one.
-            dt: Length of the step [s].
-        """
+    def step(self, x: MotorInput) -> MotorStep:
+        """What the motors do in one step."""
         raise NotImplementedError
 
     def braking(self, gear: Float64Array, p: Values) -> Float64Array:  # noqa: ARG002
         """(n,) loss of torque at the joint per speed at the limit [N m s/rad], for the check of steps."""
         return np.zeros(len(gear))
-
-
-class IdealMotor(MotorModel):
-    """A motor without limits, behind the lag of its amplifier."""
-
-    def step(
-        self,
-        tau: Vector,
-        v: Vector,  # noqa: ARG002
-        gear: Float64Array,  # noqa: ARG002
-        ripple: Any,
-        memory: Values,
-        p: Values,  # noqa: ARG002
-        bandwidth: Any,
-        dt: Any,
-    ) -> MotorStep:
-        """The torque that is asked for, after the lag."""
-        if bandwidth is None:
-            return MotorStep(tau=tau * ripple, memory={})
-        mean, after = mean_lagged(tau, memory["motor"], bandwidth, dt)
-        return MotorStep(tau=mean * ripple, memory={"motor": after})
-
-
-IDEAL = IdealMotor()
 
 
 class Motor(MotorModel):
@@ -124,7 +103,7 @@ class Motor(MotorModel):
         no_load: Speed at which no torque is left [rad/s]. Needs `stall`.
 
     Raises:
-        UsageError: No limit at all, or one of stall and no_load alone.
+        UsageError: One of stall and no_load alone.
         RangeError: A limit that is not above zero.
     """
 
@@ -133,31 +112,19 @@ class Motor(MotorModel):
     no_load: Field = Field(unit="rad/s", shape="n", above=0.0, optional=True)
 
     def check(self) -> None:
-        """There is a limit, and a curve is whole."""
+        """A curve is whole."""
         if (self.stall is None) != (self.no_load is None):
             missing = "no_load" if self.no_load is None else "stall"
             self.refuse(missing, "is missing: a motor's curve needs both stall [N m] and no_load [rad/s], or neither")
-        if self.peak is None and self.stall is None:
-            self.refuse("", "needs peak, or stall and no_load, or all three; without limits leave it out")
 
-    def step(
-        self,
-        tau: Vector,
-        v: Vector,
-        gear: Float64Array,
-        ripple: Any,
-        memory: Values,
-        p: Values,
-        bandwidth: Any,
-        dt: Any,
-    ) -> MotorStep:
+    def step(self, x: MotorInput) -> MotorStep:
         """The torque that is asked for within the curve, and again after the lag."""
-        limited = self.limited(tau, v, gear, p)
-        cut, after = tau - limited, {}
-        if bandwidth is not None:
-            limited, after["motor"] = mean_lagged(limited, memory["motor"], bandwidth, dt)
-            limited = self.limited(limited, v, gear, p)
-        return MotorStep(tau=limited * ripple, memory=after, cut=cut)
+        tau = self._limited(x.tau, x)
+        cut, after = 0.0 if tau is x.tau else x.tau - tau, {}
+        if x.bandwidth is not None:
+            mean, after["motor"] = mean_lagged(tau, x.memory["motor"], x.bandwidth, x.dt)
+            tau = self._limited(mean, x)
+        return MotorStep(tau=tau * x.ripple, memory=after, cut=cut)
 
     def braking(self, gear: Float64Array, p: Values) -> Float64Array:
         """(n,) how much less torque there is at the joint per speed, where the curve is the limit [N m s/rad]."""
@@ -166,18 +133,22 @@ class Motor(MotorModel):
         slope: Float64Array = gear**2 * p["stall"] / p["no_load"]
         return slope
 
-    def limited(self, tau: Vector, v: Vector, gear: Float64Array, p: Values) -> Vector:
-        """(n,) a torque at the joint, within the curve at joint speeds v."""
+    def _limited(self, tau: Vector, x: MotorInput) -> Vector:
+        """(n,) a torque at the joint, within the curve at the joints' speeds."""
         high: Any = None
         low: Any = None
         if self.stall is not None:
-            share = gear * v / p["no_load"]
-            high, low = gear * p["stall"] * (1.0 - share), -gear * p["stall"] * (1.0 + share)
+            share, stall = x.gear * x.v / x.p["no_load"], x.gear * x.p["stall"]
+            high, low = stall * (1.0 - share), -stall * (1.0 + share)
         if self.peak is not None:
-            most = gear * p["peak"]
-            high = most if high is None else tm.clip(high, -most, most)
-            low = -most if low is None else tm.clip(low, -most, most)
-        return tm.clip(tau, low, high)  # type: ignore[no-any-return]
+            peak = x.gear * x.p["peak"]
+            high = peak if high is None else tm.clip(high, -peak, peak)
+            low = -peak if low is None else tm.clip(low, -peak, peak)
+        return tau if high is None else tm.clip(tau, low, high)
+
+
+IDEAL: Final = Motor()
+"""A motor without limits, behind the lag of its amplifier."""
 
 
 class ElectricMotor(MotorModel):
@@ -220,29 +191,20 @@ class ElectricMotor(MotorModel):
             current = tm.clip(current, -p["current"], p["current"])
         return {"current": current}
 
-    def step(
-        self,
-        tau: Vector,
-        v: Vector,
-        gear: Float64Array,
-        ripple: Any,
-        memory: Values,
-        p: Values,
-        bandwidth: Any,
-        dt: Any,
-    ) -> MotorStep:
+    def step(self, x: MotorInput) -> MotorStep:
         """What is asked for is a current, and of the torque's ripple the amplifier knows nothing.
 
         The voltage is held over the step; the current that it drives is exact, and so are its mean and its heat.
         """
-        constant = gear * p["torque_constant"]  # [N m/A] at the joint
-        asked, i, k = tau / constant, memory["current"], constant * ripple
+        p, bandwidth, dt = x.p, x.bandwidth, x.dt
+        constant = x.gear * p["torque_constant"]  # [N m/A] at the joint
+        asked, i, k = x.tau / constant, x.memory["current"], constant * x.ripple
         R = p["resistance"]
         target = asked
         if self.current is not None:
             target = tm.clip(target, -p["current"], p["current"])
         goal = target if bandwidth is None else target + (i - target) * tm.exp(-bandwidth * dt)
-        emf = k * v
+        emf = k * x.v
         if self.inductance is None:
             mean = goal if bandwidth is None else mean_lagged(target, i, bandwidth, dt)[0]
             after, unlimited = goal, mean

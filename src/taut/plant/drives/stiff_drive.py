@@ -2,50 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
 from taut.arm.description import Arm, CommandKind
-from taut.base.errors import RangeError, UsageError
+from taut.base.paths import subtree
 from taut.base.types import Float64Array, Vector
 from taut.maths import dynamics as dyn
-from taut.maths.adds import Adds
 from taut.maths.model import Model, PayloadValues
-from taut.plant.drives.actuation import Actuation
 from taut.plant.drives.motor import lagged
+from taut.plant.step_length import Steps
 from taut.trace import math as tm
 
-__all__ = ["INNER", "Follower", "aim", "require_drives"]
+__all__ = ["INNER", "Follower", "aim"]
 
 Values = Mapping[str, Any]
 INNER: Final = 10.0  # bandwidths of the drive: how fast its inner loop is
-
-
-def require_drives(takes: CommandKind, actuation: Actuation, adds: Adds) -> None:
-    """Drives that take velocities or positions have a bandwidth and a delay, and nothing that is for torques.
-
-    Raises:
-        UsageError: No bandwidth, or another part.
-    """
-    if takes == "torque":
-        return
-    if actuation.bandwidth is None:
-        raise UsageError(
-            f"a plant that takes {takes} needs the bandwidth of its drives: actuation.bandwidth, 50 rad/s say",
-            name="actuation",
-        )
-    only = actuation.for_torque_only
-    if only:
-        raise UsageError(
-            f"actuation.{only[0]} is for torque commands; this plant takes {takes}, which its drives follow by "
-            "themselves",
-            name=only[0],
-        )
-    if adds.names:
-        raise UsageError(f"adds is for torque commands; this plant takes {takes}", name="adds")
 
 
 def aim(
@@ -87,9 +62,7 @@ class Follower:
     takes: CommandKind
     model: Model
 
-    def start(
-        self, q: Vector, v: Vector, parameters: Values, dt: float, way_out: Callable[[float], str]
-    ) -> dict[str, Any]:
+    def start(self, q: Vector, v: Vector, parameters: Values, steps: Steps) -> dict[str, Any]:
         """Memory at the start: what it aims at is where the arm is.
 
         Raises:
@@ -97,15 +70,13 @@ class Follower:
         """
         bandwidth = np.broadcast_to(parameters["actuation.bandwidth"], (self.arm.n,))
         i = int(np.argmax(bandwidth))
-        fast = INNER * float(bandwidth[i]) * dt
-        if fast > 1.0 + 1e-9:
-            raise RangeError(
-                f"the inner loop of a drive of {bandwidth[i]:g} rad/s is {INNER:g} times as fast, too fast for steps "
-                f"of {dt:g} s (joint '{self.arm.joint_names[i]}'); give the plant {way_out(fast)}, or slower drives",
-                name="actuation.bandwidth",
-                joint=self.arm.joint_names[i],
-                value=float(bandwidth[i]),
-            )
+        steps.require(
+            INNER * float(bandwidth[i]) * steps.dt,
+            "actuation.bandwidth",
+            f"the inner loop of the drive of joint '{self.arm.joint_names[i]}', {bandwidth[i]:g} rad/s, is {INNER:g} "
+            "times as fast",
+            "slower drives",
+        )
         return {"drive.q": q, "drive.v": v, "drive.u": v}
 
     def torque(self, memory: Values, q: Vector, v: Vector, parameters: Values, dt: Any) -> tuple[Vector, Vector, Any]:
@@ -120,7 +91,7 @@ class Follower:
         left = tm.exp(-INNER * bandwidth * dt)
         kd, kp = (1.0 - left * left) / dt, ((1.0 - left) / dt) ** 2
         a = (u_new - u) / dt + kd * (u - v) + kp * (before - q)
-        payload = PayloadValues.of({k: parameters[f"plant.payload.{k}"] for k in ("mass", "com", "inertia")})
+        payload = PayloadValues.of(subtree(parameters, "plant.payload"))
         wanted = dyn.inverse_dynamics(self.model, q, v, a, payload)
         if "plant.rotor_inertia" in parameters:
             wanted = wanted + parameters["plant.rotor_inertia"] * a

@@ -1,14 +1,12 @@
-"""What touches the tool of a plant: ready-made, or a class of the user's own with the methods of `Environment`."""
+"""What touches the tool of a plant: ready-made, or a class of the user's own on the same base; and disturbances."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Final, Protocol, runtime_checkable
+from typing import Any, ClassVar, Final, Self
 
 import numpy as np
 
-from taut.base.checks import finite_array, float_array
 from taut.base.errors import ShapeError, UsageError, quoted_list
 from taut.base.fields import Declared
 from taut.base.paths import subtree
@@ -19,74 +17,33 @@ from taut.trace import math as tm
 from taut.trace.pose import Pose
 
 __all__ = [
+    "COMMAND",
+    "WRENCH",
     "Environment",
-    "EnvironmentBase",
     "Environments",
-    "ReadyEnvironment",
-    "added",
     "applied",
-    "checked_change",
+    "disturbance_shapes",
     "fastest",
+    "joint_forces",
+    "of_plant",
     "require_environment",
-    "started",
     "touch",
 ]
 
 Values = Mapping[str, Any]
-NO_RATES: Final = (0.0, 0.0)
-METHODS: Final = ("parameters", "start", "wrench")
 
 
-@runtime_checkable
-class Environment(Protocol):
-    """What touches the tool. A frozen dataclass of numbers, with a pure function for the wrench.
+class Environment(Declared):
+    """Base of what touches the tool, and of your own: declared fields, and one pure function.
 
-    The wrench is that of the environment on the arm, force first, in world axes at the tool's origin.
-    """
-
-    def parameters(self) -> dict[str, Float64Array]:
-        """Run-time parameters by name."""
-        ...
-
-    def start(self, T_WE: Pose) -> dict[str, Any]:
-        """Memory at the start, from the tool's pose."""
-        ...
-
-    def wrench(
-        self, T_WE: Pose, twist: Twist, t: Any, memory: Values, parameters: Values, dt: Any
-    ) -> tuple[Wrench, dict[str, Any]]:
-        """(6,) [N, N m] on the arm, and the new memory."""
-        ...
-
-
-@runtime_checkable
-class ReadyEnvironment(Environment, Protocol):
-    """What the environments that come with taut know of themselves beyond that."""
-
-    def changed(self, path: str, value: ArrayLike) -> Environment:
-        """The same with another value of a parameter, checked as when it was made."""
-        ...
-
-    def rates(self, mobility: Float64Array, parameters: Values) -> tuple[float, float]:
-        """Natural frequency of the tool in it [rad/s], and how fast its damping alone brakes the tool [1/s].
-
-        Args:
-            mobility: (6, 6) acceleration of the tool per wrench, Lambda^-1; zero for a tool that nothing moves.
-            parameters: Current values by name.
-        """
-        ...
-
-
-class EnvironmentBase(Declared):
-    """Base of the environments that come with taut, and of your own: declared fields, and one pure function.
-
-    Each `Field` is a parameter of the plant by its path, environment.stiffness, checked by its declaration whenever
-    it changes. A subclass writes `wrench`; what remembers something writes `start` too, and what oscillates or brakes
-    fast writes `rates`, from which the plant knows whether its steps are short enough.
+    The wrench is that of the environment on the arm, force first, in world axes at the tool's origin. Each `Field` is
+    a parameter of the plant by its path, environment.stiffness, checked by its declaration whenever it changes. A
+    subclass writes `wrench`; what remembers something writes `start` too, and what oscillates or brakes fast writes
+    `rates`, from which the plant knows whether its steps are short enough. Two act together as their sum.
 
     Example:
-        >>> from taut.environments import EnvironmentBase, Field
-        >>> class Wind(EnvironmentBase):
+        >>> from taut.environments import Environment, Field
+        >>> class Wind(Environment):
         ...     force: Field = Field(unit="N", shape=3)
         ...
         ...     def wrench(self, T_WE, twist, t, memory, parameters, dt):
@@ -102,25 +59,35 @@ class EnvironmentBase(Declared):
     def wrench(
         self, T_WE: Pose, twist: Twist, t: Any, memory: Values, parameters: Values, dt: Any
     ) -> tuple[Wrench, dict[str, Any]]:
-        """(6,) [N, N m] on the arm, force first, in world axes at the tool's origin; and the new memory."""
+        """(6,) [N, N m] on the arm, and the new memory."""
         raise NotImplementedError
 
     def rates(self, mobility: Float64Array, parameters: Values) -> tuple[float, float]:  # noqa: ARG002
         """How fast the tool oscillates in it [rad/s], and how fast its damping brakes the tool [1/s]: not at all.
 
         Args:
-            mobility: (6, 6) acceleration of the tool per wrench, Lambda^-1.
+            mobility: (6, 6) acceleration of the tool per wrench, Lambda^-1; zero for a tool that nothing moves.
             parameters: Current values by name.
         """
-        return NO_RATES
+        return 0.0, 0.0
 
     def __add__(self, other: Environment) -> Environments:
-        return added(self, other)
+        """Both at once; sums are flattened, and parts have the names of their classes."""
+        parts: dict[str, Environment] = {}
+        for each in (self, other):
+            require_environment("a part of a sum", each)
+            named = each.parts if isinstance(each, Environments) else {type(each).__name__: each}
+            for name, part in named.items():
+                k, unique = 1, name
+                while unique in parts:
+                    k += 1
+                    unique = f"{name}{k}"
+                parts[unique] = part
+        return Environments(**parts)
 
 
-@dataclass(frozen=True, init=False, eq=False)
-class Environments:
-    """Several environments at once, which the tool feels together.
+class Environments(Environment):
+    """Several environments at once, which act on the tool together.
 
     Law:          F_ext = F_1 + F_2 + ...
 
@@ -141,7 +108,7 @@ class Environments:
         ['rope.stiffness', 'water.damping']
     """
 
-    parts: Mapping[str, Environment]
+    parts: ClassVar[Mapping[str, Environment]]
 
     def __init__(self, **parts: Environment) -> None:
         if not parts:
@@ -151,15 +118,19 @@ class Environments:
             )
         for name, part in parts.items():
             require_environment(name, part)
-        object.__setattr__(self, "parts", dict(parts))
+        self.__dict__.update(parts=dict(parts), _specified=frozenset())
 
-    def parameters(self) -> dict[str, Float64Array]:
-        """Run-time parameters by name."""
-        return {f"{name}.{key}": x for name, part in self.parts.items() for key, x in part.parameters().items()}
+    def declared_parts(self) -> dict[str, Declared]:
+        """The environments by name."""
+        return dict(self.parts)
+
+    def _with_parts(self, parts: Mapping[str, Any]) -> Self:
+        return self._replaced({"parts": {**self.parts, **parts}})
 
     def start(self, T_WE: Pose) -> dict[str, Any]:
         """Memory at the start, from the tool's pose."""
-        return {f"{name}.{key}": x for name, part in self.parts.items() for key, x in started(part, T_WE).items()}
+        started = {name: part.start(T_WE) for name, part in self.parts.items()}
+        return {f"{name}.{key}": x for name, memory in started.items() for key, x in memory.items()}
 
     def wrench(
         self, T_WE: Pose, twist: Twist, t: Any, memory: Values, parameters: Values, dt: Any
@@ -174,116 +145,28 @@ class Environments:
             after |= {f"{name}.{key}": x for key, x in new.items()}
         return total, after
 
-    def changed(self, path: str, value: ArrayLike) -> Environments:
-        """The same with another value of a parameter, checked as when it was made."""
-        head, _, rest = path.partition(".")
-        part = self.parts[head]
-        if isinstance(part, ReadyEnvironment):
-            return Environments(**{**self.parts, head: part.changed(rest, value)})
-        finite_array(f"environment.{path}", value)  # one of the user's own, which knows no more of itself
-        return self
-
     def rates(self, mobility: Float64Array, parameters: Values) -> tuple[float, float]:
         """Of all parts at once, which act side by side."""
-        found = [
-            part.rates(mobility, subtree(parameters, name)) if isinstance(part, ReadyEnvironment) else NO_RATES
-            for name, part in self.parts.items()
-        ]
+        found = [part.rates(mobility, subtree(parameters, name)) for name, part in self.parts.items()]
         return float(np.sqrt(sum(omega**2 for omega, _ in found))), float(sum(damping for _, damping in found))
 
-    def __add__(self, other: Environment) -> Environments:
-        return added(self, other)
-
-
-def added(first: Environment, second: Environment) -> Environments:
-    """Two environments at once; sums are flattened, and parts have the names of their classes."""
-    parts: dict[str, Environment] = {}
-    for each in (first, second):
-        require_environment("a part of a sum", each)
-        named = each.parts if isinstance(each, Environments) else {type(each).__name__: each}
-        for name, part in named.items():
-            k, unique = 1, name
-            while unique in parts:
-                k += 1
-                unique = f"{name}{k}"
-            parts[unique] = part
-    return Environments(**parts)
+    def __repr__(self) -> str:
+        return f"Environments({', '.join(f'{name}={part!r}' for name, part in self.parts.items())})"
 
 
 def require_environment(name: str, what: object) -> None:
     """Refuse what is no environment.
 
     Raises:
-        UsageError: It is none.
+        UsageError: It is none, or has no wrench.
     """
-    if not isinstance(what, Environment) or isinstance(what, type):
+    if not isinstance(what, Environment):
         got = what.__name__ if isinstance(what, type) else type(what).__name__
         raise UsageError(
-            f"{name} must have parameters(), start(T_WE) and wrench(...), see taut.environments.Environment; "
-            f"got {got}",
-            name=name,
+            f"{name} must be a taut.environments.Environment, or a class on that base; got {got}", name=name
         )
-    who = type(what).__name__
-    missing = [method for method in METHODS if _of_base(type(what), method)]
-    if missing:
-        raise UsageError(
-            f"{who} takes {quoted_list(missing)} from its base, which has no more than the names; write them in the "
-            "class",
-            name=name,
-        )
-    for key, value in _by_name(f"{who}.parameters()", what.parameters()).items():
-        float_array(f"{who}.parameters()['{key}']", value)
-
-
-def _of_base(kind: type, method: str) -> bool:
-    """Whether a class has a method from a base that only names it."""
-    own = getattr(kind, method, None)
-    return own is getattr(Environment, method) or (method == "wrench" and own is EnvironmentBase.wrench)
-
-
-def started(environment: Environment, T_WE: Pose) -> dict[str, Any]:
-    """The memory of an environment at the start, by name."""
-    return dict(_by_name(f"{type(environment).__name__}.start(T_WE)", environment.start(T_WE)))
-
-
-def _by_name(what: str, values: object) -> Mapping[str, Any]:
-    """What a method of the user's gave, if it is a dict by name."""
-    if not isinstance(values, Mapping) or not all(isinstance(key, str) for key in values):
-        got = "a dict with other keys" if isinstance(values, Mapping) else type(values).__name__
-        raise UsageError(f"{what} must give a dict by name, {{}} for nothing; got {got}", name=what)
-    return values
-
-
-def checked_change(environment: Environment, path: str, value: ArrayLike) -> Float64Array:
-    """A new value of a parameter, by its path below "environment", in the shape that it has.
-
-    Raises:
-        ShapeError: Another shape.
-        RangeError: Not finite, or against the rule of its environment.
-    """
-    old = environment.parameters()[path]
-    if isinstance(environment, Environments):
-        head, _, rest = path.partition(".")
-        owner, name = environment.parts[head], rest
-    else:
-        owner, name = environment, path
-    if isinstance(owner, Environments):
-        return checked_change(owner, name, value)
-    if isinstance(owner, EnvironmentBase):
-        new = np.asarray(owner.changed(name, value, name=f"environment.{path}").parameters()[name])
-    elif isinstance(owner, ReadyEnvironment):
-        new = np.asarray(owner.changed(name, value).parameters()[name])
-    else:
-        new = finite_array(f"environment.{path}", value)
-    if new.shape == (6,) and old.shape == (6, 6):
-        new = np.diag(new)
-    if new.shape != old.shape and not (new.ndim == 0 and old.shape == (3,)):
-        whole = f"environment.{path}"
-        raise ShapeError(
-            f"{whole} has shape {old.shape}; got shape {new.shape}; make the plant with a value of the new shape",
-            name=whole,
-        )
-    return np.broadcast_to(new, old.shape)
+    if type(what).wrench is Environment.wrench:
+        raise UsageError(f"{type(what).__name__} has no wrench(T_WE, twist, t, memory, parameters, dt)", name=name)
 
 
 def touch(
@@ -343,3 +226,31 @@ def fastest(mobility: Float64Array, gain: ArrayLike) -> float:
         values = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]) * values
     matrix = np.diag(values) if values.ndim == 1 else values
     return float(np.max(np.linalg.eigvals(mobility @ matrix).real, initial=0.0))
+
+
+# -------------------------------------------------------------------- disturbances
+# What acts on a loop from outside, beside its environment, in a study of it: inputs of a tick, held until the next,
+# that a loop takes where it is given them; a run has none.
+
+COMMAND: Final = "disturbance.command"  # (n,) added to what the law commands, before the drives
+TORQUE: Final = "disturbance.torque"  # (n,) on the joints [N m | N]
+WRENCH: Final = "disturbance.wrench"  # (6,) on the tool, force first, in world axes [N, N m]
+
+
+def disturbance_shapes(n: int) -> dict[str, tuple[int, ...]]:
+    """The shape of each, for an arm of n joints."""
+    return {COMMAND: (n,), TORQUE: (n,), WRENCH: (6,)}
+
+
+def of_plant(inputs: Values) -> dict[str, Any]:
+    """Those of a tick's inputs that act behind the drives, which a plant takes among its parameters."""
+    return {path: inputs[path] for path in (TORQUE, WRENCH) if path in inputs}
+
+
+def joint_forces(model: Model, q: Vector, wrench: Array | None, parameters: Values) -> Array | None:
+    """(n,) what a wrench at the tool, and a disturbance, put on the joints; None where there is neither."""
+    torque: Array | None = parameters.get(TORQUE)
+    if wrench is None:
+        return torque
+    force: Array = dyn.jacobian(model, q).T @ wrench
+    return force if torque is None else force + torque

@@ -1,4 +1,4 @@
-"""What the tool holds and what holds the tool: handles and hands, masses with a motion of their own in a grip."""
+"""What acts on the tool by itself: hands and handles, masses with a motion of their own in a grip; pushes."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from typing import Any, Final
 import numpy as np
 
 from taut.base.errors import RangeError
-from taut.base.fields import Declared, Field, Part, Plain
+from taut.base.fields import Choice, Declared, Field, Part, Plain
+from taut.base.paths import subtree
 from taut.base.types import Float64Array, Twist, Vector, Vector3, Wrench
-from taut.plant.environments.environment import EnvironmentBase
+from taut.plant.environments.environment import Environment
 from taut.trace import math as tm
 from taut.trace.pose import Pose
 
-__all__ = ["BandNoise", "Hand", "Handle", "Oscillation", "PrescribedMotion"]
+__all__ = ["BandNoise", "Hand", "Oscillation", "PrescribedMotion", "Push"]
 
 Values = Mapping[str, Any]
 GRIP: Final = 300.0  # [rad/s]
 PRESCRIBED: Final = ("motion", "force")
 MAX_TONES: Final = 64
-MASS: Final = "without mass it is a taut.environments.Spring and a taut.environments.Damper"
 
 
 # -------------------------------------------------------------------- what a hand wants over time
@@ -127,43 +127,18 @@ class BandNoise(PrescribedMotion):
 # -------------------------------------------------------------------- what is held
 
 
-def _start(held: Handle | Hand, T_WE: Pose) -> dict[str, Any]:
-    """It starts at rest where the tool is."""
-    memory: dict[str, Any] = {"p": T_WE.p, "v": np.zeros(3)}
-    return memory if held.at is not None else memory | {"at": T_WE.p}
+class Hand(Environment):
+    """A hand that holds the tool, or a handle (m, b, k) that it holds: a mass, with damper and spring to the world.
 
-
-def _held(
-    T_WE: Pose, twist: Twist, memory: Values, parameters: Values, dt: Any, wanted: Vector3, force: Vector3
-) -> tuple[Wrench, dict[str, Any]]:
-    """The wrench of a mass in a grip, and its motion after a step: semi-implicit, its damping at the step's end."""
-    m, k, b, omega = (parameters[name] for name in ("mass", "stiffness", "damping", "grip"))
-    p, v = memory["p"], memory["v"]
-    at = parameters["at"] if "at" in parameters else memory["at"]
-    grip = m * omega * (omega * (T_WE.p - p) + (twist[:3] - v))
-    v_new = (m * v + dt * (grip + k * (at + wanted - p) + force)) / (m + dt * b)
-    return tm.array([*(-grip), 0.0, 0.0, 0.0]), {**memory, "p": p + dt * v_new, "v": v_new}
-
-
-def _rates(mobility: Float64Array, parameters: Values) -> tuple[float, float]:
-    """Of the grip between tool and mass, and of the spring behind it."""
-    m, omega = float(parameters["mass"]), float(parameters["grip"])
-    both = float(np.linalg.eigvalsh(mobility[:3, :3]).max()) + 1.0 / m
-    behind = float(np.max(parameters["stiffness"])) / m
-    return float(np.sqrt(m * omega**2 * both + behind)), m * omega * both
-
-
-class Handle(EnvironmentBase):
-    """A handle (m, b, k) that the tool holds by its middle: a mass, with damper and spring to the world.
-
-    Law:          mass a_h + damping v_h + stiffness (p_h - at) = f_grip,  F_ext = -f_grip
+    Law:          mass a_h + damping v_h + stiffness (p_h - at - motion(t)) = f_grip + force(t),  F_ext = -f_grip
                   f_grip = mass grip^2 (p - p_h) + mass grip (v - v_h)
-    Closed loop:  below the grip's frequency, of an arm without forces: (mass + Lambda) a + damping v + stiffness
-                  (p - at) = 0
+    Closed loop:  below the grip's frequency, of an arm without forces, at omega:
+                  (p - at) (stiffness - (mass + Lambda) omega^2 + j omega damping) = stiffness motion + force
+                  without motion and force: (mass + Lambda) a + damping v + stiffness (p - at) = 0
 
-    The handle has a motion of its own, p_h and v_h, and the grip is a stiff spring and damper: a mass that answered
+    The mass has a motion of its own, p_h and v_h, and the grip is a stiff spring and damper: a mass that answered
     to the tool's acceleration in the same instant would be an algebraic loop in every engine but one's own. What is
-    measured differs from a rigid grip by (omega / grip)^2, 0.4 % at 20 rad/s. The handle has inertia, and no weight:
+    measured differs from a rigid grip by (omega / grip)^2, 0.4 % at 20 rad/s. It has inertia, and no weight:
     give that to the arm's payload.
 
     Stable while omega^2 dt^2 + 2 dt delta < 4, with omega^2 = grip^2 (1 + mass / Lambda) + stiffness / mass and
@@ -173,65 +148,10 @@ class Handle(EnvironmentBase):
         mass: [kg].
         damping: (3,) in world axes or scalar [N s/m].
         stiffness: (3,) in world axes or scalar [N/m].
-        at: (3,) where its spring is at rest [m]; where the tool starts if left out.
-        grip: Natural frequency of the mass in the grip of a tool that rests [rad/s].
-
-    Raises:
-        ShapeError, RangeError: Numbers of another shape, negative, not finite, no mass.
-
-    Example:
-        >>> sorted(Handle(mass=1.0, damping=5.0, stiffness=200.0).parameters())
-        ['damping', 'grip', 'mass', 'stiffness']
-
-    References:
-        Chapter, section 10.5 impedance control.
-    """
-
-    mass: Field = Field(unit="kg", above=0.0, hint=MASS)
-    damping: Field = Field(0.0, unit="N s/m", shape=3, accepts=("scalar",), minimum=0.0)
-    stiffness: Field = Field(0.0, unit="N/m", shape=3, accepts=("scalar",), minimum=0.0)
-    at: Field = Field(unit="m", shape=3, optional=True)
-    grip: Field = Field(GRIP, unit="rad/s", above=0.0, hint="not to hold it leave it out")
-
-    def start(self, T_WE: Pose) -> dict[str, Any]:
-        """Memory at the start: at rest where the tool is."""
-        return _start(self, T_WE)
-
-    def wrench(
-        self,
-        T_WE: Pose,
-        twist: Twist,
-        t: Any,  # noqa: ARG002
-        memory: Values,
-        parameters: Values,
-        dt: Any,
-    ) -> tuple[Wrench, dict[str, Any]]:
-        """(6,) [N, N m] on the arm, and the handle's motion after the step."""
-        return _held(T_WE, twist, memory, parameters, dt, np.zeros(3), np.zeros(3))
-
-    def rates(self, mobility: Float64Array, parameters: Values) -> tuple[float, float]:
-        """How fast tool and handle oscillate in the grip [rad/s], and how fast it brakes that [1/s]."""
-        return _rates(mobility, parameters)
-
-
-class Hand(EnvironmentBase):
-    """A hand with a will of its own, which holds the tool.
-
-    Law:          mass a_h + damping v_h + stiffness (p_h - at - motion(t)) = f_grip + force(t),  F_ext = -f_grip
-                  f_grip = mass grip^2 (p - p_h) + mass grip (v - v_h)
-    Closed loop:  below the grip's frequency, of an arm without forces, at omega:
-                  (p - at) (stiffness - (mass + Lambda) omega^2 + j omega damping) = stiffness motion + force
-
-    As of `taut.environments.Handle`, the mass moves by itself in a stiff grip.
-
-    Args:
-        mass: [kg].
-        damping: (3,) in world axes or scalar [N s/m].
-        stiffness: (3,) in world axes or scalar [N/m].
         motion: Where it wants to be, counted from `at` [m]: a taut.environments.Oscillation or a
-        taut.environments.BandNoise.
+            taut.environments.BandNoise; none for a handle.
         force: What it pushes with besides [N]: the same.
-        at: (3,) where it rests [m]; where the tool starts if left out.
+        at: (3,) where its spring is at rest [m]; where the tool starts if left out.
         grip: Natural frequency of the mass in the grip of a tool that rests [rad/s].
 
     Raises:
@@ -239,24 +159,33 @@ class Hand(EnvironmentBase):
         UsageError: A motion or force of another kind.
 
     Example:
+        >>> sorted(Hand(mass=1.0, damping=5.0, stiffness=200.0).parameters())
+        ['damping', 'grip', 'mass', 'stiffness']
         >>> wave = Oscillation(amplitude=[0.02, 0.0, 0.0], frequency=1.0)
-        >>> hand = Hand(mass=1.0, damping=20.0, stiffness=300.0, motion=wave)
-        >>> sorted(hand.parameters())[-3:]
+        >>> sorted(Hand(mass=1.0, damping=20.0, stiffness=300.0, motion=wave).parameters())[-3:]
         ['motion.frequency', 'motion.phase', 'stiffness']
+
+    References:
+        Chapter, section 10.5 impedance control.
     """
 
-    mass: Field = Field(unit="kg", above=0.0, hint=MASS)
-    damping: Field = Field(unit="N s/m", shape=3, accepts=("scalar",), minimum=0.0)
-    stiffness: Field = Field(unit="N/m", shape=3, accepts=("scalar",), minimum=0.0)
-    motion: Part[PrescribedMotion] = Part(PrescribedMotion, optional=True)
-    force: Part[PrescribedMotion] = Part(PrescribedMotion, optional=True)
+    mass: Field = Field(
+        unit="kg", above=0.0, hint="without mass it is a taut.environments.Spring and a taut.environments.Damper"
+    )
+    damping: Field = Field(0.0, unit="N s/m", shape=3, accepts=("scalar",), minimum=0.0)
+    stiffness: Field = Field(0.0, unit="N/m", shape=3, accepts=("scalar",), minimum=0.0)
+    motion: Part[PrescribedMotion | None] = Part(PrescribedMotion, optional=True)
+    force: Part[PrescribedMotion | None] = Part(PrescribedMotion, optional=True)
     at: Field = Field(unit="m", shape=3, optional=True)
     grip: Field = Field(GRIP, unit="rad/s", above=0.0, hint="not to hold it leave it out")
 
     def start(self, T_WE: Pose) -> dict[str, Any]:
         """Memory at the start: at rest where the tool is, with the phases of what it wants."""
-        wanted = {name: getattr(self, name) for name in PRESCRIBED if getattr(self, name) is not None}
-        return _start(self, T_WE) | {f"{name}.phases": each.start() for name, each in wanted.items()}
+        memory: dict[str, Any] = {"p": T_WE.p, "v": np.zeros(3)}
+        if self.at is None:
+            memory["at"] = T_WE.p
+        prescribed = {name: each for name in PRESCRIBED if (each := getattr(self, name)) is not None}
+        return memory | {f"{name}.phases": each.start() for name, each in prescribed.items()}
 
     def wrench(
         self,
@@ -267,17 +196,84 @@ class Hand(EnvironmentBase):
         parameters: Values,
         dt: Any,
     ) -> tuple[Wrench, dict[str, Any]]:
-        """(6,) [N, N m] on the arm, and the hand's motion after the step."""
+        """(6,) [N, N m] on the arm, and the motion after a step: semi-implicit, its damping at the step's end."""
         wants: dict[str, Any] = dict.fromkeys(PRESCRIBED, np.zeros(3))
         phases: dict[str, Any] = {}
-        for name, will in self.declared_parts().items():
-            assert isinstance(will, PrescribedMotion)
-            p = {key: parameters[f"{name}.{key}"] for key in will.parameters()}
-            wants[name] = will.value(memory[f"{name}.phases"], p)
-            phases[f"{name}.phases"] = memory[f"{name}.phases"] + dt * will.rates(p)
-        wrench, after = _held(T_WE, twist, memory, parameters, dt, wants["motion"], wants["force"])
-        return wrench, after | phases
+        for name, each in self.declared_parts().items():
+            assert isinstance(each, PrescribedMotion)
+            own = subtree(parameters, name)
+            wants[name] = each.value(memory[f"{name}.phases"], own)
+            phases[f"{name}.phases"] = memory[f"{name}.phases"] + dt * each.rates(own)
+        m, k, b, omega = (parameters[name] for name in ("mass", "stiffness", "damping", "grip"))
+        p, v = memory["p"], memory["v"]
+        at = parameters["at"] if "at" in parameters else memory["at"]
+        grip = m * omega * (omega * (T_WE.p - p) + (twist[:3] - v))
+        v_new = (m * v + dt * (grip + k * (at + wants["motion"] - p) + wants["force"])) / (m + dt * b)
+        return tm.array([*(-grip), 0.0, 0.0, 0.0]), {**memory, "p": p + dt * v_new, "v": v_new, **phases}
 
     def rates(self, mobility: Float64Array, parameters: Values) -> tuple[float, float]:
-        """How fast tool and hand oscillate in the grip [rad/s], and how fast it brakes that [1/s]."""
-        return _rates(mobility, parameters)
+        """How fast tool and mass oscillate in the grip [rad/s], and how fast it brakes that [1/s]."""
+        m, omega = float(parameters["mass"]), float(parameters["grip"])
+        both = float(np.linalg.eigvalsh(mobility[:3, :3]).max()) + 1.0 / m
+        behind = float(np.max(parameters["stiffness"])) / m
+        return float(np.sqrt(m * omega**2 * both + behind)), m * omega * both
+
+
+# -------------------------------------------------------------------- pushes
+
+
+class Push(Environment):
+    """A push at the tool's origin: a wrench that comes and goes once.
+
+    Law:          F_ext = peak s((t_now - t) / duration), with s(x) = sin(pi x) or 1 for 0 <= x < 1, else 0
+    Closed loop:  of mass Lambda at the tool, and nothing else: V = Lambda^-1 peak duration 2 / pi after a half sine,
+                  Lambda^-1 peak duration after a rectangular one
+
+    In each step acts the mean of the pulse over that step, so that its impulse is exact however long the steps are.
+    (In the smooth integrator rk4 it comes half a step early.) A push that comes again, or at a time that is not known
+    yet, gets another t by an event: see `taut.Event.push`.
+
+    Args:
+        peak: (6,) the wrench at its peak, force first, in world axes [N, N m]; three numbers are a force.
+        t: When it begins [s]; infinity, for one that waits for an event, if left out.
+        duration: How long it takes [s].
+        shape: "half-sine" or "rectangular".
+
+    Raises:
+        ShapeError, RangeError: Numbers of another shape, not finite, a duration that is not above zero.
+        UsageError: Another shape of the pulse.
+
+    Example:
+        >>> push = Push(peak=[20.0, 0.0, 0.0], t=1.0, duration=0.1)
+        >>> [round(float(x), 3) for x in push.impulse]
+        [1.273, 0.0, 0.0, 0.0, 0.0, 0.0]
+    """
+
+    peak: Field = Field((0.0, 0.0, 0.0), unit="N, N m", shape=6, accepts=("force",))
+    t: Field = Field(math.inf, unit="s", minimum=0.0, infinite=True)
+    duration: Field = Field(0.1, unit="s", above=0.0, hint="for no push leave it out")
+    shape: Choice[str] = Choice("half-sine", "rectangular")
+
+    @property
+    def impulse(self) -> Float64Array:
+        """(6,) integral of the wrench over time [N s, N m s]."""
+        mean = 1.0 if self.shape == "rectangular" else 2.0 / math.pi
+        return np.asarray(self.peak) * float(np.asarray(self.duration)) * mean
+
+    def wrench(
+        self,
+        T_WE: Pose,  # noqa: ARG002
+        twist: Twist,  # noqa: ARG002
+        t: Any,
+        memory: Values,  # noqa: ARG002
+        parameters: Values,
+        dt: Any,
+    ) -> tuple[Wrench, dict[str, Any]]:
+        """(6,) [N, N m] on the arm: the mean from t to t + dt."""
+        length = parameters["duration"]
+        begin, end = (tm.clip((now - parameters["t"]) / length, 0.0, 1.0) for now in (t, t + dt))
+        if self.shape == "rectangular":
+            share = end - begin
+        else:
+            share = (tm.cos(math.pi * begin) - tm.cos(math.pi * end)) / math.pi
+        return parameters["peak"] * (share * length / dt), {}

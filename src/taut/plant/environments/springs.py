@@ -13,7 +13,7 @@ from taut.base.errors import RangeError, UsageError
 from taut.base.fields import Choice, Declared, Field, Part
 from taut.base.types import Array, ArrayLike, Float64Array, Twist, Wrench
 from taut.maths.spatial import left_jacobian_inverse, rotated, rotation_log
-from taut.plant.environments.environment import EnvironmentBase, applied, fastest
+from taut.plant.environments.environment import Environment, applied, fastest
 from taut.trace import math as tm
 from taut.trace.pose import Pose
 
@@ -40,7 +40,7 @@ def unit_vector(direction: ArrayLike) -> Float64Array:
     return out
 
 
-class Spring(EnvironmentBase):
+class Spring(Environment):
     """A spring between the tool and a place in the world.
 
     Law:          F_ext = -dU/dx of U = 1/2 e^T stiffness e, with e = (p, phi) the position of the tool's origin and
@@ -69,7 +69,7 @@ class Spring(EnvironmentBase):
     """
 
     stiffness: Field = Field(unit="N/m | N m/rad", shape=6, accepts=("scalar", "pair", "matrix"), minimum=0.0)
-    at: Part[Pose] = Part(Pose, optional=True, convert=pose_or_point)
+    at: Part[Pose | None] = Part(Pose, optional=True, convert=pose_or_point)
     slack: Field = Field(unit="m", minimum=0.0, optional=True)
 
     def check(self) -> None:
@@ -130,7 +130,7 @@ def _rotation(xyzw: Array) -> Array:
     return tm.eye(3) + 2.0 * (xyzw[3] * v + v @ v)  # type: ignore[no-any-return]
 
 
-class Damper(EnvironmentBase):
+class Damper(Environment):
     """A damper between the tool and the world, as of a liquid that rests.
 
     Law:          F_ext = -damping V, with V the twist of the tool at its origin
@@ -185,7 +185,7 @@ def _bound(gain: ArrayLike) -> Float64Array:
     return 2.0 * np.repeat(blocks, 3)  # of a positive matrix, twice its blocks is no less than it
 
 
-class StiffWall(EnvironmentBase):
+class StiffWall(Environment):
     """A half-space that the tool's origin can be pressed into: a stiff surface that pushes and never pulls.
 
     Law:          N = max(0, stiffness d + s damping d_dot) where the depth d is above 0, else 0

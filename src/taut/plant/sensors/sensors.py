@@ -4,49 +4,56 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.arm.parts import checked_payload_entry
-from taut.base.checks import finite_array
-from taut.base.errors import RangeError, ShapeError, UsageError
-from taut.base.front_door import public_name
+from taut.base.errors import ShapeError, UsageError
+from taut.base.fields import Declared, Part, Refusal
 from taut.base.paths import subtree
-from taut.base.quantity import six_of
-from taut.base.types import ArrayLike, Float64Array
 from taut.maths.model import Model
+from taut.maths.snapshot import measurement_shapes
 from taut.maths.wrist import sensor_place
-from taut.plant.sensors.joint_sensors import Encoder, Tachometer, TorqueSensor
-from taut.plant.sensors.readings import Sensor, numbers_of
-from taut.plant.sensors.tool_sensors import Accelerometer, WrenchSensor
+from taut.plant.sensors.kinds import Accelerometer, Encoder, ShaftSensor, Tachometer, TorqueSensor, WrenchSensor
+from taut.plant.sensors.sensor import FaultySensor, Sensor
 
-__all__ = ["SENSORS", "Sensors"]
+__all__ = ["MEASUREMENT_OF", "Sensors"]
 
 Values = Mapping[str, Any]
 
-TURN: Final = 2.0 * np.pi  # [rad]
-
-SENSORS: Final[Mapping[str, tuple[str, type[Sensor]]]] = {
-    "position": ("q", Encoder),
-    "velocity": ("v", Tachometer),
-    "motor": ("q_motor", Encoder),
-    "motor_velocity": ("v_motor", Tachometer),
-    "torque": ("tau_meas", TorqueSensor),
-    "wrench": ("F_ext", WrenchSensor),
-    "tip": ("a_tip", Accelerometer),
+MEASUREMENT_OF: Final[Mapping[str, str]] = {
+    "position": "q",
+    "velocity": "v",
+    "motor": "q_motor",
+    "motor_velocity": "v_motor",
+    "torque": "tau_meas",
+    "wrench": "F_ext",
+    "tip": "a_tip",
 }
-"""Each sensor: the measurement that it gives, and its class."""
+"""The measurement that each sensor gives."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Sensors:
+class OneSensor(Part[Any]):
+    """A sensor of the stated class, or one of the user's own."""
+
+    def checked(self, value: Any, owner: Any = None, joints: Any = None) -> Any:
+        if isinstance(value, FaultySensor) or not isinstance(value, Sensor):
+            value = super().checked(value, owner, joints)
+        if not isinstance(value, ShaftSensor):
+            return value
+        at_motor = self.name.startswith("motor")
+        if at_motor and value.side == "link":
+            raise Refusal(UsageError, self.name, "is at the motor; got side='link'; leave side out")
+        return dataclasses.replace(value, side="motor") if at_motor and value.side is None else value
+
+
+class Sensors(Declared):
     """The sensors of an arm, each of which may be left out but the positions. All noise comes from the run's seed.
 
     Ideal ones read the truth: positions, velocities and torques of the joints, and the wrench where something
-    touches the tool. What has no sensor is not measured, and a law that asks for it is refused.
+    touches the tool. What has no sensor is not measured, and a law that asks for it is refused. Each may be a
+    `taut.sensors.Sensor` of your own.
 
     Args:
         position: Positions of the joints, `x.q`.
@@ -70,134 +77,67 @@ class Sensors:
         Chapter, section 10.1 control system overview and figure 10.1.
     """
 
-    position: Encoder = field(default_factory=Encoder)
-    velocity: Tachometer | None = field(default_factory=Tachometer)
-    motor: Encoder | None = None
-    motor_velocity: Tachometer | None = None
-    torque: TorqueSensor | None = field(default_factory=TorqueSensor)
-    wrench: WrenchSensor | None = field(default_factory=WrenchSensor)
-    tip: Accelerometer | None = None
-
-    def __post_init__(self) -> None:
-        for name, (_, kind) in SENSORS.items():
-            sensor = getattr(self, name)
-            if isinstance(sensor, kind) or (sensor is None and name != "position"):
-                continue
-            or_none = "" if name == "position" else " or None"
-            got = type(sensor).__name__
-            raise UsageError(f"sensors.{name} must be {public_name(kind)}(...){or_none}; got {got}", name=name)
-        for name in ("position", "velocity", "motor", "motor_velocity"):
-            sensor, at_motor = getattr(self, name), name.startswith("motor")
-            if sensor is None:
-                continue
-            if at_motor and sensor.side == "link":
-                raise UsageError(
-                    f"sensors.{name} is at the motor; got side='link'; leave side out, or give it as "
-                    f"{'position' if name == 'motor' else 'velocity'}=",
-                    name=name,
-                )
-            side = sensor.side or ("motor" if at_motor else "link")
-            object.__setattr__(self, name, dataclasses.replace(sensor, side=side))
+    position: OneSensor = OneSensor(Encoder, default=Encoder())
+    velocity: OneSensor = OneSensor(Tachometer, default=Tachometer(), optional=True)
+    motor: OneSensor = OneSensor(Encoder, optional=True)
+    motor_velocity: OneSensor = OneSensor(Tachometer, optional=True)
+    torque: OneSensor = OneSensor(TorqueSensor, default=TorqueSensor(), optional=True)
+    wrench: OneSensor = OneSensor(WrenchSensor, default=WrenchSensor(), optional=True)
+    tip: OneSensor = OneSensor(Accelerometer, optional=True)
 
     # ---------------------------------------------------------------- what they declare
 
-    def _there(self, touched: bool) -> dict[str, tuple[str, Sensor]]:
-        """Measurement and sensor of all that read something, by the sensor's name."""
+    def by_measurement(self, *, touched: bool = True) -> dict[str, tuple[str, Sensor]]:
+        """Name and sensor of each that reads something; `touched` if something touches the tool."""
         return {
-            name: (measurement, getattr(self, name))
-            for name, (measurement, _) in SENSORS.items()
-            if getattr(self, name) is not None and (touched or self.weighs or name != "wrench")
+            measurement: (name, sensor)
+            for name, measurement in MEASUREMENT_OF.items()
+            if (sensor := getattr(self, name)) is not None and (touched or self.weighs or name != "wrench")
         }
 
     @property
     def weighs(self) -> bool:
         """Whether the wrench sensor reads the weight of tool and payload."""
-        return self.wrench is not None and self.wrench.tool is not None
+        return isinstance(self.wrench, WrenchSensor) and self.wrench.tool is not None
 
     @property
     def needs_acceleration(self) -> bool:
-        """Whether one of them feels how the arm accelerates."""
-        return self.tip is not None or self.weighs
+        """Whether the reading of one depends on how the arm accelerates."""
+        return self.weighs or any(sensor.needs_acceleration for _, sensor in self.by_measurement().values())
 
     def measures(self, *, touched: bool) -> frozenset[str]:
-        """What they measure besides positions; `touched` if something touches the tool."""
-        return frozenset(measurement for measurement, _ in self._there(touched).values()) - {"q"}
+        """What they measure besides positions."""
+        return frozenset(self.by_measurement(touched=touched)) - {"q"}
 
     def distorts(self, *, touched: bool) -> frozenset[str]:
         """The measurements that differ from the truth at the link."""
-        return frozenset(
-            measurement
-            for name, (measurement, sensor) in self._there(touched).items()
-            if numbers_of(sensor)
-            or (name == "wrench" and self.weighs)
-            or (name in ("position", "velocity") and getattr(sensor, "side", "") == "motor")
-        )
+        there = self.by_measurement(touched=touched)
+        return frozenset(measurement for measurement, (_, sensor) in there.items() if not sensor.ideal)
 
     def noise(self, arm: Arm, *, touched: bool) -> dict[str, tuple[int, ...]]:
         """Shapes of the standard normal numbers that they need in every tick, by measurement."""
-        return {
-            measurement: (sensor.size(arm),)
-            for measurement, sensor in self._there(touched).values()
-            if "noise" in numbers_of(sensor)
-        }
-
-    def parameters(self) -> dict[str, dict[str, Float64Array]]:
-        """Run-time parameters by sensor and name: the numbers that are there."""
-        out = {name: numbers_of(sensor) for name, (_, sensor) in self._there(touched=True).items()}
-        if self.wrench is not None:
-            out["wrench"] |= self.wrench.tool_numbers()
-        return out
+        shapes, there = measurement_shapes(arm.n), self.by_measurement(touched=touched)
+        return {name: shapes[name] for name, (_, sensor) in there.items() if "noise" in sensor.parameters()}
 
     # ---------------------------------------------------------------- checks
 
-    def check(self, arm: Arm, *, touched: bool) -> None:
+    def check_arm(self, arm: Arm, *, touched: bool) -> None:
         """Whether they fit the arm.
 
         Raises:
             ShapeError: A number that is neither a scalar nor one per joint or axis.
-            RangeError: An encoder with steps of more than a turn.
             UsageError: A wrench sensor with faults where nothing touches the tool, or at a frame of another body.
         """
-        if self.wrench is not None:
-            sensor_place(arm, self.wrench.frame, "sensors.wrench")
-        for name, (_, sensor) in self._there(touched=True).items():
-            size = sensor.size(arm)
-            for word, values in numbers_of(sensor).items():
-                if values.ndim:
-                    path, joints = f"sensors.{name}.{word}", _joints_of(name, arm)
-                    finite_array(path, values, shape=(size,), joints=joints, allow_infinite=True)
-                if isinstance(sensor, Encoder) and word == "resolution":
-                    _require_within_a_turn(f"sensors.{name}.{word}", values, arm)
-        if not touched and not self.weighs and self.wrench is not None and numbers_of(self.wrench):
+        self.check_size(arm.joint_names, "sensors.")
+        if not isinstance(self.wrench, WrenchSensor):
+            return
+        sensor_place(arm, self.wrench.frame, "sensors.wrench")
+        if not touched and not self.weighs and not self.wrench.ideal:
             raise UsageError(
                 "sensors.wrench is for a plant that something touches, or whose tool it weighs; give the plant an "
                 "environment or the sensor its tool, or leave it out",
                 name="wrench",
             )
-
-    def checked_parameter(self, path: str, value: ArrayLike, arm: Arm) -> Float64Array:
-        """A new value of a parameter by its whole path, checked like the first one, in the shape it has.
-
-        Raises:
-            ShapeError: Another shape.
-            RangeError: Against its rule.
-        """
-        _, name, word = path.split(".", 2)
-        if word.startswith("tool."):
-            return checked_payload_entry(path, value)
-        sensor: Sensor = getattr(self, name)
-        quantity, shape = sensor.quantities[word], np.shape(getattr(sensor, word))
-        if isinstance(sensor, WrenchSensor):
-            return six_of(path, quantity, value)
-        new = quantity.checked(path, value, joints=_joints_of(name, arm))
-        if new.shape not in ((), shape):
-            raise ShapeError(
-                f"{path} has shape {shape}; got shape {new.shape}; make the plant with a value of the new shape",
-                name=path,
-            )
-        if isinstance(sensor, Encoder) and word == "resolution":
-            _require_within_a_turn(path, new, arm)
-        return np.broadcast_to(new, shape)
 
     # ---------------------------------------------------------------- the pure function
 
@@ -211,29 +151,23 @@ class Sensors:
                 for a wrench sensor that weighs, and payload.mass, payload.com and payload.inertia for the latter.
             noise: Standard normal numbers by measurement.
             parameters: The sensors' parameters, by path below "sensors".
+
+        Raises:
+            ShapeError: A sensor of the user's own gives a reading of another shape.
         """
         out: dict[str, Any] = {}
-        for name, (measurement, sensor) in self._there("F_ext" in true).items():
+        shapes = measurement_shapes(model.arm.n)
+        for measurement, (name, sensor) in self.by_measurement(touched="F_ext" in true).items():
             known = {**true, "q_read": out.get("q")}  # positions come first
-            value, cut = sensor.read(model, known, noise.get(measurement), subtree(parameters, name))
+            given = sensor.read(model, known, subtree(parameters, name), noise.get(measurement))
+            value, cut = given if isinstance(given, tuple) else (given, None)
+            if np.shape(value) != shapes[measurement]:
+                raise ShapeError(
+                    f"{type(sensor).__name__}.read must give shape {shapes[measurement]} as sensors.{name}; got "
+                    f"shape {np.shape(value)}",
+                    name=name,
+                )
             out[measurement] = value
             if cut is not None:
                 out[f"saturated.{measurement}"] = cut
         return out
-
-
-def _require_within_a_turn(path: str, resolution: ArrayLike, arm: Arm) -> None:
-    """A step of an encoder is a turn of its shaft at most: 4096 counts are no resolution of 4096 rad."""
-    for joint, step in zip(arm.joints, np.broadcast_to(np.asarray(resolution), (arm.n,)), strict=True):
-        if joint.kind != "prismatic" and step > TURN:
-            raise RangeError(
-                f"{path} of joint '{joint.name}' must be at most a turn, {TURN:.4g} [rad]; got {float(step):g}; N "
-                "counts in a turn are steps of 2*pi/N",
-                name=path,
-                value=float(step),
-            )
-
-
-def _joints_of(name: str, arm: Arm) -> tuple[str, ...] | None:
-    """Names of the entries of a sensor's numbers; None where they are axes."""
-    return None if name in ("wrench", "tip") else arm.joint_names

@@ -2,32 +2,38 @@
 
 Which OpenGL works is found out by trying, and a failed try leaves traces in the process that made it: modules half
 imported, environment variables, sometimes a crash. So each try has a process of its own, and the caller's stays as
-it was. The process runs `painter`: it gets a folder with `scene.mjb` and `frames.npz`, says `ready` when it can draw,
-and then writes one picture after the other, as bytes, to its standard output.
+it was. The process runs this file: it gets a folder with `scene.mjb` and `frames.npz`, says `ready` when it can draw,
+and then writes one picture after the other, as bytes, to its standard output. So nothing of taut is imported here.
 """
 
 from __future__ import annotations
 
+import itertools
 import os
 import platform
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import IO, Any, Final, Self, TypeAlias
 
 import numpy as np
 
-from taut.base.types import Float64Array
-from taut.record.film import painter
+__all__ = ["TRAIL", "Frames", "NoRendererError", "Renderer", "backends", "check_mujoco", "opened"]
 
-__all__ = ["Frames", "NoRendererError", "Renderer", "backends", "check_mujoco", "opened"]
-
-PATIENCE: Final = 120.0  # [s] until the first picture can be drawn
+START_TIMEOUT: Final = 120.0  # [s] until the first picture can be drawn
+READY: Final = b"ready\n"
+TRAIL: Final = (0.84, 0.37, 0.0, 0.9)
+REFERENCE: Final = (0.2, 0.2, 0.2, 0.55)
+MAX_PIECES: Final = 400  # of a trail
 OFF: Final = ("off", "disable", "disabled", "false", "0")  # values of MUJOCO_GL
+
+
+Numbers: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
 
 
 class NoRendererError(Exception):
@@ -38,11 +44,11 @@ class NoRendererError(Exception):
 class Frames:
     """What is drawn: the same numbers for every backend."""
 
-    qpos: Float64Array  # (k, n) in the order of the model
-    moving: Float64Array  # (k, m, 7) position [m] and quaternion wxyz of the bodies that move by themselves
-    tool: Float64Array  # (k, 3) [m] where the tool goes
-    wanted: Float64Array  # (k, 3) [m] where it should, or (0, 3)
-    camera: Float64Array  # (6,) centre [m], distance [m], azimuth [deg], elevation [deg]
+    qpos: Numbers  # (k, n) in the order of the model
+    moving: Numbers  # (k, m, 7) position [m] and quaternion wxyz of the bodies that move by themselves
+    tool: Numbers  # (k, 3) [m] where the tool goes
+    wanted: Numbers  # (k, 3) [m] where it should, or (0, 3)
+    camera: Numbers  # (6,) centre [m], distance [m], azimuth [deg], elevation [deg]
     size: tuple[int, int]
 
 
@@ -108,7 +114,7 @@ class Renderer:
             environment["MUJOCO_GL"] = backend
         self._errors = (folder / "errors.txt").open("w+b")
         self._process = subprocess.Popen(
-            [sys.executable, "-P", painter.__file__, str(folder)],
+            [sys.executable, "-P", __file__, str(folder)],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=self._errors,
@@ -117,13 +123,13 @@ class Renderer:
 
     def start(self) -> str | None:
         """Wait until it can draw; None if it can, else why not."""
-        timer = threading.Timer(PATIENCE, self._process.kill)
+        timer = threading.Timer(START_TIMEOUT, self._process.kill)
         timer.start()
         try:
-            answer = self._read(len(painter.READY))
+            answer = self._read(len(READY))
         finally:
             timer.cancel()
-        return None if answer == painter.READY else self._last_words()
+        return None if answer == READY else self._last_words()
 
     def pictures(self) -> Iterator[np.ndarray[Any, np.dtype[np.uint8]]]:
         """One picture (height, width, 3) per frame.
@@ -164,3 +170,57 @@ class Renderer:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+# -------------------------------------------------------------------- the other process
+
+
+def draw_all(folder: Path, out: IO[bytes]) -> None:
+    """Write READY, then the bytes of each picture."""
+    import mujoco
+
+    model = mujoco.MjModel.from_binary_path(str(folder / "scene.mjb"))
+    with np.load(folder / "frames.npz", allow_pickle=False) as read:
+        frames = {name: read[name] for name in read.files}
+    width, height = (int(x) for x in frames["size"])
+    data = mujoco.MjData(model)
+    camera = mujoco.MjvCamera()
+    camera.lookat, camera.distance = frames["camera"][:3], frames["camera"][3]
+    camera.azimuth, camera.elevation = frames["camera"][4:]
+    renderer = mujoco.Renderer(model, height=height, width=width)
+    picture = np.empty((height, width, 3), dtype=np.uint8)
+    renderer.update_scene(data, camera)
+    renderer.render(out=picture)  # whatever can go wrong has gone wrong by now
+    out.write(READY)
+    for k, qpos in enumerate(frames["qpos"]):
+        data.qpos = qpos
+        data.mocap_pos, data.mocap_quat = frames["moving"][k, :, :3], frames["moving"][k, :, 3:]
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_camlight(model, data)
+        renderer.update_scene(data, camera)
+        _trail(renderer.scene, frames["wanted"], REFERENCE, height / 320.0)
+        _trail(renderer.scene, frames["tool"][: k + 1], TRAIL, height / 160.0)
+        renderer.render(out=picture)
+        out.write(picture.tobytes())
+    out.flush()
+    renderer.close()
+
+
+def _trail(scene: Any, points: Any, rgba: tuple[float, ...], width: float) -> None:
+    """A line through points, so many pixels wide, as decoration of the scene."""
+    import mujoco
+
+    points = points[:: max(1, -(-len(points) // MAX_PIECES))]
+    stroke = mujoco.mjtGeom.mjGEOM_LINE
+    for a, b in itertools.pairwise(points):
+        if scene.ngeom >= scene.maxgeom or not np.any(a != b):
+            continue
+        geom = scene.geoms[scene.ngeom]
+        mujoco.mjv_initGeom(geom, stroke, np.zeros(3), np.zeros(3), np.zeros(9), np.array(rgba, dtype=np.float32))
+        mujoco.mjv_connector(geom, stroke, width, a, b)
+        scene.ngeom += 1
+
+
+if __name__ == "__main__":
+    with suppress(BrokenPipeError):  # nobody wants to see more
+        draw_all(Path(sys.argv[1]), sys.stdout.buffer)

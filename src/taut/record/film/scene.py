@@ -29,13 +29,13 @@ Frame: TypeAlias = tuple[Float64Array, Float64Array, Float64Array]
 Focus: TypeAlias = Literal["arm", "tool"]
 
 FIELD_OF_VIEW: Final = 45.0  # [deg] of the camera, upwards
-MARGIN: Final = 1.25  # of the picture around the arm
-FREE: Final = 0.25  # of the radius: room under an arm that would reach into the ground
-CLOSE: Final = 0.15  # [m] radius of what is looked at about the tool
+VIEW_MARGIN: Final = 1.25  # of the picture around the arm
+FLOOR_ROOM: Final = 0.25  # of the radius: room under an arm that would reach into the ground
+CLOSE_UP_RADIUS: Final = 0.15  # [m] radius of what is looked at about the tool
 SMALLEST: Final = 0.05  # [m] radius of what is looked at
-PARALLEL: Final = 1e-3
+PARALLEL_SINE: Final = 1e-3
 
-THICKNESS: Final = 0.03  # of a drawn link, in parts of what is looked at
+LINK_THICKNESS: Final = 0.03  # of a drawn link, in parts of what is looked at
 LINK: Final = (0.88, 0.88, 0.90, 1.0)
 JOINT: Final = (0.0, 0.45, 0.70, 1.0)
 TOOL: Final = (0.84, 0.37, 0.0, 1.0)
@@ -110,11 +110,11 @@ class Skeleton:
         low, high = points.min(axis=0), points.max(axis=0)
         centre = 0.5 * (low + high)
         radius = max(SMALLEST, float(np.linalg.norm(points - centre, axis=1).max()))
-        radius = radius if focus == "arm" else max(radius, CLOSE)
+        radius = radius if focus == "arm" else max(radius, CLOSE_UP_RADIUS)
         azimuth, elevation = self._direction() if camera is None else camera
         buried = self.origins[..., 2].min() < 0.02 * radius or self.tool[:, 2].min() < -0.02 * radius
-        floor = min(0.0, float(low[2])) - FREE * radius if buried else 0.0
-        return View(centre=centre, radius=MARGIN * radius, azimuth=azimuth, elevation=elevation, floor=floor)
+        floor = min(0.0, float(low[2])) - FLOOR_ROOM * radius if buried else 0.0
+        return View(centre=centre, radius=VIEW_MARGIN * radius, azimuth=azimuth, elevation=elevation, floor=floor)
 
     def _direction(self) -> tuple[float, float]:
         """Azimuth and elevation [deg]: across the plane of an arm that moves in one, else from ahead and above."""
@@ -122,7 +122,7 @@ class Skeleton:
         model = model_of(self.arm)
         links = dynamics.link_poses(model, np.zeros(self.arm.n))
         axes = np.array([upright(self.arm) @ links[i][0][:, 2] for i in hinges])
-        if not hinges or np.abs(np.cross(axes, axes[0])).max() > PARALLEL:
+        if not hinges or np.abs(np.cross(axes, axes[0])).max() > PARALLEL_SINE:
             return 145.0, -20.0
         axis = axes[0]
         if abs(axis[2]) > 0.7:
@@ -139,7 +139,7 @@ def upright(arm: Arm) -> Rotation:
     up = -arm.gravity / size
     axis = np.cross(up, [0.0, 0.0, 1.0])
     sine = float(np.linalg.norm(axis))
-    if sine < PARALLEL:
+    if sine < PARALLEL_SINE:
         return np.eye(3) if up[2] > 0.0 else np.diag([1.0, -1.0, -1.0])
     return axis_angle(axis / sine, math.atan2(sine, up[2]))
 
@@ -222,7 +222,7 @@ def _spec(arm: Arm, visuals: list[Visual], view: View, size: tuple[int, int], ar
         geom = add_shape(spec, bodies[visual.body], visual.placement, visual, meshes)
         geom.rgba = LINK if visual.rgba == BARE else visual.rgba
     drawn = {visual.body for visual in visuals}
-    radius = THICKNESS * view.radius
+    radius = LINK_THICKNESS * view.radius
     for i, body in bodies.items():
         if i != BASE:
             body.explicitinertial, body.mass, body.inertia = True, 1.0, [0.01, 0.01, 0.01]  # nothing falls here
@@ -240,7 +240,9 @@ def _put_around(spec: mujoco.MjSpec, around: Around, world: Pose, tool: tuple[An
     import mujoco
 
     for i, mesh in enumerate(around.meshes):
-        made = spec.add_mesh(name=f"around {i}", uservert=mesh.vertices.ravel(), userface=mesh.faces.ravel())
+        made = spec.add_mesh(
+            name=f"around {i}", uservert=mesh.vertices.ravel(), userface=mesh.faces.astype(np.int32).ravel()
+        )
         made.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # a surface has no volume
     for thing in around.things:
         holder, T = tool if thing.on_tool else (spec.worldbody, world @ pose(thing))

@@ -5,28 +5,22 @@ A run keeps it in its info, and the poses of what moves in a column, so that a l
 
 from __future__ import annotations
 
-import base64
-import dataclasses
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 import numpy as np
 
-from taut.base.errors import UsageError
 from taut.base.types import Float64Array
-from taut.record.info import AROUND
 from taut.trace.pose import Pose
 
 if TYPE_CHECKING:
     from taut.record.run import Run
 
-__all__ = ["POSES", "Around", "Mesh", "Shape", "ShapeKind", "Thing", "around_of", "pose", "poses_of"]
+__all__ = ["POSES", "Around", "Mesh", "Shape", "ShapeKind", "Thing", "pose", "poses_of"]
 
 POSES: Final = "scene.poses"  # column of a run: (m, 7) position [m] and quaternion wxyz of each thing that moves
 
 ShapeKind: TypeAlias = Literal["plane", "box", "sphere", "ellipsoid", "cylinder", "capsule", "mesh"]
-KINDS: Final[tuple[ShapeKind, ...]] = get_args(ShapeKind)
 Numbers: TypeAlias = tuple[float, ...]
 
 
@@ -65,7 +59,7 @@ class Mesh:
     """Triangles."""
 
     vertices: Float64Array  # (m, 3) [m]
-    faces: np.ndarray[Any, np.dtype[np.int32]]  # (f, 3)
+    faces: Float64Array  # (f, 3) whole numbers
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,71 +72,6 @@ class Around:
 
     def __bool__(self) -> bool:
         return bool(self.things or self.missing)
-
-    def json(self) -> dict[str, Any]:
-        """As plain values."""
-        return {
-            "things": [dataclasses.asdict(thing) for thing in self.things],
-            "meshes": [{"vertices": _text(m.vertices, "<f4"), "faces": _text(m.faces, "<i4")} for m in self.meshes],
-            "missing": list(self.missing),
-        }
-
-    @classmethod
-    def of_json(cls, values: Mapping[str, Any]) -> Around:
-        """The inverse.
-
-        Raises:
-            KeyError, TypeError, ValueError: They are no such values.
-        """
-        meshes = tuple(
-            Mesh(vertices=_array(m["vertices"], "<f4").astype(np.float64), faces=_array(m["faces"], "<i4"))
-            for m in values["meshes"]
-        )
-        things = tuple(_thing(thing) for thing in values["things"])
-        shapes = [shape for thing in things for shape in thing.shapes]
-        if any(shape.kind not in KINDS or shape.mesh >= len(meshes) for shape in shapes):
-            raise ValueError("a shape that there is not")
-        return cls(things=things, meshes=meshes, missing=tuple(str(words) for words in values["missing"]))
-
-
-def _text(values: np.ndarray[Any, Any], kind: str) -> str:
-    return base64.b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode()
-
-
-def _array(text: str, kind: str) -> Any:
-    return np.frombuffer(base64.b64decode(text, validate=True), dtype=kind).reshape(-1, 3)
-
-
-def _thing(values: Mapping[str, Any]) -> Thing:
-    shapes = [Shape(**{name: _tuples(value) for name, value in shape.items()}) for shape in values["shapes"]]
-    others = {name: _tuples(value) for name, value in values.items() if name != "shapes"}
-    return Thing(shapes=tuple(shapes), **others)
-
-
-def _tuples(value: Any) -> Any:
-    return tuple(_tuples(part) for part in value) if isinstance(value, (list, tuple)) else value
-
-
-def around_of(run: Run) -> Around:
-    """What stood around the arm of a run; nothing where the run does not say.
-
-    Raises:
-        UsageError: What it says is not what `taut.run` writes.
-    """
-    if AROUND not in run.info:
-        return Around()
-    try:
-        found = Around.of_json(run.info[AROUND])
-        rows = [thing.row for thing in found.things if thing.row is not None]
-        if rows and (POSES not in run.extra or max(rows) >= run.extra[POSES].shape[1]):
-            raise ValueError("a pose that there is not")
-    except (KeyError, TypeError, ValueError) as cause:
-        raise UsageError(
-            f"run.info['{AROUND}'] and the column {POSES} must be what taut.run wrote; got {cause}; leave that entry "
-            "out to film the arm alone",
-            name="info",
-        ) from cause
-    return found
 
 
 def poses_of(run: Run, found: Around, ticks: np.ndarray[Any, np.dtype[np.intp]]) -> Float64Array:

@@ -21,9 +21,9 @@ from taut.base.checks import finite_array, positive_scalar
 from taut.base.errors import FileError, MatchError, MissingExtraError, RangeError, UsageError, unknown_name, warn
 from taut.base.types import Float64Array
 from taut.control.trajectories.task_reference import TaskMotion
-from taut.record.film import painter, render, scene
+from taut.record.film import render, scene
 from taut.record.film.scene import Focus, Skeleton, View, upright
-from taut.record.film.surroundings import Around, around_of, poses_of
+from taut.record.film.surroundings import Around, poses_of
 from taut.record.log.files import checked_target, written_aside
 from taut.record.progress import Progress
 from taut.trace.pose import Pose
@@ -39,9 +39,8 @@ Ticks: TypeAlias = np.ndarray[Any, np.dtype[np.intp]]
 SUFFIXES: Final = (".gif", ".mp4")
 FASTEST: Final = {".gif": 50, ".mp4": 240}  # [1/s] a GIF counts in hundredths of a second
 SIZES: Final = (16, 4096)  # [pixel]
-SHADES: Final = 16  # of the trail, in a GIF
-LOOKS: Final = 7  # pictures in which the tool is to be seen
-FAR: Final = 1e6  # [rad | m] positions beyond this are not drawn: the run had diverged
+PICTURES_LOOKED_AT: Final = 7  # pictures in which the tool is to be seen
+MAX_POSITION: Final = 1e6  # [rad | m] positions beyond this are not drawn: the run had diverged
 
 
 def film(
@@ -66,7 +65,7 @@ def film(
     ticks = _ticks(run, positive_scalar("speed", speed) / fps)
     skeleton = Skeleton.of(shown, run.q[ticks])
     wanted = _wanted(run, shown, ticks)
-    around = around_of(run)
+    around = run.info.around
     moving = upright_poses(poses_of(run, around, ticks), shown)
     with ExitStack() as stack, written_aside("video", target) as aside:
         view = skeleton.view(camera, focus)
@@ -138,7 +137,7 @@ def _ffmpeg(target: Path) -> str | None:
 def _checked_arm(run: Run, arm: Arm | None) -> Arm:
     shown = run.arm if arm is None else arm
     if shown is None:
-        name = run.info.get("arm", "")
+        name = run.info.arm
         example = f"taut.load_arm({name!r})" if name else "taut.load_arm(...)"
         raise UsageError(f"the run does not know its arm, as a log keeps none; pass arm={example}", name="arm")
     if not isinstance(shown, Arm):
@@ -154,7 +153,7 @@ def _checked_arm(run: Run, arm: Arm | None) -> Arm:
 
 def _ticks(run: Run, period: float) -> Ticks:
     """The tick that each picture shows."""
-    near = np.isfinite(run.q).all(axis=1) & (np.abs(run.q) < FAR).all(axis=1)
+    near = np.isfinite(run.q).all(axis=1) & (np.abs(run.q) < MAX_POSITION).all(axis=1)
     end = len(run) if near.all() else int(np.argmin(near))
     if not end:
         raise UsageError("there is nothing to film: the run has no ticks", name="run")
@@ -210,7 +209,7 @@ def _pictures(
     model, places, problem = scene.scene(skeleton.arm, view, size, around)
     frames = _frames(q, places, skeleton, wanted, view, size, moving)
     if around and camera is None:
-        some = np.linspace(0, len(q) - 1, min(len(q), LOOKS)).astype(int)
+        some = np.linspace(0, len(q) - 1, min(len(q), PICTURES_LOOKED_AT)).astype(int)
         shown = [(frames.qpos[k], moving[k], skeleton.tool[k]) for k in some]
         view = scene.unhidden(model, view, size, shown)
         frames = dataclasses.replace(frames, camera=_camera(view, size))
@@ -267,17 +266,13 @@ def _write_gif(path: Path, images: Iterator[Any], fps: int) -> None:
 
 
 def _palette(first: Any) -> Any:
-    """The colours of the first picture, and shades of the trail, which is not there yet."""
+    """The colours of the first picture, and that of the trail, which is not there yet."""
     from PIL import Image
 
-    most = 256 - SHADES
+    most = 255
     own = first.quantize(colors=most, method=Image.Quantize.MEDIANCUT).getpalette()[: 3 * most]
-    trail = 255.0 * np.array(painter.TRAIL[:3])
-    shades = [
-        trail + (to - trail) * x for to, x in zip([0.0, 255.0] * SHADES, np.linspace(0.0, 0.7, SHADES), strict=False)
-    ]
     palette = Image.new("P", (1, 1))
-    palette.putpalette([*own, *(round(c) for shade in shades for c in shade)])
+    palette.putpalette([*own, *(round(255.0 * part) for part in render.TRAIL[:3])])
     return palette
 
 

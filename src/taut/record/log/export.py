@@ -1,4 +1,4 @@
-"""Exports: a run as NumPy arrays, a pandas table, a CSV, MATLAB or NumPy file.
+"""Exports: a run as a pandas table, a CSV or a MATLAB file.
 
 One number is one column, called after its array and its joint: q.elbow, v.elbow, tau.elbow, command.elbow,
 terms.P.elbow, reference.q.elbow. Entries that belong to no joint are numbered: extra.F_ext.0.
@@ -6,18 +6,19 @@ terms.P.elbow, reference.q.elbow. Entries that belong to no joint are numbered: 
 
 from __future__ import annotations
 
+import csv
 import itertools
 import os
+import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from taut.base.errors import MissingExtraError, UsageError
+from taut.base.errors import MissingExtraError
 from taut.base.paths import unflatten
-from taut.base.types import Float64Array
 from taut.record.log.files import checked_target, written_aside
-from taut.record.log.messages import columns_of
+from taut.record.log.layout import columns_of
 from taut.record.progress import Progress
 
 if TYPE_CHECKING:
@@ -25,72 +26,41 @@ if TYPE_CHECKING:
 
     from taut.record.run import Run
 
-__all__ = ["arrays", "column_names", "to_csv", "to_mat", "to_npz", "to_pandas"]
+__all__ = ["to_csv", "to_mat", "to_pandas"]
 
 ROWS: Final = 4096  # lines of a CSV that are written at a time
+WRENCH: Final = ("N",) * 3 + ("N m",) * 3
 
 
-def arrays(run: Run) -> dict[str, Float64Array]:
-    """Every array of a run by name, one row per tick: t, q, v, tau, command, terms.P, reference.q, extra.F_ext."""
-    return columns_of(run)
-
-
-def column_names(run: Run) -> dict[str, list[str]]:
-    """Names of the numbers in one row of each array."""
+def _columns(run: Run) -> dict[str, tuple[list[str], tuple[str, ...]]]:
+    """Of each array the names of the numbers in one row, and their units where they are known."""
+    known = {
+        "t": ("s",),
+        "q": run.units,
+        "v": tuple(f"{unit}/s" for unit in run.units),
+        "a": tuple(f"{unit}/s^2" for unit in run.units),
+        "tau": run.effort_units,
+        "tau_cut": run.effort_units,
+        "tau_meas": run.effort_units,
+        "command": run.command_units,
+        "F_ext": WRENCH,
+        "p": ("m",) * 3,
+        "twist": ("m/s",) * 3 + ("rad/s",) * 3,
+        "acceleration": ("m/s^2",) * 3 + ("rad/s^2",) * 3,
+    }
     out = {}
     grown = type(run.reference).fields(run.n + 1)  # six entries of a twist are no joints of an arm with six
     fixed = {f"reference.{name}" for name, shape in grown.items() if shape != (run.n + 1,)}
     for name, array in columns_of(run).items():
         if array.shape[1:] == (run.n,) and not name.startswith("extra.") and name not in fixed:
-            out[name] = [f"{name}.{joint}" for joint in run.joint_names]
-        elif array.ndim == 1:
-            out[name] = [name]
+            names = [f"{name}.{joint}" for joint in run.joint_names]
         else:
             places = itertools.product(*map(range, array.shape[1:]))
-            out[name] = [".".join([name, *map(str, place)]) for place in places]
+            names = [".".join([name, *map(str, place)]) for place in places]
+        units = run.command_units if name.startswith("terms.") else known.get(name.rpartition(".")[2], ())
+        units = ("J",) * len(names) if name.startswith("extra.work.") else units
+        out[name] = (names, units if len(units) == len(names) else ("",) * len(names))
     return out
-
-
-def units_of(run: Run) -> dict[str, list[str]]:
-    """Unit of each number in one row of each array; empty where it is not known."""
-    known: dict[str, tuple[str, ...]] = {
-        "t": ("s",),
-        "q": run.units,
-        "v": tuple(f"{unit}/s" for unit in run.units),
-        "tau": run.effort_units,
-        "command": run.command_units,
-        "reference.q": run.units,
-        "reference.v": tuple(f"{unit}/s" for unit in run.units),
-        "reference.a": tuple(f"{unit}/s^2" for unit in run.units),
-        "reference.p": ("m",) * 3,
-        "reference.twist": ("m/s",) * 3 + ("rad/s",) * 3,
-        "reference.acceleration": ("m/s^2",) * 3 + ("rad/s^2",) * 3,
-        "extra.F_ext": ("N",) * 3 + ("N m",) * 3,
-        "extra.sensed.q": run.units,
-        "extra.sensed.v": tuple(f"{unit}/s" for unit in run.units),
-        "extra.sensed.F_ext": ("N",) * 3 + ("N m",) * 3,
-        "extra.sensed.tau_meas": run.effort_units,
-        "extra.sensed.q_motor": run.units,
-        "extra.sensed.v_motor": tuple(f"{unit}/s" for unit in run.units),
-        "extra.sensed.a_tip": ("m/s^2",) * 3,
-        "extra.tau_cut": run.effort_units,
-    }
-    known |= {f"terms.{name}": run.command_units for name in run.terms}
-    if len(set(run.effort_units)) == 1:  # the largest one of any joint
-        known["extra.friction_residual"] = run.effort_units[:1]
-    out = {}
-    for name, columns in column_names(run).items():
-        work = name.startswith("extra.work.")  # of the joints, or of what touches the tool
-        units = ("J",) * len(columns) if work else known.get(name, ())
-        out[name] = list(units) if len(units) == len(columns) else [""] * len(columns)
-    return out
-
-
-def _table(run: Run) -> tuple[list[str], list[str], list[Float64Array]]:
-    """Names, units, and the arrays (k, columns) of a table, the time first."""
-    names, units = column_names(run), units_of(run)
-    tables = [array.reshape(len(run), len(names[name])) for name, array in columns_of(run).items()]
-    return [*itertools.chain(*names.values())], [*itertools.chain(*units.values())], tables
 
 
 def to_pandas(run: Run) -> pd.DataFrame:
@@ -102,37 +72,34 @@ def to_pandas(run: Run) -> pd.DataFrame:
             "run.to_pandas() needs the package 'pandas', which is not installed; pip install pandas installs it",
             name="pandas",
         ) from cause
-    names, units, tables = _table(run)
-    frame = pd.DataFrame(np.hstack(tables[1:]), columns=names[1:], index=pd.Index(run.t, name="t"))
+    names, units = (list(itertools.chain(*both)) for both in zip(*_columns(run).values(), strict=True))
+    table = np.hstack(_arrays(run))
+    frame = pd.DataFrame(table[:, 1:], columns=names[1:], index=pd.Index(run.t, name="t"))
     frame.attrs["units"] = dict(zip(names, units, strict=True))
     return frame
+
+
+def _arrays(run: Run) -> list[np.ndarray[tuple[int, int], np.dtype[np.float64]]]:
+    return [array.reshape(len(run), int(np.prod(array.shape[1:]))) for array in columns_of(run).values()]
 
 
 def to_csv(run: Run, path: str | os.PathLike[str], *, progress: bool | None = None) -> Path:
     """A table with one header line; every number has as many digits as it takes to read it back exactly."""
     target = checked_target("table", path, (".csv",))
-    names, units, tables = _table(run)
-    header = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)]
+    header = [
+        f"{name} [{unit}]" if unit else name
+        for names, units in _columns(run).values()
+        for name, unit in zip(names, units, strict=True)
+    ]
+    tables = _arrays(run)
     with written_aside("table", target) as aside, aside.open("w", encoding="utf-8", newline="") as file:
-        file.write(",".join(map(_quoted, header)) + "\n")
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
         with Progress(len(run), progress, "writing") as bar:
             for first in range(0, len(run), ROWS):
                 rows = np.hstack([table[first : first + ROWS] for table in tables]).tolist()
-                file.writelines(",".join(map(repr, row)) + "\n" for row in rows)
+                writer.writerows(rows)
                 bar.advance(len(rows))
-    return target
-
-
-def _quoted(name: str) -> str:
-    return '"' + name.replace('"', '""') + '"' if any(c in name for c in ',"\n\r') else name
-
-
-def to_npz(run: Run, path: str | os.PathLike[str]) -> Path:
-    """An archive of the arrays, and of joint_names and units; it needs no pickle to be read."""
-    target = checked_target("archive", path, (".npz",))
-    words = {"joint_names": np.array(run.joint_names), "units": np.array(run.units)}
-    with written_aside("archive", target) as aside, aside.open("wb") as file:
-        np.savez(file, allow_pickle=False, **columns_of(run), **words)
     return target
 
 
@@ -141,22 +108,8 @@ def to_mat(run: Run, path: str | os.PathLike[str]) -> Path:
     from scipy.io import savemat
 
     target = checked_target("MATLAB file", path, (".mat",))
-    fields: dict[str, Any] = unflatten(_with_matlab_names(columns_of(run)))
-    fields["joint_names"] = np.array(run.joint_names, dtype=object)
-    fields["units"] = np.array(run.units, dtype=object)
-    fields["outcome"] = str(run.outcome)
+    words = {"joint_names": np.array(run.joint_names, dtype=object), "units": np.array(run.units, dtype=object)}
+    columns = {re.sub(r"[^A-Za-z0-9.]", "_", path): array for path, array in columns_of(run).items()}
     with written_aside("MATLAB file", target) as aside, aside.open("wb") as file:
-        savemat(file, {"run": fields}, long_field_names=True, oned_as="column")
+        savemat(file, {"run": unflatten(columns) | words}, long_field_names=True, oned_as="column")
     return target
-
-
-def _with_matlab_names(columns: dict[str, Float64Array]) -> dict[str, Float64Array]:
-    """Columns by paths that MATLAB takes: letters, digits and underscores, a letter first."""
-    out = {}
-    for path, array in columns.items():
-        parts = ["".join(c if c.isascii() and c.isalnum() else "_" for c in part) for part in path.split(".")]
-        name = ".".join(part if part[:1].isalpha() else f"x{part}" for part in parts)
-        if name in out:
-            raise UsageError(f"'{path}' and another column both become '{name}' in MATLAB; rename one", name=path)
-        out[name] = array
-    return out

@@ -1,38 +1,82 @@
 """Logs: runs as MCAP files, written while they go on, read back exactly.
 
-An MCAP file has ROS 2 messages (see `messages`), and what messages cannot say as metadata: a record `taut.run` at the
-start, a record `taut.outcome` at the end, each a JSON text with its checksum.
+Beside the messages of `layout` a file has a record `taut.run` at the start and a record `taut.outcome` at the end,
+each a JSON text with its checksum.
 """
 
 from __future__ import annotations
 
+import json
 import os
+import zlib
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import IO, TYPE_CHECKING, Final, Self
+from typing import IO, TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 
-from taut.base.errors import FileError, UsageError, count_of
-from taut.base.types import Float64Array
-from taut.record.log.description import described, sealed, wrong_entry
+from taut.base import __version__
+from taut.base.errors import FileError, count_of
 from taut.record.log.files import cannot_write, checked_target, written_aside
-from taut.record.log.messages import Description, TickLayout, columns_of
+from taut.record.log.layout import JOINT_STATE, Header, JointStates, TickLayout, columns_of
 from taut.record.outcome import Outcome
+from taut.record.plain import plain
 from taut.record.progress import Progress
 from taut.record.run import Run
 
 if TYPE_CHECKING:
-    from taut.record.log.container import McapWriter
+    from mcap.writer import Writer
 
-__all__ = ["Log", "RunLog", "open_log", "save"]
+__all__ = ["TICKS", "Ending", "Log", "RunLog", "open_log", "save", "sealed"]
 
 SUFFIXES: Final = (".mcap",)
+TICKS: Final = "/run"  # the topic of the ticks
 USUAL_RATE: Final = 1000.0  # [Hz] of a run that does not say
-BLOCK_BYTES: Final = 4 * 1024 * 1024  # of ticks that are turned into bytes at a time
+BLOCK_TICKS: Final = 4096  # that are turned into bytes at a time
+CHUNK_SECONDS: Final = 0.1  # of a run, which is what a process that is killed can lose
+CHUNK_BYTES: Final = 64 * 1024
+MIN_CHUNK_TICKS: Final = 16
+JOINT_STATE_RATE: Final = 100.0  # [Hz]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ending:
+    """How a run ended, and how many ticks were written."""
+
+    outcome: Outcome
+    ticks: int
+
+
+def sealed(text: str) -> dict[str, str]:
+    """A text and its checksum."""
+    return {"json": text, "crc32": f"{zlib.crc32(text.encode()):08x}"}
+
+
+class _Stream:
+    """A file whose every write is on its way to the disk when it returns, and that knows its length: a pipe too."""
+
+    def __init__(self, path: Path) -> None:
+        self._file: IO[bytes] = path.open("wb", buffering=0)
+        self.position = 0
+
+    def write(self, data: bytes) -> int:
+        view = memoryview(data)
+        while view:  # an unbuffered file may take a part only
+            view = view[self._file.write(view) :]
+        self.position += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        return self.position
+
+    def flush(self) -> None:
+        """Nothing waits."""
+
+    def close(self) -> None:
+        self._file.close()
 
 
 class Log:
@@ -48,10 +92,12 @@ class Log:
 
     def __init__(self, path: Path, to: Path | None = None) -> None:
         self._path, self._to = path, path if to is None else to
-        self._file: IO[bytes] | None = None
-        self._writer: McapWriter | None = None
+        self._stream: _Stream | None = None
+        self._writer: Writer | None = None
         self.ticks = 0
-        """Ticks that have been written."""
+        """Ticks that it was given."""
+        self.safe_ticks = 0
+        """Ticks that are on the disk."""
 
     def write(self, rows: Run, advance: Callable[[int], None] | None = None) -> None:
         """Append the ticks of a piece of the run.
@@ -63,14 +109,14 @@ class Log:
         Raises:
             FileError: The system refuses a write, or the log is closed.
         """
-        if self._file is not None and self._writer is None:
+        if self._stream is not None and self._writer is None:
             raise FileError(f"log '{self._path}' is closed; open another one", name=str(self._path))
         try:
             if self._writer is None:
                 self._writer = self._begin(rows)
             columns = columns_of(rows)
-            for first in range(0, len(rows), self._block):
-                block = {name: column[first : first + self._block] for name, column in columns.items()}
+            for first in range(0, len(rows), BLOCK_TICKS):
+                block = {name: column[first : first + BLOCK_TICKS] for name, column in columns.items()}
                 self._append(self._writer, block)
                 if advance is not None:
                     advance(len(block["t"]))
@@ -78,29 +124,43 @@ class Log:
             self._writer = None  # what has been written stays as it is
             raise cannot_write("log", self._path, cause) from cause
 
-    def _begin(self, rows: Run) -> McapWriter:
-        from taut.record.log.container import McapWriter
+    def _begin(self, rows: Run) -> Writer:
+        from mcap.writer import CompressionType, Writer
 
-        self._layout = TickLayout(Description.of(rows))
-        description = sealed(described(rows, self._layout.description))
-        wrong = wrong_entry(rows)
-        if wrong is not None:  # nobody could read the log
-            raise UsageError(
-                f"run.info['{wrong}'] is not what taut.run records under that name; give it another name", name="info"
-            )
-        self._block = max(16, BLOCK_BYTES // self._layout.size)
-        self._rows = np.tile(self._layout.template, self._block).view(self._layout.dtype)
-        self._file = self._to.open("wb", buffering=0)
-        writer = McapWriter(self._file, self._layout, float(rows.info.get("rate", USUAL_RATE)))
-        writer.metadata("taut.run", description)
+        header = Header.of(rows)
+        description = sealed(json.dumps(plain(header)))
+        rate = rows.info.rate or USUAL_RATE
+        self._layout, self._states = TickLayout(header), JointStates(header.joint_names)
+        self._period = max(1, round(rate / JOINT_STATE_RATE))
+        ticks = max(MIN_CHUNK_TICKS, min(CHUNK_BYTES // self._layout.dtype.itemsize, round(CHUNK_SECONDS * rate)))
+        self._stream = _Stream(self._to)
+        stream: Any = self._stream  # which has what the writer needs of a file
+        writer = Writer(stream, chunk_size=ticks * self._layout.dtype.itemsize, compression=CompressionType.LZ4)
+        writer.start(profile="ros2", library=f"taut {__version__}")
+        writer.add_metadata("taut.run", description)
+        topics = (
+            (TICKS, "taut/msg/Tick", self._layout.schema()),
+            ("/joint_states", "sensor_msgs/msg/JointState", JOINT_STATE),
+        )
+        self._channels = [
+            writer.register_channel(topic, "cdr", writer.register_schema(name, "ros2msg", text.encode()))
+            for topic, name, text in topics
+        ]
         return writer
 
-    def _append(self, writer: McapWriter, columns: dict[str, Float64Array]) -> None:
-        times = np.round(columns["t"] * 1e9).astype(np.uint64)
-        rows = self._rows[: len(times)]
-        self._layout.fill(rows, columns, self.ticks, times)
-        writer.write(rows, times)
-        self.ticks += len(times)
+    def _append(self, writer: Writer, columns: dict[str, Any]) -> None:
+        assert self._stream is not None
+        data, size = self._layout.rows(columns).tobytes(), self._layout.dtype.itemsize
+        times = np.round(columns["t"] * 1e9).astype(np.int64).tolist()
+        before = self._stream.position
+        for k, time in enumerate(times):
+            writer.add_message(self._channels[0], time, data[k * size : (k + 1) * size], time, self.ticks)
+            if self.ticks % self._period == 0:
+                state = self._states.message(time, columns["q"][k], columns["v"][k], columns["tau"][k])
+                writer.add_message(self._channels[1], time, state, time, self.ticks)
+            self.ticks += 1
+            if self._stream.position != before:  # a chunk is full
+                before, self.safe_ticks = self._stream.position, self.ticks
 
     def finish(self, outcome: Outcome) -> None:
         """Write how the run ended, and what readers need.
@@ -112,8 +172,10 @@ class Log:
             return
         writer, self._writer = self._writer, None
         try:
-            writer.metadata("taut.outcome", sealed({**outcome.json(), "ticks": self.ticks}))
-            writer.finish()
+            ending = plain(Ending(outcome=outcome, ticks=self.ticks))
+            writer.add_metadata("taut.outcome", sealed(json.dumps(ending)))
+            writer.finish()  # type: ignore[no-untyped-call]
+            self.safe_ticks = self.ticks
         except OSError as cause:
             raise cannot_write("log", self._path, cause) from cause
 
@@ -127,8 +189,8 @@ class Log:
         outcome = Outcome(kind="stopped", message=f"the run broke off{words}", tick=max(0, self.ticks - 1))
         with suppress(FileError):  # the first error is the one to hear about
             self.finish(outcome)
-        if self._file is not None:
-            self._file.close()
+        if self._stream is not None:
+            self._stream.close()
 
 
 class RunLog:
@@ -143,25 +205,24 @@ class RunLog:
 
     def write(self, rows: Run) -> None:
         """Append the ticks of a piece of the run, as long as that works."""
-        if self._refusal is None:
-            try:
-                self._log.write(rows)
-            except FileError as refusal:
-                self._refusal = refusal
+        self._tried(lambda: self._log.write(rows))
 
     def finish(self, outcome: Outcome) -> Outcome:
         """Write how the run ended; the same outcome, with how many ticks the log lacks."""
-        if self._refusal is None:
-            try:
-                self._log.finish(outcome)
-            except FileError as refusal:
-                self._refusal = refusal
+        self._tried(lambda: self._log.finish(outcome))
         if self._refusal is None:
             return outcome
         ticks = outcome.tick + 1
-        dropped = ticks - self._log.ticks
+        dropped = ticks - self._log.safe_ticks
         message = f"{outcome.message}; {self._refusal} ({dropped} of {count_of(ticks, 'tick')} are not in it)"
         return replace(outcome, message=message, dropped=dropped)
+
+    def _tried(self, write: Callable[[], None]) -> None:
+        if self._refusal is None:
+            try:
+                write()
+            except FileError as refusal:
+                self._refusal = refusal
 
     def __enter__(self) -> Self:
         self._log.__enter__()

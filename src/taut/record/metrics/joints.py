@@ -8,7 +8,7 @@ References:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
@@ -18,17 +18,18 @@ import numpy as np
 from taut.arm.angles import short_way
 from taut.base.types import Array, Float64Array
 from taut.control.limits import LIMIT_TERMS
-from taut.record.info import LIMITS
 from taut.record.metrics.declaration import metric
-from taut.record.step import step_response
 
 if TYPE_CHECKING:
     from taut.record.run import Run
 
-__all__ = ["MOVING", "RESTING", "stuck"]
+__all__ = ["MOVING", "RESTING", "step_response", "stuck"]
 
 RESTING: Final = 1e-4  # [rad/s | m/s] a joint that is slower than this rests
 MOVING: Final = 1e-3  # [rad/s | m/s] a reference that is faster than this moves
+SETTLING_BAND: Final = 0.02  # of the step: the chapter's 2 %
+MIN_STEP: Final = 1e-6  # [rad | m] an initial error below this is none
+TAIL_FRACTION: Final = 0.02  # of the run: its mean is the steady state
 
 
 def _period(run: Run) -> Float64Array:
@@ -39,36 +40,77 @@ def _period(run: Run) -> Float64Array:
 # -------------------------------------------------------------------- response to a set-point
 
 
-def _of_step(run: Run, quantity: str) -> Float64Array | None:
-    """(n,) of the response of each joint to a step; what it was worked out with belongs to `step_response`."""
+def step_response(t: Float64Array, error: Float64Array) -> tuple[float, float, float]:
+    """Overshoot [%], settling time [s], steady-state error [%] of one joint; NaN where it had no step to answer.
+
+    The error starts at e0 and tends to e_ss. With y = (e - e_ss) / (e0 - e_ss), which starts at 1 and tends to 0, the
+    overshoot is -min(y), the settling time the last time at which |y| = 0.02, and the steady-state error e_ss / e0.
+
+    Args:
+        t: (k,) [s].
+        error: (k,) wanted minus true [rad | m], for a constant reference.
+    """
+    if abs(error[0]) < MIN_STEP or not np.isfinite(error).all():
+        return np.nan, np.nan, np.nan
+    e = error / error[0]
+    tail = max(1, round(TAIL_FRACTION * len(e)))
+    e_ss = float(np.mean(e[-tail:]))
+    if abs(1.0 - e_ss) < SETTLING_BAND:  # it never left: there is no way that it could have gone too far
+        return np.nan, np.nan, 100.0 * e_ss
+    y = (e - e_ss) / (1.0 - e_ss)
+    before = min(round(0.9 * len(y)), len(y) - 1)
+    at_rest = abs(float(np.mean(y[before : before + tail]))) <= 0.1 * SETTLING_BAND
+    settling_time = _last_crossing(t, y) if at_rest else np.inf
+    return 100.0 * max(0.0, -_minimum(y)), settling_time, 100.0 * e_ss
+
+
+def _minimum(y: Float64Array) -> float:
+    """The least value, between the ticks too: the vertex of the parabola through the lowest three."""
+    k = int(np.argmin(y))
+    if not 0 < k < len(y) - 1:
+        return float(y[k])
+    slope, bend = 0.5 * (y[k + 1] - y[k - 1]), y[k + 1] - 2.0 * y[k] + y[k - 1]
+    return float(y[k] - 0.5 * slope**2 / bend) if bend > 0.0 else float(y[k])
+
+
+def _last_crossing(t: Float64Array, y: Float64Array) -> float:
+    """Time since the start of the last crossing of the band, linear between two ticks."""
+    outside = np.flatnonzero(np.abs(y) > SETTLING_BAND)
+    if not outside.size:
+        return 0.0
+    k = int(outside[-1])
+    if k + 1 == len(y):
+        return np.inf
+    inwards = abs(float(y[k] - y[k + 1]))
+    into = (abs(float(y[k])) - SETTLING_BAND) / inwards
+    return float(t[k] + into * (t[k + 1] - t[k]) - t[0])
+
+
+def _of_step(run: Run, entry: int) -> Float64Array | None:
     error = run.error
     if error is None or not run.is_setpoint:
         return None
-    return np.array([getattr(step_response(run.t, error[:, i]), quantity) for i in range(run.n)])
+    return np.array([step_response(run.t, error[:, i])[entry] for i in range(run.n)])
 
 
-metric(
-    name="overshoot",
-    unit="%",
-    doc="Percentage of the initial error by which the joint goes beyond where it comes to rest (figure 10.4)",
-    per_joint=True,
-    needs="set-point",
-)(partial(_of_step, quantity="overshoot"))
-metric(
-    name="settling_time",
-    unit="s",
-    doc="Time after which the error stays within 2 % of where it comes to rest; infinite if it does not settle",
-    per_joint=True,
-    needs="set-point",
-)(partial(_of_step, quantity="settling_time"))
-metric(
-    name="steady_state_error",
-    title="steady-state error",
-    unit="%",
-    doc="Percentage of the initial error that remains: mean of the last 2 % of the run",
-    per_joint=True,
-    needs="set-point",
-)(partial(_of_step, quantity="steady_state_error"))
+_STEP: Final = (
+    (
+        "overshoot",
+        "%",
+        "Percentage of the initial error by which the joint goes beyond where it comes to rest (figure 10.4)",
+    ),
+    (
+        "settling_time",
+        "s",
+        "Time after which the error stays within 2 % of where it comes to rest; infinite if it does not settle",
+    ),
+    ("steady_state_error", "%", "Percentage of the initial error that remains: mean of the last 2 % of the run"),
+)
+for _entry, (_name, _unit, _doc) in enumerate(_STEP):
+    _title = _name.replace("steady_state", "steady-state").replace("_", " ")
+    metric(name=_name, title=_title, unit=_unit, doc=_doc, per_joint=True, needs="set-point")(
+        partial(_of_step, entry=_entry)
+    )
 
 
 # -------------------------------------------------------------------- tracking
@@ -181,21 +223,18 @@ def _any_limited(run: Run, joints: Sequence[int], terms: Sequence[str]) -> float
     return np.nan if rows is None else float(np.sum(rows[:-1, list(joints)].any(axis=1) * np.diff(run.t)))
 
 
-def _declare_time(name: str, title: str, doc: str, terms: Sequence[str]) -> None:
-    together: Callable[[Run, Sequence[int]], float] = partial(_any_limited, terms=terms)
-    declare = metric(name=name, title=title, unit="s", doc=doc, per_joint=True, combine=together)
-    declare(partial(_time_limited, terms=terms))
-
-
-_LIMITED: Final[Mapping[str, tuple[str, str]]] = {
-    "rate_limit": ("rate limited", "Time in which the limit of the torque rate cut the command"),
-    "speed_limit": ("speed limited", "Time in which the speed limit cut the command"),
-    "torque_limit": ("torque limited", "Time in which the torque limit cut the command"),
+_LIMITED: Final[Mapping[str, tuple[str, str, Sequence[str]]]] = {
+    "saturation_time": ("saturated", "Time in which the limits cut the command", LIMIT_TERMS),
+    "rate_limit_time": ("rate limited", "Time in which the limit of the torque rate cut the command", ["rate_limit"]),
+    "speed_limit_time": ("speed limited", "Time in which the speed limit cut the command", ["speed_limit"]),
+    "torque_limit_time": ("torque limited", "Time in which the torque limit cut the command", ["torque_limit"]),
+    "blend_time": ("blending", "Time in which a change of law or parameters was blended in", ["blend"]),
 }
-_declare_time("saturation_time", "saturated", "Time in which the limits cut the command", LIMIT_TERMS)
-for _term, (_title, _doc) in _LIMITED.items():
-    _declare_time(f"{_term}_time", _title, _doc, [_term])
-_declare_time("blend_time", "blending", "Time in which a change of law or parameters was blended in", ["blend"])
+for _name, (_title, _doc, _terms) in _LIMITED.items():
+    _together = partial(_any_limited, terms=_terms)
+    metric(name=_name, title=_title, unit="s", doc=_doc, per_joint=True, combine=_together)(
+        partial(_time_limited, terms=_terms)
+    )
 
 
 @metric(unit="{command}", per_joint=True)
@@ -233,7 +272,7 @@ def torque_jump(run: Run) -> Float64Array | None:
 
 
 def _fraction_of_limit(run: Run, rows: Float64Array, limit: str) -> Float64Array:
-    limits: Mapping[str, float] = run.info.get(LIMITS, {}).get(limit, {})
+    limits = run.info.limits.get(limit, {})
     return np.asarray(100.0 * _peak(rows) / np.array([limits.get(joint, np.nan) for joint in run.joint_names]))
 
 

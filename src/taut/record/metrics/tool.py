@@ -11,7 +11,6 @@ import numpy as np
 from taut.base.types import Float64Array
 from taut.control.trajectories.force_reference import HybridMotion
 from taut.control.trajectories.task_reference import TaskMotion
-from taut.record.info import TOOL
 from taut.record.metrics.declaration import Needs, metric
 from taut.record.tool import Deviation, estimated_normal, force_error, true_normal, wanted_press
 
@@ -55,7 +54,7 @@ def _declare_error(name: str, title: str, unit: str, what: str, series: Series, 
 
 
 def _final(run: Run, axis: int) -> float | None:
-    return float(run.task.p[-1, axis]) if TOOL in run.info else None
+    return float(run.task.p[-1, axis]) if run.info.tool is not None else None
 
 
 for _i, _axis in enumerate("xyz"):
@@ -67,7 +66,7 @@ for _i, _axis in enumerate("xyz"):
 @metric(title="lateral speed RMS", unit="m/s")
 def lateral_speed_rms(run: Run) -> float | None:
     """RMS speed of the tool's origin along its own y axis."""
-    return _rms(np.sum(run.task.R[:, :, 1] * run.task.twist[:, :3], axis=1)) if TOOL in run.info else None
+    return _rms(np.sum(run.task.R[:, :, 1] * run.task.twist[:, :3], axis=1)) if run.info.tool is not None else None
 
 
 def _position_errors(run: Run) -> Float64Array | None:
@@ -83,7 +82,7 @@ def _rotation_errors(run: Run) -> Float64Array | None:
 
 
 def _is_of_task(run: Run) -> bool:
-    return TOOL in run.info and isinstance(run.reference.motion, TaskMotion)
+    return run.info.tool is not None and isinstance(run.reference.motion, TaskMotion)
 
 
 def _last(x: Float64Array) -> float:
@@ -124,7 +123,9 @@ _MOMENT: Final = slice(3, 6)
 
 
 def _external(run: Run, part: slice) -> Float64Array | None:
-    return _sizes(run.extra["F_ext"], part) if "F_ext" in run.extra else None
+    """(k,) of the environment's wrench; None where nothing touched the arm."""
+    F_ext = run.extra.get("F_ext")
+    return _sizes(F_ext, part) if F_ext is not None and F_ext.any() else None
 
 
 def _error(run: Run, part: slice) -> Float64Array | None:
@@ -182,7 +183,7 @@ def peak_normal_force(run: Run) -> float | None:
 def _path_errors(run: Run) -> Float64Array | None:
     """(k,) [m] norm of the tool's position error across the true normal, in the ticks of contact."""
     contact = true_normal(run)
-    if contact is None or TOOL not in run.info or not isinstance(run.reference, HybridMotion):
+    if contact is None or run.info.tool is None or not isinstance(run.reference, HybridMotion):
         return None
     error, n = run.task.position_error, contact[1]
     touching = n.any(axis=1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,7 +14,7 @@ from taut.base.checks import finite_array, finite_scalar, require_positive
 from taut.base.errors import ShapeError, UsageError
 from taut.base.plot_style import INK, WIDTH, colour, legend_above, prepared, short_name
 from taut.base.types import ArrayLike, Float64Array
-from taut.maths.friction_law import FrictionValues, dry_limit, friction_torque
+from taut.maths.friction import FrictionValues, dry_limit, friction_torque
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,8 +25,8 @@ __all__ = ["plot_friction"]
 
 MAX_PANELS: Final = 12
 MAX_LOADS: Final = 8
-ACROSS: Final = 3  # panels side by side
-MARGIN: Final = 1.12  # around the curves
+FRICTION_PANELS_ACROSS: Final = 3  # panels side by side
+AXIS_MARGIN: Final = 1.12  # around the curves
 REST: Final = colour(1)
 FALLS: Final = 6.0  # Stribeck speeds to either side, where nothing else says how far
 SPEEDS: Final = np.concatenate([[1e-6], np.geomspace(1e-3, 1.0, 400)])  # of the largest
@@ -43,25 +43,19 @@ class Panel:
 
 
 def plot_friction(
-    friction: Arm | Friction | Mapping[str, Friction],
-    *,
-    speed: float | None = None,
-    load: ArrayLike = 0.0,
-    joints: Iterable[str] | None = None,
+    friction: Arm | Mapping[str, Friction], *, speed: float | None = None, load: ArrayLike = 0.0
 ) -> Figure:
     """The torque that friction takes, over speed: what acts in motion, and at rest all that it can hold.
 
     The torque is drawn as the chapter draws it, with the sign of the speed that it opposes.
 
     Args:
-        friction: An arm, a panel for each joint; a friction; or frictions of one joint each by their titles.
+        friction: An arm, a panel for each joint; or frictions of one joint each by their titles.
         speed: To either side [rad/s | m/s]; if left out, six Stribeck speeds, else the joint's own limit, else 1.
         load: Torques that the motor carries while the joint moves steadily or rests [N m | N], a curve for each.
-        joints: Names of the arm's joints that are drawn; all by default.
 
     Raises:
         UsageError: Not friction, nothing to draw, or more panels or loads than a figure holds.
-        UnknownNameError: The arm has no such joint.
         RangeError: A speed that is not above zero.
 
     Example:
@@ -77,19 +71,19 @@ def plot_friction(
     loads = np.unique(finite_array("load", load, unit="N m"))
     if not 0 < len(loads) <= MAX_LOADS:
         raise UsageError(f"load must be 1 to {MAX_LOADS} torques for one figure; got {len(loads)}", name="load")
-    panels = _panels(friction, joints)
+    panels = _panels(friction)
     if not 0 < len(panels) <= MAX_PANELS:
         raise UsageError(
-            f"a figure has 1 to {MAX_PANELS} panels of friction; got {len(panels)}; draw fewer, joints=[...]",
+            f"a figure has 1 to {MAX_PANELS} panels of friction; got {len(panels)}; draw fewer",
             name="friction",
         )
     if speed is not None:
         reach = finite_scalar("speed", speed, unit="rad/s")
         require_positive("speed", np.asarray(reach), unit="rad/s")
         panels = [Panel(title=p.title, friction=p.friction, speed=reach, units=p.units) for p in panels]
-    across = min(ACROSS, len(panels))
+    across = min(FRICTION_PANELS_ACROSS, len(panels))
     rows = -(-len(panels) // across)
-    size = (WIDTH, 0.4 + (1.95 if across == ACROSS else 2.3) * rows)
+    size = (WIDTH, 0.4 + (1.95 if across == FRICTION_PANELS_ACROSS else 2.3) * rows)
     figure = NewFigure(figsize=size, dpi=150, layout="constrained")
     compared = isinstance(friction, Mapping)  # one law beside another, on one scale
     axes = list(figure.subplots(rows, across, squeeze=False).flat)
@@ -97,8 +91,8 @@ def plot_friction(
     for k, (panel, ax) in enumerate(zip(panels, axes, strict=False)):
         tallest = max(largest) if compared else largest[k]
         widest = max(each.speed for each in panels) if compared else panel.speed
-        ax.set_xlim(-MARGIN * widest, MARGIN * widest)
-        ax.set_ylim(-MARGIN * (tallest or 1.0), MARGIN * (tallest or 1.0))
+        ax.set_xlim(-AXIS_MARGIN * widest, AXIS_MARGIN * widest)
+        ax.set_ylim(-AXIS_MARGIN * (tallest or 1.0), AXIS_MARGIN * (tallest or 1.0))
     for ax in axes[len(panels) :]:
         ax.set_visible(False)
     legend_above(figure, _keys(panels, loads))
@@ -108,41 +102,17 @@ def plot_friction(
 # -------------------------------------------------------------------- what there is to draw
 
 
-def _panels(friction: Arm | Friction | Mapping[str, Friction], joints: Iterable[str] | None) -> list[Panel]:
+def _panels(friction: Arm | Mapping[str, Friction]) -> list[Panel]:
     if isinstance(friction, Arm):
-        names = friction.joint_names if joints is None else ([joints] if isinstance(joints, str) else list(joints))
-        return [_of_joint(friction, friction.joint_index(name)) for name in names]
-    if joints is not None:
-        raise UsageError("joints= names joints of an arm; leave it out where a friction is drawn", name="joints")
-    if isinstance(friction, Friction):
-        count = max(np.size(getattr(friction, name)) for name in FRICTION_FIELDS)
-        titles = ["friction"] if count == 1 else [f"joint {i}" for i in range(count)]
-        return [_panel(title, _entry(friction, i)) for i, title in enumerate(titles)]
-    if not isinstance(friction, Mapping):  # callers without a type checker
-        raise UsageError(
-            f"plot_friction takes an Arm, a taut.Friction or frictions by title; got {type(friction).__name__}",
-            name="friction",
-        )
-    panels = []
+        units = [(f"{joint.unit}/s", joint.effort_unit) for joint in friction.joints]
+        rows = zip(friction.joint_names, friction.velocity, units, strict=True)
+        return [_panel(name, _entry(friction.friction, i), limit, unit) for i, (name, limit, unit) in enumerate(rows)]
+    if not isinstance(friction, Mapping) or not all(isinstance(one, Friction) for one in friction.values()):
+        raise UsageError("plot_friction takes an Arm, or a taut.Friction by each title", name="friction")
     for title, one in friction.items():
-        if not isinstance(one, Friction):
-            raise UsageError(f"'{title}' must be a taut.Friction; got {type(one).__name__}", name=str(title))
-        for name in FRICTION_FIELDS:
-            shape = np.shape(getattr(one, name))
-            if shape not in ((), (1,)):
-                raise ShapeError(
-                    f"'{title}' must be the friction of one joint, each number a scalar; got {name} of shape "
-                    f"{shape}; plot_friction(friction) draws each joint of it",
-                    name=str(title),
-                )
-        panels.append(_panel(str(title), _entry(one, 0)))
-    return panels
-
-
-def _of_joint(arm: Arm, i: int) -> Panel:
-    joint = arm.joints[i]
-    limit = float(arm.velocity[i])
-    return _panel(joint.name, _entry(arm.friction, i), limit, (f"{joint.unit}/s", joint.effort_unit))
+        if any(np.size(getattr(one, name)) != 1 for name in FRICTION_FIELDS):
+            raise ShapeError(f"'{title}' must be the friction of one joint, each number a scalar", name=title)
+    return [_panel(title, _entry(one, 0)) for title, one in friction.items()]
 
 
 def _panel(title: str, friction: Friction, limit: float = np.inf, units: tuple[str, str] = ("rad/s", "N m")) -> Panel:

@@ -33,7 +33,6 @@ from taut.base.types import Float64Array
 from taut.control.trajectories.compound import PhaseSample
 from taut.control.trajectories.force_reference import HybridMotion
 from taut.control.trajectories.task_reference import TaskMotion
-from taut.record.info import PHASES, TOOL
 from taut.record.tool import true_normal, wanted_wrench
 
 if TYPE_CHECKING:
@@ -46,8 +45,8 @@ if TYPE_CHECKING:
 __all__ = ["is_task_run", "plot"]
 
 MAX_JOINTS: Final = 8  # joints in one figure
-ACROSS: Final = 4  # small pictures side by side
-NEAR: Final = 0.5  # of a limit: a joint that gets there has its limit drawn
+PANELS_ACROSS: Final = 4  # small pictures side by side
+NEAR_LIMIT: Final = 0.5  # of a limit: a joint that gets there has its limit drawn
 LEGEND_LINE: Final = 0.19  # [in]
 LETTERS: Final = 96  # in one line of the title
 MAX_LINES: Final = 4  # of how the run ended, with how to fix it
@@ -81,7 +80,7 @@ def plot(run: Run, *, joints: Iterable[str | int] | None = None) -> Figure:
         raise UsageError("there is nothing to plot: the run has no ticks", name="run")
     units = list(dict.fromkeys(run.units[i] for i in shown))
     overview_rows = 2 if len(shown) == 1 else len(units)
-    term_rows = 0 if len(shown) == 1 or not run.terms else -(-len(shown) // ACROSS)
+    term_rows = 0 if len(shown) == 1 or not run.terms else -(-len(shown) // PANELS_ACROSS)
     heights = [0.55 + 1.75 * overview_rows]
     if term_rows:
         lines = legend_rows([str(key.get_label()) for key in _headed_term_keys(run)])
@@ -104,7 +103,7 @@ def plot(run: Run, *, joints: Iterable[str | int] | None = None) -> Figure:
         _overview(run, shown, units, parts[0])
     if term_rows:
         _small_pictures(run, shown, parts[1], term_rows)
-    if PHASES in run.info:
+    if run.info.phases:
         mark_phases(run, figure)
     return figure
 
@@ -137,11 +136,11 @@ def _chosen(run: Run, joints: Iterable[str | int] | None) -> list[int]:
 
 
 def _title(run: Run, shown: Sequence[int]) -> str:
-    arm, plant = str(run.info.get("arm", "")), str(run.info.get("plant", ""))
+    arm, plant = run.info.arm, run.info.plant
     place = plant if arm and arm in plant else f"{arm}, {plant}".strip(", ")
-    law = _NUMBER.sub(lambda number: f"{float(number[0]):.4g}", str(run.info.get("law", "run")))
-    if PHASES in run.info:  # the laws of all phases have no room
-        law = ", ".join(run.info[PHASES])
+    law = _NUMBER.sub(lambda number: f"{float(number[0]):.4g}", run.info.law or "run")
+    if run.info.phases:  # the laws of all phases have no room
+        law = ", ".join(run.info.phases)
     law = short(law, LETTERS - len(place) - 4)
     which = f"{len(shown)} of {run.n} joints; " if len(shown) < run.n else ""
     ended = textwrap.wrap(which + str(run.outcome), LETTERS, max_lines=MAX_LINES, placeholder="...")
@@ -179,7 +178,7 @@ def _overview(run: Run, shown: Sequence[int], units: Sequence[str], figure: SubF
 
 def _small_pictures(run: Run, shown: Sequence[int], figure: SubFigure, rows: int) -> None:
     """The terms of the command, a small picture for each joint."""
-    axes = figure.subplots(rows, ACROSS if rows > 1 else len(shown), squeeze=False, sharex=True)
+    axes = figure.subplots(rows, PANELS_ACROSS if rows > 1 else len(shown), squeeze=False, sharex=True)
     for i, ax in enumerate(axes.flat):
         if i >= len(shown):
             ax.set_visible(False)
@@ -224,7 +223,7 @@ def _commands(run: Run, joints: Sequence[int], unit: str, ax: Axes, places: Sequ
     for place, joint in zip(places, joints, strict=True):
         line(ax, run.t, values[:, joint], colour(place))
         peak = float(np.max(np.abs(values[:, joint])))
-        if peak > NEAR * limits[joint]:
+        if peak > NEAR_LIMIT * limits[joint]:
             near += 1
             for level in {limits[joint] * np.sign(x) for x in (values[:, joint].min(), values[:, joint].max()) if x}:
                 ax.axhline(level, color=colour(place), linewidth=1.0, linestyle=DOTTED, label="limit")
@@ -235,10 +234,9 @@ def _commands(run: Run, joints: Sequence[int], unit: str, ax: Axes, places: Sequ
 
 def _limits(run: Run) -> Float64Array:
     """(n,) largest torque that the controller lets through, else that the arm can give; inf where none is known."""
-    parameters: Any = run.info.get("parameters", {})
     known: Any = np.inf
     if run.kind == "torque":
-        known = parameters.get("limits.tau", np.inf if run.arm is None else run.arm.effort)
+        known = run.info.parameters.get("limits.tau", np.inf if run.arm is None else run.arm.effort)
     return np.broadcast_to(np.asarray(known, dtype=np.float64), (run.n,))
 
 
@@ -294,7 +292,7 @@ AXES: Final = ("x", "y", "z")
 
 def is_task_run(run: Run) -> bool:
     """Whether a run has errors of the task."""
-    return isinstance(run.reference.motion, TaskMotion) and TOOL in run.info
+    return isinstance(run.reference.motion, TaskMotion) and run.info.tool is not None
 
 
 def shows_tool(run: Run) -> bool:
@@ -368,7 +366,7 @@ def plot_task(run: Run, figure: SubFigure) -> None:
         ax.axhline(0.0, color=INK, linewidth=0.6)
     frames: dict[str, None] = {}
     for piece in _pieces(run):
-        if TOOL in piece.info:
+        if piece.info.tool is not None:
             frames[piece.task.frame] = None
             _piece_of_task(piece, ax_p, ax_e, ax_r)
     keys = _axis_keys(f"{short_name(', '.join(frames), 30)}, world axes:")
@@ -407,7 +405,7 @@ def _dashed(label: str) -> Line2D:
 PHASE_LETTERS: Final = 10  # of a name
 PHASE_SIZE: Final = 7.5  # [pt] of the letters
 MIN_HEIGHT: Final = 1.3  # [in] that a picture has at least
-INNER: Final = 0.75  # of a picture's share of the page is between its axes
+AXES_FRACTION: Final = 0.75  # of a picture's share of the page is between its axes
 
 
 def mark_phases(run: Run, figure: Figure) -> None:
@@ -422,7 +420,9 @@ def mark_phases(run: Run, figure: Figure) -> None:
     first = axes[0]
     place = first.get_subplotspec()
     across = 1 if place is None else place.get_gridspec().ncols
-    letter = 1.3 * PHASE_SIZE / (72.0 * WIDTH * INNER / across) * float(run.t[-1] - run.t[0])  # [s] that a name takes
+    letter = (
+        1.3 * PHASE_SIZE / (72.0 * WIDTH * AXES_FRACTION / across) * float(run.t[-1] - run.t[0])
+    )  # [s] that a name takes
     named = [window for window in found if window.end - window.start >= letter]  # the others have no room for it
     longest = max((len(short_name(window.name, PHASE_LETTERS)) for window in named), default=0)
     room = (LETTER * PHASE_SIZE * longest + 6.0) / (72.0 * MIN_HEIGHT)  # of the height, above the curves

@@ -1,39 +1,112 @@
-"""From an Arm to a MuJoCo model, number by number: what MuJoCo computes is what the Arm says."""
+"""From an Arm to a MuJoCo model, number by number: what MuJoCo computes is what the Arm says.
+
+Shapes are to look at, and to touch a scene with; none of them has mass, but a tip that gives way.
+"""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
 
 import numpy as np
 
 from taut.arm.description import BASE, Arm, Payload
-from taut.arm.loaders.mjspec import add_links
+from taut.arm.loaders.mjspec import Bone, Meshes, add_links, add_shape, bones
 from taut.arm.parts import inertia_matrix
-from taut.base.types import Float64Array
+from taut.base.checks import in_compiled_shape, read_only
+from taut.base.errors import ShapeError
+from taut.base.quantity import Quantity, keep_quantities
+from taut.base.types import ArrayLike, Float64Array
 from taut.maths.adds import Adds
 from taut.plant.drives.drivetrain import Drivetrain
-from taut.runtime.robots.mujoco.health import Guard
-from taut.runtime.robots.mujoco.rig import Rig, index
+from taut.plant.parts import PlantParts
+from taut.runtime.robots.mujoco.rig import Guard, Rig, index
 from taut.runtime.robots.mujoco.scene import Scene, attach_scene, refused
-from taut.runtime.robots.mujoco.shapes import TOUCHING, Looks, Shapes, Touch
-from taut.runtime.robots.mujoco.tool import SpringTip, add_tip
 from taut.trace.pose import Pose
 
 if TYPE_CHECKING:
     import mujoco
 
-__all__ = ["INTEGRATORS", "Integrator", "ModelOptions", "built", "put_payload", "put_timestep"]
+__all__ = [
+    "INTEGRATORS",
+    "LOOKS",
+    "TOUCHES",
+    "Integrator",
+    "Looks",
+    "ModelOptions",
+    "Settings",
+    "SpringTip",
+    "Touch",
+    "built",
+    "put_timestep",
+]
 
 Integrator = Literal["discrete", "euler", "implicitfast", "implicit", "rk4"]
 INTEGRATORS: Final[tuple[Integrator, ...]] = ("discrete", "euler", "implicitfast", "implicit", "rk4")
+Touch = Literal["tool", "links"]
+TOUCHES: Final[tuple[Touch, ...]] = ("tool", "links")
+Looks = Literal["plain", "meshes"]
+LOOKS: Final[tuple[Looks, ...]] = ("plain", "meshes")
 
 NOSLIP_ITERATIONS: Final = 200  # a Panda that its friction holds at half its limit needs 45
 NOSLIP_TOLERANCE: Final = 1e-30  # of MuJoCo's cost; sweeps end when they gain nothing that floats can hold
 HARDEST: Final = 0.9999  # the largest impedance that MuJoCo takes
 STOP: Final = 0.99  # impedance of a joint limit: a Panda that leans on one sinks in by 1e-5 rad
+TIP_STOP: Final = (0.95, 0.99, 1e-3, 0.5, 2.0)  # impedance of the ends of a tip's way
 AT_ONCE: Final = 1e9  # how many times faster than one step sliding is braked: at the end of the step it is at rest
+BONE: Final = 0.02  # [m] radius of a link that has no shape to show
+GREY: Final = (0.7, 0.7, 0.7, 1.0)
+SHOWN: Final = 2  # the group of what is looked at
+TOUCHING: Final = 3  # the group of what touches, which MuJoCo's viewers hide until asked
+
+LOAD: Final = ("mass", "com", "inertia")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SpringTip:
+    """A tip on a spring, that is pushed back along the tool's z axis: what touches the scene in a MujocoPlant.
+
+    Law:          mass z'' + damping z' + stiffness z = the force of what it touches along the tool's -z axis, with z
+                  from 0, where the tip is at the tool's origin, to the end of its travel
+
+    The law of the arm knows nothing of it: the tool's frame stays where it is. F_ext is what is touched on the tip.
+
+    Args:
+        stiffness: [N/m].
+        damping: [N s/m].
+        mass: [kg] of what moves, added to the plant's payload.
+        travel: [m] to the stop.
+
+    Raises:
+        RangeError: A number that is not above zero, or a negative damping.
+        ShapeError: More than one number.
+
+    Example:
+        >>> SpringTip(stiffness=1000.0).travel.item()
+        0.02
+    """
+
+    title: ClassVar[str] = "tip"
+    quantities: ClassVar[Mapping[str, Quantity]] = {
+        "stiffness": Quantity(unit="N/m", rule="> 0", instead="for a rigid tool leave the tip out"),
+        "damping": Quantity(unit="N s/m", rule=">= 0"),
+        "mass": Quantity(unit="kg", rule="> 0", instead="0.01 is little"),
+        "travel": Quantity(unit="m", rule="> 0", instead="for a rigid tool leave the tip out"),
+    }
+
+    stiffness: ArrayLike
+    damping: ArrayLike = 10.0
+    mass: ArrayLike = 0.02
+    travel: ArrayLike = 0.02
+
+    def __post_init__(self) -> None:
+        keep_quantities(self)
+        for name in self.quantities:
+            shape = getattr(self, name).shape
+            if shape:
+                raise ShapeError(f"tip.{name} must be one number; got shape {shape}", name=name)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +134,7 @@ def built(arm: Arm, scene: Scene | None, options: ModelOptions, adds: Adds) -> R
     import mujoco
 
     builder = _Builder(arm, options)
-    shapes = Shapes(arm, builder.spec, builder.bodies, builder.tip or builder.payload)
+    shapes = _Shapes(arm, builder.spec, builder.bodies, builder.tip or builder.payload)
     shapes.show(options.looks)
     own = len(builder.spec.worldbody.geoms)
     if scene is not None:
@@ -164,7 +237,7 @@ class _Builder:
         self.payload = self._tool()
         self.tip = None if options.tip is None else self._unique("tip")
         if options.tip is not None and self.tip is not None:
-            add_tip(spec.body(self.payload), options.tip, self.tip, options.tool_radius)
+            _add_tip(spec.body(self.payload), options.tip, self.tip, options.tool_radius)
         for joint in arm.joints:
             spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT).set_to_motor()
 
@@ -229,3 +302,150 @@ def _integrator(name: Integrator) -> int:
     import mujoco
 
     return int(getattr(mujoco.mjtIntegrator, f"mjINT_{name.upper()}"))
+
+
+def _add_tip(tool: mujoco.MjsBody, tip: SpringTip, name: str, radius: float) -> mujoco.MjsBody:
+    """The body of the tip, on that of the tool."""
+    import mujoco
+
+    mass = float(tip.mass)  # type: ignore[arg-type]  # checked when it was made
+    body = tool.add_body(name=name)
+    body.mass, body.inertia, body.explicitinertial = mass, [0.4 * mass * radius**2] * 3, True
+    joint = body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0.0, 0.0, -1.0])
+    joint.stiffness, joint.damping = [float(tip.stiffness), 0.0, 0.0], [float(tip.damping), 0.0, 0.0]  # type: ignore[arg-type]
+    joint.limited, joint.range = mujoco.mjtLimited.mjLIMITED_TRUE, [0.0, float(tip.travel)]  # type: ignore[arg-type]
+    joint.solimp_limit = TIP_STOP
+    return body
+
+
+class _Shapes:
+    """Puts geoms onto the bodies of an arm.
+
+    Args:
+        arm: The arm.
+        spec: What its model is compiled from.
+        bodies: The MuJoCo body of each of the arm's.
+        tool: Name of the body at the tool.
+    """
+
+    def __init__(self, arm: Arm, spec: mujoco.MjSpec, bodies: Sequence[mujoco.MjsBody], tool: str) -> None:
+        import mujoco
+
+        self._arm, self._spec, self._bodies, self._tool = arm, spec, bodies, tool
+        self._kinds: Any = mujoco.mjtGeom
+
+    def touch(self, what: Touch, tool_radius: float, tool_length: float | None, link_radius: float) -> None:
+        """What can touch the scene. It answers to contacts and starts none, so that the arm never meets itself."""
+        _make_touching(self._tool_shape(tool_radius, tool_length))
+        if what == "links":
+            for bone in self._bones():
+                _make_touching(self._capsule(bone, link_radius))
+
+    def _tool_shape(self, radius: float, length: float | None) -> mujoco.MjsGeom:
+        """A sphere about the tool's origin, or a cylinder along its z axis that ends there."""
+        body = self._spec.body(self._tool)
+        if length is None:
+            return body.add_geom(type=self._kinds.mjGEOM_SPHERE, size=[radius, 0.0, 0.0])
+        middle = [0.0, 0.0, -0.5 * length]
+        return body.add_geom(type=self._kinds.mjGEOM_CYLINDER, size=[radius, 0.5 * length, 0.0], pos=middle)
+
+    def show(self, looks: Looks) -> None:
+        """The arm's own shapes, and bones for bodies that have none; nothing touches them."""
+        seen, meshes = {BASE}, Meshes()
+        for visual in self._arm.visuals:
+            if visual.shape == "mesh" and looks != "meshes":
+                continue
+            body, T = self._spec.worldbody, self._arm.T_WB @ visual.placement
+            if visual.body != BASE:
+                body, T = self._bodies[visual.body], visual.placement
+            _make_shown(add_shape(self._spec, body, T, visual, meshes), visual.rgba)
+            seen.add(visual.body)
+        for bone in self._bones():
+            if bone[0] not in seen:
+                _make_shown(self._capsule(bone, BONE), GREY)
+
+    def _bones(self) -> Iterator[Bone]:
+        """Those of the links that move."""
+        return (bone for bone in bones(self._arm) if bone[0] != BASE)
+
+    def _capsule(self, bone: Bone, radius: float) -> mujoco.MjsGeom:
+        """A capsule along a bone; a sphere where it has no length."""
+        body, start, end = bone
+        length = float(np.linalg.norm(end - start))
+        if length < 1e-6:
+            return self._bodies[body].add_geom(type=self._kinds.mjGEOM_SPHERE, size=[radius, 0.0, 0.0], pos=start)
+        geom = self._bodies[body].add_geom(type=self._kinds.mjGEOM_CAPSULE, size=[radius, 0.0, 0.0])
+        geom.fromto = [*start, *end]
+        return geom
+
+
+def _make_touching(geom: mujoco.MjsGeom) -> None:
+    geom.contype, geom.conaffinity = 0, 1
+    geom.friction = [0.0, 0.0, 0.0]  # MuJoCo takes the larger of two: that of what is touched
+    geom.mass, geom.group = 0.0, TOUCHING
+
+
+def _make_shown(geom: mujoco.MjsGeom, rgba: tuple[float, float, float, float]) -> None:
+    geom.contype, geom.conaffinity = 0, 0
+    geom.mass, geom.group, geom.rgba = 0.0, SHOWN, rgba
+
+
+class Settings:
+    """The parameters of a model that we built, and their way into it."""
+
+    def __init__(self, rig: Rig, numbers: PlantParts) -> None:
+        self._rig, self._numbers = rig, numbers
+        self._scratch: mujoco.MjData | None = None
+        # A joint whose motor moves by itself has rotor and friction in the stage before MuJoCo.
+        self._rigid = list(numbers.drivetrain.rigid)
+        self.values = {path: read_only(np.asarray(value)) for path, value in numbers.values.items()}
+
+    @property
+    def load(self) -> tuple[Float64Array, Float64Array, Float64Array]:
+        """The payload: mass, com, inertia."""
+        mass, com, inertia = (self.values[f"plant.payload.{name}"] for name in LOAD)
+        return mass, com, inertia
+
+    def checked(self, path: str, value: ArrayLike) -> Float64Array:
+        """A new value in the shape that the parameter has."""
+        new = in_compiled_shape(path, self._numbers.checked(path, value), self.values[path].shape)
+        if path.startswith("plant.payload."):
+            self._payload(path, new)
+        return read_only(new)
+
+    def check_together(self, values: Mapping[str, ArrayLike]) -> None:
+        """Refuse values by path that do not go together, each of which is right by itself."""
+        self._numbers.check_together(values)
+
+    def _payload(self, path: str, value: Float64Array) -> Payload:
+        values = {name: self.values[f"plant.payload.{name}"] for name in LOAD}
+        values[path.rpartition(".")[2]] = value
+        return Payload(mass=float(values["mass"]), com=values["com"], inertia=values["inertia"])
+
+    def put(self, path: str, value: Float64Array) -> None:
+        """Keep a checked value, and bring it into the model."""
+        self.values = {**self.values, path: value}
+        rig, model = self._rig, self._rig.model
+        dofs = [rig.dofs[i] for i in self._rigid]
+        if path.startswith("plant.payload."):
+            put_payload(model, self._somewhere(), rig.tool_body, self._payload(path, value))
+        elif path == "plant.friction.viscous":
+            model.dof_damping[dofs] = self._of_rigid(value)
+        elif path == "plant.friction.coulomb":
+            model.dof_frictionloss[dofs] = self._of_rigid(value)
+        elif path == "plant.rotor_inertia":
+            import mujoco
+
+            model.dof_armature[dofs] = self._of_rigid(value)
+            mujoco.mj_setConst(model, self._somewhere())
+
+    def _of_rigid(self, value: Float64Array) -> Float64Array:
+        return np.broadcast_to(value, (self._rig.arm.n,))[self._rigid]
+
+    def _somewhere(self) -> mujoco.MjData:
+        """Data for MuJoCo to compute constants in, which the run's own is not lost for."""
+        import mujoco
+
+        if self._scratch is None:
+            self._scratch = mujoco.MjData(self._rig.model)
+        return self._scratch

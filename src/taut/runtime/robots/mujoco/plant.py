@@ -4,45 +4,43 @@ from __future__ import annotations
 
 import math
 import os
-import warnings
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from taut.arm.description import COMMANDS, Arm, CommandKind, Payload
+from taut.arm.description import Arm, CommandKind, Friction, Payload
 from taut.base.checks import one_of, positive_scalar
-from taut.base.errors import MatchError, UsageError, unknown_name
-from taut.base.front_door import public_name
+from taut.base.errors import UsageError
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.maths import dynamics as dyn
-from taut.maths.adds import Adds
-from taut.maths.compensation import compensation
+from taut.maths.adds import Adds, compensation
 from taut.maths.model import PayloadValues, model_of
 from taut.plant.drives.actuation import Actuation, delayed
-from taut.plant.drives.drivetrain import Drivetrain
-from taut.plant.drives.stiff_drive import require_drives
-from taut.plant.drives.transmission import require_rotors
-from taut.plant.environments.environment import Environment, require_environment
+from taut.plant.environments.environment import Environment
 from taut.plant.motion import WORK_OF_IT
-from taut.plant.numbers import PlantNumbers, require_torque_sensor
+from taut.plant.parts import PlantParts
 from taut.plant.sensors.sensors import Sensors
 from taut.record.film.surroundings import POSES, Around
 from taut.runtime.robots.mujoco.attach import Inertias, attached
-from taut.runtime.robots.mujoco.drives import Compensation, Drives, Motors, cut_off
-from taut.runtime.robots.mujoco.environment import EnvironmentStage
-from taut.runtime.robots.mujoco.health import Guard, Health
-from taut.runtime.robots.mujoco.joints import JointStage, LinkTorque
-from taut.runtime.robots.mujoco.model import INTEGRATORS, Integrator, ModelOptions, built, put_timestep
-from taut.runtime.robots.mujoco.rig import Rig
-from taut.runtime.robots.mujoco.scene import read_scene
-from taut.runtime.robots.mujoco.sensors import SensorStage
-from taut.runtime.robots.mujoco.settings import Settings
-from taut.runtime.robots.mujoco.shapes import LOOKS, TOUCHES, Looks, Touch
-from taut.runtime.robots.mujoco.surroundings import SceneView
-from taut.runtime.robots.mujoco.tool import SpringTip
-from taut.runtime.robots.mujoco.wrench import PRESSED, Normals, Wrench
+from taut.runtime.robots.mujoco.attached import AttachedPlant, warn_of_cut, whole_steps
+from taut.runtime.robots.mujoco.model import (
+    INTEGRATORS,
+    LOOKS,
+    TOUCHES,
+    Integrator,
+    Looks,
+    ModelOptions,
+    Settings,
+    SpringTip,
+    Touch,
+    built,
+    put_timestep,
+)
+from taut.runtime.robots.mujoco.rig import PRESSED, Guard, Health, Normals, Rig, Wrench, index
+from taut.runtime.robots.mujoco.scene import SceneView, read_scene
+from taut.runtime.robots.mujoco.stages import Compensation, EnvironmentStage, JointStage, LinkTorque, SensorStage
 from taut.trace.pose import Pose
 
 if TYPE_CHECKING:
@@ -159,29 +157,28 @@ class MujocoPlant:
     ) -> None:
         adds = Adds.of(adds)
         self.given = {name: value for name, value in locals().items() if name not in ("self", "arm")}
-        if not isinstance(arm, Arm):  # callers without a type checker
-            raise UsageError(f"a plant takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
         for name, value in (("friction", friction), ("limits", limits)):
             if value not in ("arm", None):
                 raise UsageError(f"{name} must be 'arm' or None; got {value!r}", name=name)
         what = adds
-        self._takes = one_of("takes", takes, COMMANDS)
-        drives, seen = actuation or Actuation(), sensors or Sensors()
-        for name, given, part in (("actuation", drives, Actuation), ("sensors", seen, Sensors)):
-            if not isinstance(given, part):
-                got = type(given).__name__
-                raise UsageError(f"{name} must be {public_name(part)}(...); got {got}", name=name)
         if tip is not None and not isinstance(tip, SpringTip):
             raise UsageError(f"tip must be taut.environments.SpringTip(...); got {type(tip).__name__}", name="tip")
-        if environment is not None:
-            require_environment("environment", environment)
-        require_drives(self._takes, drives, what)
-        drives.check_size(arm.joint_names, "actuation.")
-        seen.check(arm, touched=True)
-        left = arm.friction if friction == "arm" and not what.friction else None
-        train = Drivetrain(arm=arm, friction=left, transmission=drives.transmission)
-        require_rotors(arm, train.compliant)
-        require_torque_sensor(drives, seen)
+        drives, seen = actuation or Actuation(), sensors or Sensors()
+        numbers = PlantParts(
+            name=f"MujocoPlant({getattr(arm, 'name', '')})",
+            arm=arm,
+            friction=friction,
+            takes=takes,
+            adds=adds,
+            actuation=drives,
+            sensors=seen,
+            environment=environment,
+            smooth=integrator == "rk4",
+            scene=True,
+        )
+        self._takes = takes
+        train = numbers.drivetrain
+        left = train.friction
         options = ModelOptions(
             drivetrain=train,
             limits=limits,
@@ -194,39 +191,29 @@ class MujocoPlant:
             looks=one_of("looks", looks, LOOKS),
             tip=tip,
         )
-        if integrator == "rk4" and train.dry:
-            what_sticks = "dry friction" if left is not None and left.dry else "gears that lose power"
-            raise UsageError(
-                f"rk4 needs smooth forces, and arm '{arm.name}' has {what_sticks}; use integrator='discrete', or "
-                "no friction",
-                name="integrator",
-            )
-        if integrator == "rk4" and train.compliant:
-            raise UsageError(
-                "rk4 moves the arm alone, and an elastic transmission or backlash moves the motors too; use "
-                "integrator='discrete'",
-                name="integrator",
-            )
         self._timestep = None if timestep is None else positive_scalar("timestep", timestep, unit="s")
         rig = built(arm, None if scene is None else read_scene(scene), options, what)
         self._name = f"MujocoPlant({arm.name})"
-        numbers = PlantNumbers(arm=arm, drivetrain=train, actuation=drives, sensors=seen, environment=environment)
-        self._settings: Settings | None = Settings(rig, numbers)
+        self._settings = Settings(rig, numbers)
         self._friction, self._actuation, self._sensors = friction, drives, seen
         self._stage = None
-        if drives.acts or train.compliant or train.lossy or (left is not None and (left.falls or left.loaded)):
+        if (
+            drives.acts
+            or train.compliant
+            or train.lossy
+            or (isinstance(left, Friction) and (left.falls or left.loaded))
+        ):
             self._stage = JointStage(rig, drives, train, what, self._takes)
         self._touching = None if environment is None else EnvironmentStage(rig, environment, train)
         adds_torque = (what.gravity or what.coriolis) and self._stage is None
         self._compensation = Compensation(arm, what) if adds_torque else None
         self._link, self._readings = LinkTorque(rig), SensorStage(arm, seen)
-        self._take(rig, Motors(rig))
+        self._take(rig)
         self._normals = None if scene is None or touch is None else Normals(rig)
         self._view = None if scene is None else SceneView(rig)
 
-    @classmethod
+    @staticmethod
     def attach(
-        cls,
         model: mujoco.MjModel,
         data: mujoco.MjData,
         arm: Arm,
@@ -234,7 +221,7 @@ class MujocoPlant:
         *,
         bridge: bool = False,
         inertias: Inertias = "same",
-    ) -> MujocoPlant:
+    ) -> AttachedPlant:
         """Drive an arm inside a simulation of your own.
 
         Joints are found by name, prefix + the Arm's. Each takes its torque through its actuator if it has one, else
@@ -262,37 +249,28 @@ class MujocoPlant:
             MatchError: Another arm, or actuators that do not take torques.
             RangeError: The model or its state is not finite.
         """
-        plant = object.__new__(cls)
         rig, drives = attached(model, data, arm, prefix, bridge=bridge, inertias=inertias)
-        plant._name = f"MujocoPlant.attach({prefix}{arm.name})"
-        plant._timestep = None
-        plant._takes = "torque"
-        plant._settings = None
-        plant._compensation = None
-        plant._stage = plant._touching = plant._normals = None
-        plant._friction, plant._actuation, plant._sensors = "arm", Actuation(), Sensors()
-        plant._take(rig, drives)
-        plant._view = SceneView(rig, tool=False)
-        return plant
+        return AttachedPlant(rig, drives, f"MujocoPlant.attach({prefix}{arm.name})")
+
+    def like(self, *, arm: Arm | None = None, sensors: Sensors | None = None) -> MujocoPlant:
+        """A plant of the same arguments but these."""
+        return MujocoPlant(arm or self.arm, **{**self.given, "sensors": sensors or self._sensors})
 
     def __reduce__(self) -> tuple[Any, ...]:
         """A copy is built anew, of the same arguments and with the same parameters, and has a scene of its own."""
-        if self._settings is None:
-            raise UsageError(
-                "an attached plant drives a simulation of yours, so it cannot be copied or pickled; attach another "
-                "one to the copy: taut.MujocoPlant.attach(model, data, arm)"
-            )
         return _rebuilt, ({"arm": self.arm, **self.given}, dict(self.parameters))
 
-    def _take(self, rig: Rig, drives: Drives) -> None:
+    def _take(self, rig: Rig) -> None:
         """Keep what the loop needs; MuJoCo's arrays are looked up here, once."""
         import mujoco
 
-        self._rig, self._drives = rig, drives
+        self._rig = rig
         self._health = Health(rig)
         self._guard = Guard(rig.model.opt)
         self._mj_step = mujoco.mj_step
-        self._qpos, self._qvel = rig.data.qpos, rig.data.qvel
+        self._qpos, self._qvel, self._ctrl = rig.data.qpos, rig.data.qvel, rig.data.ctrl
+        motors = (rig.model.actuator(name).id for name in rig.arm.joint_names)
+        self._motors = index([int(rig.model.actuator_ctrladr[motor]) for motor in motors])
         self._wrench = Wrench(rig)
         self._substeps = 1
         self._silence()
@@ -330,22 +308,22 @@ class MujocoPlant:
 
     @property
     def friction(self) -> Literal["arm"] | None:
-        """The arm's friction, or none; the model's own of an attached arm."""
+        """The arm's friction, or none."""
         return self._friction
 
     @property
     def actuation(self) -> Actuation:
-        """The drives; ideal ones of an attached arm."""
+        """The drives."""
         return self._actuation
 
     @property
     def sensors(self) -> Sensors:
-        """What is measured, and how well; ideal ones of an attached arm."""
+        """What is measured, and how well."""
         return self._sensors
 
     @property
     def takes(self) -> CommandKind:
-        """Torque commands, or what its drives take; an attached arm takes torques."""
+        """Torque commands, or what its drives take."""
         return self._takes
 
     @property
@@ -360,15 +338,15 @@ class MujocoPlant:
 
     @property
     def adds(self) -> Adds:
-        """What it adds to a torque command itself; gravity, for an attached arm whose bodies have gravcomp."""
+        """What it adds to a torque command itself."""
         return self._rig.adds
 
     # ---------------------------------------------------------------- parameters
 
     @property
     def parameters(self) -> Mapping[str, Float64Array]:
-        """Run-time parameters by path; none for an attached arm, whose model is the user's."""
-        return {} if self._settings is None else self._settings.values
+        """Run-time parameters by path."""
+        return self._settings.values
 
     def checked_parameter(self, path: str, value: ArrayLike) -> Float64Array:
         """A new value of a parameter, checked and in its shape.
@@ -377,9 +355,6 @@ class MujocoPlant:
             UnknownNameError: There is no such parameter.
             ShapeError, RangeError: A value that it cannot have.
         """
-        if self._settings is None or path not in self._settings.values:
-            hint = "an attached arm has none: change the model" if self._settings is None else ""
-            raise unknown_name(f"plant '{self.name}'", "parameter", path, self.parameters, hint=hint)
         return self._settings.checked(path, value)
 
     def check_together(self, values: Mapping[str, ArrayLike]) -> None:
@@ -388,8 +363,7 @@ class MujocoPlant:
         Raises:
             RangeError: Less friction at rest than in motion.
         """
-        if self._settings is not None:
-            self._settings.check_together(values)
+        self._settings.check_together(values)
 
     def set_parameter(self, path: str, value: ArrayLike) -> None:
         """Give a parameter a new value, which acts from the next step."""
@@ -399,15 +373,11 @@ class MujocoPlant:
         """Give parameters new values at once, which act from the next step."""
         checked = {path: self.checked_parameter(path, value) for path, value in values.items()}
         self.check_together({**self.parameters, **checked})
-        if self._settings is None or not checked:
-            return
         for path, value in checked.items():
             self._settings.put(path, value)
-        if self._stage is not None:
-            self._stage.take(self._settings.values)
-        if self._touching is not None:
-            self._touching.take(self._settings.values)
-        self._readings.take(self._settings.values)
+        for stage in (self._stage, self._touching, self._readings):
+            if stage is not None:
+                stage.take(self._settings.values)
 
     # ---------------------------------------------------------------- a run
 
@@ -421,16 +391,12 @@ class MujocoPlant:
 
         rig = self._rig
         self._substeps = self._steps_in(dt)
-        if self._settings is not None:
-            put_timestep(rig, dt / self._substeps)
-            mujoco.mj_resetData(rig.model, rig.data)
-        self._drives.prepare()
-        self._qpos[rig.q] = q
-        self._qvel[rig.v] = v
+        put_timestep(rig, dt / self._substeps)
+        mujoco.mj_resetData(rig.model, rig.data)
+        self._ctrl[self._motors] = 0.0
+        self._qpos[rig.q], self._qvel[rig.v] = q, v
         self._health.start()
         self._silence()
-        if self._settings is None:
-            return
         self._line = None
         taps = self._actuation.taps(dt)
         values = self._settings.values
@@ -452,20 +418,9 @@ class MujocoPlant:
         self._saturated = {name: np.zeros(()) for name in self._readings.saturating}
 
     def _steps_in(self, dt: float) -> int:
-        if self._settings is not None and self._timestep is None:
+        if self._timestep is None:
             return max(1, math.ceil(dt / LONGEST * (1.0 - 1e-9)))
-        h = float(self._rig.model.opt.timestep) if self._timestep is None else self._timestep
-        steps = dt / h
-        if round(steps) < 1 or abs(steps - round(steps)) > 1e-9 * steps:
-            near = dt / max(1, math.ceil(steps))
-            change = "model.opt.timestep" if self._settings is None else "timestep"
-            raise MatchError(
-                f"plant '{self.name}': the control period must be a whole number of time steps; {dt:g} s is "
-                f"{steps:.6g} times {h:g} s; use {change}={near:.9g}, or another rate",
-                name="timestep",
-                value=h,
-            )
-        return round(steps)
+        return whole_steps(self.name, dt, self._timestep, "timestep")
 
     def state(self) -> tuple[Float64Array, Float64Array]:
         """(n,) the true position and velocity."""
@@ -473,9 +428,6 @@ class MujocoPlant:
 
     def measure(self) -> dict[str, Float64Array]:
         """What the sensors give, by measurement; forces and torques are those of the last step."""
-        if self._settings is None:  # an attached arm: what its actuators gave
-            q, v = self.state()
-            return {"q": q, "v": v, "tau_meas": self._tau.copy(), "F_ext": self._F_ext.copy()}
         given = self._readings.read(self._true())
         self._saturated = {name: value for name, value in given.items() if name.startswith("saturated.")}
         return given
@@ -486,15 +438,13 @@ class MujocoPlant:
         true = {"q": q, "v": v, "tau": self._tau, "tau_link": self._tau_link, "F_ext": self._F_ext}
         if self._sensors.needs_acceleration:
             true["a"] = self._a
-        if self._sensors.weighs and self._settings is not None:
+        if self._sensors.weighs:
             true |= dict(zip(PAYLOAD, self._settings.load, strict=True))
         memory = {} if self._stage is None else self._stage.memory
         return true | {name: memory[name] for name in ("q_motor", "v_motor") if name in memory}
 
     def advance(self, command: Float64Array) -> Float64Array:
         """One control period under a command (n,); (n,) the torque that acted on the joints."""
-        if self._settings is None:
-            return self._advance_attached(command)
         held, self._line = delayed(command, self._line)
         if self._touching is not None:
             self._work = self._touching.work
@@ -513,7 +463,7 @@ class MujocoPlant:
     def _step_plainly(self, held: Float64Array) -> None:
         """The steps of a period in which the torque itself stands at the joints."""
         rig, last = self._rig, self._substeps - 1
-        self._drives.write(held)
+        self._ctrl[self._motors] = held
         if last and self._compensation is None and self._touching is None:
             self._mj_step(rig.model, rig.data, last)
         elif last:
@@ -537,7 +487,7 @@ class MujocoPlant:
             v = self._qvel[rig.v].copy()
             self._apply()
             F_ext = self._F_ext if self._touching is None else self._contact + self._touching.wrench
-            self._drives.write(stage.before(self._qpos[rig.q], v, F_ext))
+            self._ctrl[self._motors] = stage.before(self._qpos[rig.q], v, F_ext)
             self._mj_step(rig.model, rig.data)
             self._applied()
             stage.after(self._qpos[rig.q], self._qvel[rig.v])
@@ -546,37 +496,14 @@ class MujocoPlant:
         if self._takes != "torque":
             self._cut = stage.cut
             if not self._told and self._cut.any():
-                self._tell(
-                    self._tau + self._cut, "the effort of its joints", "slower motions, or an arm that has more"
-                )
-
-    def _advance_attached(self, command: Float64Array) -> Float64Array:
-        """The same for an arm in a model of the user's."""
-        model, data, drives = self._rig.model, self._rig.data, self._drives
-        drives.take()
-        try:
-            with self._guard:
-                if drives.per_step:
-                    for _ in range(self._substeps):
-                        drives.write(command)
-                        self._mj_step(model, data)
-                else:
-                    drives.write(command)
-                    self._mj_step(model, data, self._substeps)
-            self._tau = drives.acted()
-        finally:
-            drives.release()
-        self._F_ext = self._wrench.of_environment()
-        self._cut = cut_off(command, self._tau)
-        if not self._told and self._cut.any():
-            self._tell(command, "its actuator's limits", "the controller limits=taut.Limits(tau=...)")
-        return self._tau
+                self._told = True
+                limits, instead = "the effort of its joints", "slower motions, or an arm that has more"
+                warn_of_cut(self.name, self.arm, self._tau, self._cut, limits, instead)
 
     def _apply(self) -> Any:
         """(n,) what the plant adds itself, at the state of this very step; what touches the tool comes with it."""
         if self._compensation is None and self._touching is None:
             return 0.0
-        assert self._settings is not None
         q, v = self.state()
         added: Any = 0.0
         if self._compensation is not None:
@@ -589,18 +516,6 @@ class MujocoPlant:
         """After a step: what it did to the arm."""
         if self._touching is not None:
             self._touching.after(self._qvel[self._rig.v])
-
-    def _tell(self, wanted: Float64Array, limits: str, instead: str) -> None:
-        self._told = True
-        i = int(np.argmax(np.abs(self._cut)))
-        arm = self._rig.arm
-        warnings.warn(
-            f"{self.name}: joint '{arm.joint_names[i]}' got {self._tau[i]:.4g} of the {wanted[i]:.4g} "
-            f"{arm.joints[i].effort_unit} asked for, because of {limits}; the run's column tau_cut has what was cut "
-            f"off; give {instead}",
-            RuntimeWarning,
-            stacklevel=2,
-        )
 
     def trouble(self) -> tuple[str, int | None] | None:
         """What went wrong in the last period, in words, and the joint; None if nothing did."""
@@ -617,8 +532,6 @@ class MujocoPlant:
         `scene.poses` of its bodies that move.
         """
         seen = {} if self._view is None or not self._view.moves else {POSES: self._view.poses(self._rig.data)}
-        if self._settings is None:
-            return {"F_ext": self._F_ext, "tau_cut": self._cut, **seen}
         work = {} if self._touching is None else {WORK_OF_IT: np.asarray(self._work)}
         normal = {} if self._normals is None else {PRESSED: self._normals.of_contacts()}
         cut = {} if self._takes == "torque" else {"tau_cut": self._cut}

@@ -1,9 +1,13 @@
-"""Rig: an arm inside a MuJoCo model, and where its numbers stand there."""
+"""Rig: an arm inside a MuJoCo model, where its numbers stand there, what touches it, and what goes wrong.
+
+Left to itself MuJoCo writes MUJOCO_LOG.TXT into the working folder, sets every motor to zero when one command is not
+finite, and puts a diverged simulation back to its start.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +19,22 @@ from taut.maths.adds import Adds
 if TYPE_CHECKING:
     import mujoco
 
-__all__ = ["Index", "Rig", "index"]
+__all__ = ["PRESSED", "Guard", "Health", "Index", "Normals", "Rig", "Wrench", "index"]
+
+PRESSED: Final = "contact.normal_force"  # column of a run
+HUGE: Final = 1e10  # what MuJoCo itself calls huge, in qpos, qvel, qacc and ctrl
+WAY_OUT: Final = "try smaller gains, a higher rate or a smaller timestep"
+SAID: Final = {
+    "mjWARN_INERTIA": "the mass matrix is singular; a body has no inertia",
+    "mjWARN_CONTACTFULL": "MuJoCo has no room for more contacts; simplify the scene",
+    "mjWARN_CNSTRFULL": "MuJoCo has no room for more constraints; simplify the scene",
+    "mjWARN_BADQPOS": f"a position is not finite; {WAY_OUT}",
+    "mjWARN_BADQVEL": f"a velocity is not finite; {WAY_OUT}",
+    "mjWARN_BADQACC": f"an acceleration is not finite; {WAY_OUT}",
+    "mjWARN_BADCTRL": f"a command is beyond {HUGE:g} or not finite, and MuJoCo set every motor to zero; {WAY_OUT}",
+}
+NOTHING = np.zeros(6)
+NOTHING.flags.writeable = False
 
 Index: TypeAlias = slice | NDArray[np.intp]
 """Positions in one of MuJoCo's arrays; a slice where they follow one another, since that is faster."""
@@ -45,3 +64,170 @@ def index(numbers: list[int]) -> Index:
     if numbers == list(range(first, first + len(numbers))):
         return slice(first, first + len(numbers))
     return np.array(numbers, dtype=np.intp)
+
+
+def _nothing(_: str) -> None:
+    """Takes the place of MuJoCo's writing to stderr and to a file."""
+
+
+class Guard:
+    """While it is held MuJoCo writes no warnings out, and never puts a diverged simulation back to its start.
+
+    A listener that somebody else has set for the warnings stays.
+
+    Args:
+        option: The options of the model.
+    """
+
+    def __init__(self, option: mujoco.MjOption) -> None:
+        import mujoco
+
+        self._option = option
+        self._autoreset = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        self._listener, self._listen = mujoco.get_mju_user_warning, mujoco.set_mju_user_warning
+
+    def __enter__(self) -> None:
+        self._flags = self._option.disableflags
+        self._option.disableflags = self._flags | self._autoreset
+        self._mine = self._listener() is None
+        if self._mine:
+            self._listen(_nothing)
+
+    def __exit__(self, *_: object) -> None:
+        self._option.disableflags = self._flags
+        if self._mine:
+            self._listen(None)
+
+
+class Health:
+    """Watches one simulation.
+
+    Args:
+        rig: The arm in the simulation.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        import mujoco
+
+        self._rig = rig
+        self._joint_of = {dof: i for i, dof in enumerate(rig.dofs)}
+        data = rig.data
+        self._acceleration: Float64Array = data.qacc  # views: MuJoCo writes into them
+        self._velocity: Float64Array = data.qvel
+        self._counts: np.ndarray[tuple[int], np.dtype[np.int32]] = data.warning.number
+        self._kinds = [mujoco.mjtWarning(i).name for i in range(len(self._counts))]
+        self.start()
+
+    def start(self) -> None:
+        """Forget what was before."""
+        self._before = self._counts.copy()
+        self._seen = self._before.tobytes()
+
+    def trouble(self) -> tuple[str, int | None] | None:
+        """What went wrong in the last step, and the joint of the arm; None if nothing did."""
+        # MuJoCo looks for NaN and for what is huge in every step, and counts what it finds.
+        return None if self._counts.tobytes() == self._seen else self._in_words()
+
+    def _in_words(self) -> tuple[str, int | None]:
+        for values, what, per in ((self._acceleration, "acceleration", "s^2"), (self._velocity, "velocity", "s")):
+            size = np.where(np.isfinite(values), np.abs(values), np.inf)
+            dof = int(np.argmax(size))
+            if size[dof] >= HUGE:
+                joint = self._joint_of.get(dof)
+                of = self._owner(dof) if joint is None else "its"
+                unit = "" if joint is None else f" {self._rig.arm.units[joint]}/{per}"
+                reached = f"reached {values[dof]:.3g}{unit}" if np.isfinite(values[dof]) else "is no longer finite"
+                return f"{of} {what} {reached}; {WAY_OUT}", joint
+        new = [kind for kind, n, before in zip(self._kinds, self._counts, self._before, strict=True) if n > before]
+        if not new:
+            return "somebody put MuJoCo's data back to its start while the run was going on", None
+        joint = self._commanded() if "mjWARN_BADCTRL" in new else None
+        return "; ".join(SAID.get(kind, kind) for kind in new), joint
+
+    def _owner(self, dof: int) -> str:
+        model = self._rig.model
+        name = model.joint(int(model.dof_jntid[dof])).name or model.body(int(model.dof_bodyid[dof])).name
+        return f"'{name}' is not of the arm, and its" if name else "a body of the scene went wrong: its"
+
+    def _commanded(self) -> int | None:
+        """The joint of the arm whose motor had the command that MuJoCo did not take."""
+        import mujoco
+
+        model, warning = self._rig.model, self._rig.data.warning[mujoco.mjtWarning.mjWARN_BADCTRL]
+        actuator = int(np.flatnonzero(model.actuator_ctrladr <= warning.lastinfo)[-1])
+        driven = int(model.actuator_trnid[actuator, 0])
+        return self._rig.joints.index(driven) if driven in self._rig.joints else None
+
+
+class Wrench:
+    """The wrench of everything outside the arm on the body that carries the tool.
+
+    MuJoCo adds up contacts, equality constraints and xfrc_applied for each body, torque first, about the centre of
+    mass of the whole tree. Weight and inertia are no part of it, as they are of what its force sensors give.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        import mujoco
+
+        self._rig, self._post = rig, mujoco.mj_rnePostConstraint
+        data, body = rig.data, rig.tool_body
+        self._forces: Float64Array = data.cfrc_ext
+        self._nothing = np.zeros((len(self._forces[rig.tool_bodies]), 6)).tobytes()
+        self._centre: Float64Array = data.subtree_com[rig.model.body_rootid[body]]
+        self._p: Float64Array = data.xpos[body]
+        self._R: Float64Array = data.xmat[body].reshape(3, 3)
+
+    def of_environment(self) -> Float64Array:
+        """(6,) F_ext of the last step, force first, in world axes at the tool's origin; read-only."""
+        if not self._rig.data.flg_rnepost:  # no sensor of the model asked for it
+            self._post(self._rig.model, self._rig.data)
+        rows = self._forces[self._rig.tool_bodies]
+        if rows.tobytes() == self._nothing:
+            return NOTHING
+        torque, force = np.split(rows.sum(axis=0), 2)
+        arm = self._centre - self._p - self._R @ self._rig.p_tool  # from the tool's origin to that centre
+        F_ext: Float64Array = np.concatenate([force, torque + np.cross(arm, force)])
+        return F_ext
+
+
+class Normals:
+    """The force of the contacts on the tool's body, of each along its own normal and without friction.
+
+    What a weld of the scene ties to the tool counts as the tool, with all that it carries: a wheel in its fork.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        import mujoco
+
+        self._model, self._data, self._force_of = rig.model, rig.data, mujoco.mj_contactForce
+        bodies = set(np.arange(rig.model.nbody)[rig.tool_bodies].tolist())
+        bodies |= _welded(rig.model, bodies)
+        self._ours: set[int] = {g for g in range(rig.model.ngeom) if int(rig.model.geom_bodyid[g]) in bodies}
+        self._six = np.zeros(6)
+
+    def of_contacts(self) -> Float64Array:
+        """(3,) that force of the last step, world axes."""
+        out, contacts = np.zeros(3), self._data.contact
+        for i in range(self._data.ncon):
+            first, second = contacts.geom[i]
+            sign = (int(second) in self._ours) - (int(first) in self._ours)  # normals point from first to second
+            if sign:
+                self._force_of(self._model, self._data, i, self._six)
+                out += sign * self._six[0] * contacts.frame[i, :3]
+        return out
+
+
+def _welded(model: mujoco.MjModel, bodies: set[int]) -> set[int]:
+    """Bodies that welds of a scene tie to some, and those that they carry."""
+    import mujoco
+
+    pairs = [
+        {int(model.eq_obj1id[i]), int(model.eq_obj2id[i])}
+        for i in range(model.neq)
+        if int(model.eq_type[i]) == mujoco.mjtEq.mjEQ_WELD and int(model.eq_objtype[i]) == mujoco.mjtObj.mjOBJ_BODY
+    ]
+    out = {body for pair in pairs if pair & bodies for body in pair - bodies if body}
+    for body in range(1, model.nbody):  # parents come first
+        if int(model.body_parentid[body]) in out:
+            out.add(body)
+    return out

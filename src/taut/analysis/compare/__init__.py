@@ -1,1 +1,0 @@
-"""Laws side by side under the same conditions."""

@@ -1,0 +1,525 @@
+"""Comparison of laws on one experiment: figures of each, with noise and with true arms that differ from the model."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import statistics
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final, TypeAlias
+
+import numpy as np
+
+from taut.arm.description import Arm
+from taut.base.errors import TautError, UsageError, count_of, unknown_name
+from taut.base.fields import Declared, Field
+from taut.base.result import Cell, Content, Result, Table
+from taut.base.types import ArrayLike
+from taut.control.law import Law
+from taut.control.limits import Limits
+from taut.control.sensing.sensing import Sensing
+from taut.control.trajectories.reference import Reference
+from taut.controller import Controller, compile
+from taut.loop import Loop
+from taut.plant.sensors.sensors import Sensors
+from taut.record.metrics import METRICS
+from taut.record.plots.comparison import compare as compare_runs
+from taut.record.run import Run
+from taut.runtime.events import Event
+from taut.runtime.host import VariedPlant
+from taut.runtime.simulate import Plant, run
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Comparison", "Entry", "Experiment", "WrongModel", "blamed", "compare_laws", "figures_of", "plant_like"]
+
+Numbers: TypeAlias = dict[str, dict[str, float]]
+"""Figures by name and unit: {"rms_error": {"rad": 0.1}}."""
+
+MAX_LAWS: Final = 8  # in one table
+MIN_RECORDED_TICKS: Final = 10  # of a recorded run
+LAST_FRACTION: Final = 0.2  # last fraction of a run, whose RMS error is the steady error
+NOISE: Final[Mapping[str, float]] = {"position": 1e-5, "velocity": 1e-3}
+"""Standard deviations [rad | m], [rad/s | m/s] for a plant without noise, where none is given."""
+
+ERRORS: Final = {
+    "rms_error": "peak_error",
+    "task_rms": "task_peak",
+    "task_rms_rotation": "task_peak_rotation",
+    "normal_force_error_rms": "normal_force_error_peak",
+    "force_error_rms": "force_error_peak",
+    "moment_error_rms": "moment_error_peak",
+}
+"""RMS and peak of each error that a run may have; the first that it has is its main error."""
+SPENT: Final = ("effort", "peak_torque", "saturation_time", "chatter")
+DERIVED: Final = {
+    "steady_error": "the first RMS error, over the last fifth of the run",
+    "noise_error": "the first RMS error with noise of the sensors, less that without",
+    "noise_chatter": "chatter with noise of the sensors, less that without",
+    "model_median": "the first RMS error with true arms that differ from the model: the median",
+    "model_worst": "the first RMS error with true arms that differ from the model: the largest; infinite where a "
+    "run with one of them failed",
+}
+FIGURES: Final = (*(name for pair in ERRORS.items() for name in pair), *SPENT, *DERIVED)
+
+
+class WrongModel(Declared):
+    """By how much the true arm may differ from the one that the controllers know.
+
+    The arm of trial k, from 0 on, is `arm.perturbed(seed=seed + k, mass=mass, ...)` with up to `payload` kg more.
+
+    Example:
+        >>> WrongModel(mass=0.1).text()
+        'masses by 10 %, seeds 0 to 4'
+    """
+
+    mass: Field = Field(0.0, minimum=0.0, maximum=1.0, doc="relative spread of each mass (log-normal)")
+    com: Field = Field(0.0, unit="m", minimum=0.0, maximum=1.0, doc="spread of each centre of mass")
+    inertia: Field = Field(0.0, minimum=0.0, maximum=1.0, doc="relative spread of the sizes of the bodies")
+    friction: Field = Field(0.0, minimum=0.0, maximum=1.0, doc="relative spread of viscous and dry friction")
+    payload: Field = Field(0.0, unit="kg", minimum=0.0, doc="largest additional payload")
+    trials: Field = Field(5, minimum=1.0, maximum=1000.0, doc="number of arms that are drawn")
+    seed: Field = Field(0, minimum=0.0, doc="of the first arm")
+
+    def check(self) -> None:
+        """Whole numbers, and a difference."""
+        for name in ("trials", "seed"):
+            if getattr(self, name) % 1.0:
+                self.refuse(name, "must be a whole number")
+        if not any((self.mass, self.com, self.inertia, self.friction, self.payload)):
+            self.refuse("", "needs one of mass, com, inertia, friction and payload above zero")
+
+    def text(self) -> str:
+        """The differences in words."""
+        of = {"masses": self.mass, "sizes": self.inertia, "friction": self.friction}
+        parts = [f"{name} by {100.0 * float(value):g} %" for name, value in of.items() if value]
+        parts += [f"centres of mass by {float(self.com):g} m"] if self.com else []
+        parts += [f"up to {float(self.payload):g} kg more payload"] if self.payload else []
+        last = self.seed + self.trials - 1
+        return f"{', '.join(parts)}, {f'seeds {self.seed:g} to {last:g}' if last > self.seed else f'seed {last:g}'}"
+
+    def arms(self, arm: Arm) -> Iterator[Arm]:
+        """The true arm of each trial."""
+        spreads = {name: float(getattr(self, name)) for name in ("mass", "com", "inertia", "friction")}
+        for seed in range(int(self.seed), int(self.seed + self.trials)):
+            more = float(self.payload * np.random.default_rng([seed, 1]).random())
+            load, true = arm.payload, arm.perturbed(seed=seed, **spreads)
+            yield true.with_payload(load.mass + more, load.com, load.inertia) if self.payload else true
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Experiment:
+    """All of a closed loop but its law.
+
+    Args:
+        name: What messages call it.
+        arm: The arm that the controllers know.
+        rate: [Hz].
+        sensing: Of the controllers.
+        limits: Of the controllers; None for none.
+        plant: What is true.
+        reference: What is followed.
+        duration: [s].
+        q0: (n,) positions at the start [rad | m]; home if left out.
+        v0: (n,) velocities at the start [rad/s | m/s].
+        seed: Of all noise.
+        events: Parameters that change on the way.
+        parameters: Values by path that hold from the start.
+        texts: Longer texts on it by title, such as that of a scenario.
+    """
+
+    name: str
+    arm: Arm
+    rate: float
+    sensing: Sensing
+    limits: Limits | None
+    plant: Plant
+    reference: Reference
+    duration: float
+    q0: ArrayLike | None = None
+    v0: ArrayLike | None = None
+    seed: int = 0
+    events: tuple[Event, ...] = ()
+    parameters: Mapping[str, ArrayLike] = field(default_factory=dict)
+    texts: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, loop: Loop) -> Experiment:
+        """The experiment of a loop, with the parameters that were changed in it but those of its law."""
+        side, plant = loop.side, loop.plant
+        before = {**side.parameters, **plant.parameters}
+        changed = {
+            path: value
+            for path, value in loop.parameters.items()
+            if not path.startswith("law.") and not np.array_equal(value, before[path])
+        }
+        return cls(
+            name="the loop",
+            arm=side.arm,
+            rate=side.rate,
+            sensing=side.sensing,
+            limits=side.limits,
+            plant=plant,
+            reference=loop.ref,
+            duration=loop.duration,
+            parameters=changed,
+        )
+
+    @property
+    def sensors(self) -> Sensors:
+        """The plant's sensors; ideal ones of a plant that does not declare any."""
+        sensors = getattr(self.plant, "sensors", None)
+        return sensors if isinstance(sensors, Sensors) else Sensors()
+
+    def controller(self, law: Law) -> Controller:
+        """The law, compiled for this experiment.
+
+        Raises:
+            TautError: It cannot be compiled.
+        """
+        return compile(law, self.arm, rate=self.rate, sensing=self.sensing, limits=self.limits, adds=self.plant.adds)
+
+    def run(self, ctrl: Controller, plant: Plant | None = None) -> Run:
+        """A run of a controller, against another plant where one is given.
+
+        Raises:
+            TautError: What a run refuses, such as a reference of another kind than the law's.
+        """
+        start = (Event(t=0.0, set=self.parameters),) if self.parameters else ()
+        return run(
+            ctrl,
+            plant or self.plant,
+            self.reference,
+            duration=self.duration,
+            q0=self.q0,
+            v0=self.v0,
+            seed=self.seed,
+            events=(*start, *self.events),
+        )
+
+    @property
+    def settings(self) -> dict[str, str]:
+        """The settings as text by name."""
+        return {
+            "arm of the controllers": self.arm.name,
+            "plant": self.plant.name,
+            "rate": f"{self.rate:g} Hz",
+            "duration": f"{self.duration:g} s",
+            "reference": type(self.reference).__name__,
+            "limits": "none" if self.limits is None else str(self.limits),
+            "sensing": str(self.sensing),
+            "noise of": ", ".join(_noisy(self.sensors)) or "no sensor",
+            "seed": str(self.seed),
+            "events": "; ".join(f"at {event.t:g} s {dict(event.set)}" for event in self.events) or "none",
+            **{path: str(np.asarray(value).tolist()) for path, value in self.parameters.items()},
+        }
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Entry:
+    """One law of a comparison, or one recorded run, with its figures by name and unit."""
+
+    name: str
+    law: str  # with its gains, as text
+    run: Run
+    numbers: Numbers
+
+    def number(self, figure: str) -> float:
+        """A figure to rank by: the largest over its units; infinite of a run that failed or has none."""
+        return max(self.numbers.get(figure, {}).values(), default=math.inf)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Comparison(Result):
+    """Laws on one experiment: print it for the table, `plot()` it, hand it to `taut.report`.
+
+    Args:
+        title: What they were compared on.
+        entries: The laws by name, in their ranking if there is one.
+        by: The figures that they are ranked by, the first one first; the next decides between equals.
+        notes: What the figures of noise and model rely on.
+        settings: Of the experiment, as text by name.
+        texts: Longer texts by title, such as that of a scenario.
+    """
+
+    title: str
+    entries: Mapping[str, Entry]
+    by: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    settings: Mapping[str, str]
+    texts: Mapping[str, str]
+
+    @property
+    def runs(self) -> dict[str, Run]:
+        """The run of each law, by its name."""
+        return {name: entry.run for name, entry in self.entries.items()}
+
+    @property
+    def ranking(self) -> tuple[str, ...]:
+        """Names, the best first; none where no figure was given to rank by."""
+        return tuple(self.entries) if self.by else ()
+
+    @property
+    def ok(self) -> bool:
+        """Whether every law's run went to its end."""
+        return all(run.outcome.ok for run in self.runs.values())
+
+    def content(self) -> Content:
+        """A row for each figure and unit, a column for each law."""
+        entries = self.entries.values()
+        names = [*FIGURES, *(figure for figure in self.by if figure not in FIGURES)]
+        shown = {
+            name: units
+            for name in names
+            if (units := dict.fromkeys(unit for entry in entries for unit in entry.numbers.get(name, {})))
+        }
+        rows: list[Sequence[Cell]] = [
+            (name, unit, *(entry.numbers.get(name, {}).get(unit, math.nan) for entry in entries))
+            for name, units in shown.items()
+            for unit in units
+        ]
+        ranked = f"ranked by {', then '.join(self.by)}: {', '.join(self.ranking)}"
+        return Content(
+            title=f"Comparison on {self.title}",
+            faults=[f"{name}: {run.outcome}" for name, run in self.runs.items() if not run.outcome.ok],
+            summary=[ranked] if self.by else [],
+            tables=[Table(title="figures", columns=("figure", "unit", *self.entries), rows=rows)],
+            notes=self.notes,
+            figures={"Errors, torques and figures of each law": self._draw}
+            if any(map(len, self.runs.values()))
+            else {},
+            settings={**{f"law '{entry.name}'": entry.law for entry in entries}, **self.settings},
+            texts={
+                "What the figures are": "\n".join(
+                    f"{name}: {DERIVED[name] if name in DERIVED else METRICS[name].meaning(2)}" for name in shown
+                ),
+                **self.texts,
+            },
+        )
+
+    def _draw(self) -> Figure:
+        """Errors and torques over time, and the figures as bars."""
+        entries = {name: entry for name, entry in self.entries.items() if len(entry.run)}
+        first = [main_error(entry.numbers) for entry in entries.values()]
+        names = dict.fromkeys(
+            [*(x for x in first if x is not None), "effort", "chatter", "noise_chatter", "model_worst"]
+        )
+        bars = {
+            f"{METRICS[name].title if name in METRICS else name.replace('_', ' ')} [{unit}]": [
+                entry.numbers.get(name, {}).get(unit, math.nan) for entry in entries.values()
+            ]
+            for name in names
+            for unit in dict.fromkeys(unit for entry in entries.values() for unit in entry.numbers.get(name, {}))
+        }
+        return compare_runs(
+            {name: entry.run for name, entry in entries.items()}, title=self.title, bars=bars, torques=True
+        )
+
+
+def compare_laws(
+    laws: Mapping[str, tuple[Law, Experiment]],
+    *,
+    runs: Mapping[str, Run],
+    by: Sequence[str] = (),
+    noise: Mapping[str, ArrayLike] | None = None,
+    model: WrongModel | None = None,
+) -> Comparison:
+    """Run laws on an experiment, and measure them. All are compiled before the first one runs.
+
+    Args:
+        laws: By name, each with the experiment, which may differ in the reference.
+        runs: Recorded runs by name.
+        by: Figures to rank by.
+        noise: Standard deviation by sensor to compare with; that of the plant if left out, or of a plant without
+            noise 1e-5 rad of positions and 1e-3 rad/s of velocities. An empty one leaves these figures out.
+        model: By how much the true arm may differ; None leaves these figures out.
+
+    Raises:
+        UsageError: Nothing to compare, more than eight, a run that cannot be compared.
+        UnknownNameError: No such figure, no such sensor.
+        TautError: A law that cannot be compiled or does not fit.
+    """
+    if not 0 < len(laws) + len(runs) <= MAX_LAWS:
+        raise UsageError(f"a comparison has 1 to {MAX_LAWS} laws and runs; got {len(laws) + len(runs)}", name="laws")
+    for figure in by:
+        if figure not in FIGURES and figure not in METRICS:
+            raise unknown_name("a comparison", "figure", figure, [*FIGURES, *METRICS])
+    for name, recorded in runs.items():
+        _check_recorded(name, recorded)
+    controllers = {}
+    for name, (law, experiment) in laws.items():
+        with blamed(name):
+            controllers[name] = experiment.controller(law)
+    entries: list[Entry] = []
+    notes: tuple[str, ...] = ()
+    first = next((experiment for _, experiment in laws.values()), None)
+    if first is not None:
+        variants = _Variants.of(first, noise, model)
+        notes = variants.notes
+        for name, (law, experiment) in laws.items():
+            with blamed(name):
+                done, numbers = variants.figures(experiment, controllers[name], by)
+            entries.append(Entry(name=name, law=repr(law), run=done, numbers=numbers))
+    entries += [
+        Entry(name=name, law=one.info.law, run=one, numbers=figures_of(one, by)) for name, one in runs.items()
+    ]
+    if by:
+        entries.sort(key=lambda entry: (not entry.run.outcome.ok, [entry.number(figure) for figure in by]))
+    return Comparison(
+        title=first.name if first else count_of(len(runs), "recorded run"),
+        entries={entry.name: entry for entry in entries},
+        by=tuple(by),
+        notes=notes,
+        settings=first.settings if first else {},
+        texts=first.texts if first else {},
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Variants:
+    """The plants that every law of a comparison also runs against: one with other noise, some with another arm."""
+
+    noise: Plant | None
+    noisy: bool  # whether that one has the noise, and not the experiment's own
+    trials: tuple[Plant, ...]
+    notes: tuple[str, ...]
+
+    @classmethod
+    def of(cls, experiment: Experiment, noise: Mapping[str, ArrayLike] | None, model: WrongModel | None) -> _Variants:
+        plant, sensors = experiment.plant, experiment.sensors
+        if plant_like(plant) is None:
+            if noise:
+                raise UsageError(
+                    f"noise cannot be given to {plant.name}, which cannot be made anew; give it sensors with noise",
+                    name="noise",
+                )
+            note = f"no figures of noise and of a wrong model: {plant.name} cannot be made anew"
+            return cls(noise=None, noisy=False, trials=(), notes=(note,))
+        notes: list[str] = []
+        other: Plant | None = None
+        silent = noise is None and bool(_noisy(sensors))
+        if silent:
+            other = plant_like(plant, sensors=with_noise(sensors, dict.fromkeys(_noisy(sensors), 0.0)))
+            notes.append("noise: the sensors as they are, against the same without noise")
+        elif noise != {}:
+            noise = noise or {name: value for name, value in NOISE.items() if getattr(sensors, name) is not None}
+            other = plant_like(plant, sensors=with_noise(sensors, noise))
+            words = ", ".join(f"{name} {np.max(np.asarray(value)):g}" for name, value in noise.items())
+            notes.append(f"noise: sensors with a standard deviation of {words}, against those of the plant")
+        if model is not None:
+            notes.append(f"wrong model: {model.text()}; the true arm differs, the controller's does not")
+        arms = () if model is None else model.arms(plant.arm)
+        trials = tuple(trial for arm in arms if (trial := plant_like(plant, arm=arm)) is not None)
+        return cls(noise=other, noisy=not silent, trials=trials, notes=tuple(notes))
+
+    def figures(self, experiment: Experiment, ctrl: Controller, by: Sequence[str]) -> tuple[Run, Numbers]:
+        """The run of a controller, and its figures, those with the other plants included."""
+        done = experiment.run(ctrl)
+        numbers = figures_of(done, by)
+        error = main_error(numbers)
+        if not done.outcome.ok:
+            return done, numbers
+        if self.noise is not None:
+            other = figures_of(experiment.run(ctrl, self.noise))
+            noisy, silent = (other, numbers) if self.noisy else (numbers, other)
+            for name, of in {"noise_error": error, "noise_chatter": "chatter"}.items():
+                if of in noisy and of in silent:
+                    numbers[name] = {unit: value - silent[of][unit] for unit, value in noisy[of].items()}
+        if self.trials and error is not None:
+            found = [figures_of(experiment.run(ctrl, plant)).get(error, {}) for plant in self.trials]
+            spread = {unit: [each.get(unit, math.inf) for each in found] for unit in numbers[error]}
+            numbers["model_median"] = {unit: statistics.median(values) for unit, values in spread.items()}
+            numbers["model_worst"] = {unit: max(values) for unit, values in spread.items()}
+        return done, numbers
+
+
+def figures_of(run: Run, more: Sequence[str] = ()) -> Numbers:
+    """The figures that a run alone has, and more of its metrics; none of a run that failed.
+
+    Of laws side by side, which have their own references, an error is the largest of theirs.
+    """
+    if not run.outcome.ok or len(run) < 2:
+        return {}
+    errors = [name for pair in ERRORS.items() for name in pair]
+    names = dict.fromkeys([*errors, *SPENT, *(name for name in more if name in METRICS)])
+    numbers = {name: _by_unit(run, name, parts=name in errors) for name in names}
+    error = main_error(numbers)
+    if error is not None:
+        last = run.between(run.t[-1] - LAST_FRACTION * (run.t[-1] - run.t[0]), run.t[-1])
+        numbers["steady_error"] = _by_unit(last, error, parts=True)
+    return {name: found for name, found in numbers.items() if found}
+
+
+def _by_unit(run: Run, name: str, *, parts: bool) -> dict[str, float]:
+    """A metric by unit, where it has a meaning; the largest of the parts of a run of laws side by side."""
+    found: dict[str, float] = {}
+    for part in ([run.part(part) for part in run.info.parts] if parts else []) or [run]:
+        for unit, value in part.metrics.by_unit(name).items():
+            if not math.isnan(value):
+                found[unit] = max(found.get(unit, value), value)
+    return found
+
+
+def main_error(numbers: Mapping[str, Mapping[str, float]]) -> str | None:
+    """The first RMS error that there is: of joints, of the tool, of its force."""
+    return next((name for name in ERRORS if numbers.get(name)), None)
+
+
+def plant_like(plant: Plant, *, arm: Arm | None = None, sensors: Sensors | None = None) -> Plant | None:
+    """A plant of the same arguments but these; None of one that cannot be made anew, such as a user's own."""
+    return plant.like(arm=arm, sensors=sensors) if isinstance(plant, VariedPlant) else None
+
+
+def with_noise(sensors: Sensors, noise: Mapping[str, ArrayLike]) -> Sensors:
+    """Sensors with another standard deviation of their noise, by the sensor's name; zero for none.
+
+    Raises:
+        UnknownNameError: There is no such sensor.
+        UsageError: The plant has none of that name.
+    """
+    changed = {}
+    for name, value in noise.items():
+        if name not in Sensors.declared:
+            raise unknown_name("a plant", "sensor", name, Sensors.declared)
+        sensor = getattr(sensors, name)
+        if sensor is None:
+            raise UsageError(f"the plant has no sensor '{name}', which noise is given for; leave it out", name=name)
+        changed[name] = dataclasses.replace(sensor, noise=value if np.any(value) or name != "wrench" else None)
+    return dataclasses.replace(sensors, **changed)
+
+
+def _noisy(sensors: Sensors) -> list[str]:
+    """Names of the sensors that have noise."""
+    there = ((name, getattr(sensors, name)) for name in Sensors.declared)
+    return [name for name, sensor in there if sensor is not None and "noise" in sensor.parameters()]
+
+
+def _check_recorded(name: str, run: object) -> None:
+    if not isinstance(run, Run):
+        raise UsageError(f"'{name}' must be a law or a taut.Run; got {type(run).__name__}", name=name)
+    if run.info.phases:
+        raise UsageError(
+            f"run '{name}' is one of a task, whose phases have their own references; compare one of them, "
+            f"run.phase('{run.phases[0].name}')",
+            name=name,
+        )
+    if len(run) < MIN_RECORDED_TICKS:
+        raise UsageError(
+            f"run '{name}' needs {MIN_RECORDED_TICKS} ticks or more to compare; got {len(run)}", name=name
+        )
+
+
+@contextmanager
+def blamed(name: str) -> Iterator[None]:
+    """Errors about a law name it.
+
+    Raises:
+        UsageError: In place of any other.
+    """
+    try:
+        yield
+    except TautError as cause:
+        raise UsageError(f"law '{name}': {cause}", name=name) from cause

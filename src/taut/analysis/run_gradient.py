@@ -1,0 +1,281 @@
+"""Derivative of the cost and torques of a run by parameters, exact, every tick in native code."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+
+from taut.base.errors import RangeError, TautError, UsageError, unknown_name
+from taut.base.paths import subtree
+from taut.base.types import ArrayLike, Float64Array
+from taut.codegen.engine import Steps
+from taut.codegen.program import Block
+from taut.codegen.tangent import TANGENT, StepTangent, tangent_block
+from taut.control.trajectories.reference import JointMotion
+from taut.control.trajectories.task_reference import TaskMotion
+from taut.loop import DT, Loop
+from taut.maths import dynamics as dyn
+from taut.maths.model import model_of
+from taut.maths.spatial import rotation_log
+from taut.runtime.fused import FusedRun
+from taut.trace import math as tm
+
+__all__ = ["COSTS", "Cost", "RunGradient", "RunSlopes", "Tick"]
+
+PROBE: Final = 1e-3  # relative change of a parameter, to see whether the state at the start depends on it
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Tick:
+    """One tick of a loop, as the cost of `taut.tune` sees it; numbers or symbols.
+
+    Args:
+        t: [s].
+        q: (n,) true positions [rad | m].
+        v: (n,) true velocities [rad/s | m/s].
+        tau: (n,) torques [N m | N].
+        command: (n,) what the controller commands.
+        ref: The sample of the reference.
+        loop: The loop.
+    """
+
+    t: Any
+    q: Any
+    v: Any
+    tau: Any
+    command: Any
+    ref: Any
+    loop: Loop
+
+    @property
+    def e(self) -> Any:
+        """(n,) error of joints, desired minus actual [rad | m]; of a task (3,) that of the tool's position [m].
+
+        Raises:
+            UsageError: The law follows no motion.
+        """
+        kind = self.loop.side.law.reference
+        if issubclass(kind, JointMotion):
+            return self.loop.plant.arm.difference(self.ref.q, self.q)
+        return self._task_motion("tracking").p - self.pose.p
+
+    @property
+    def rotation_error(self) -> Any:
+        """(3,) rotation vector of the tool's rotation error [rad].
+
+        Raises:
+            UsageError: The law follows no motion of the tool.
+        """
+        return rotation_log(self._task_motion("rotation").R @ self.pose.R.T)
+
+    @property
+    def pose(self) -> Any:
+        """T_WE of the frame that the law controls."""
+        return dyn.pose(model_of(self.loop.plant.arm), self.q, self.loop.side.law.controlled_frame)
+
+    def _task_motion(self, cost: str) -> Any:
+        kind = self.loop.side.law.reference
+        if not issubclass(kind, TaskMotion):
+            raise UsageError(
+                f"cost '{cost}' is of a motion of the tool, and this law follows a {kind.described()}; give another "
+                "cost, or a function of a taut.analysis.Tick",
+                name="cost",
+            )
+        return self.ref.motion
+
+
+Cost: TypeAlias = Callable[[Tick], Any]
+COSTS: Final[Mapping[str, Callable[[Tick], Any]]] = {
+    "tracking": lambda tick: tick.e,  # error of joints [rad | m], or of the tool's position [m]
+    "rotation": lambda tick: tick.rotation_error,  # [rad]
+    "effort": lambda tick: tick.tau,  # [N m | N]
+    "speed": lambda tick: tick.v,  # [rad/s | m/s]
+}
+"""The vectors whose mean square is the cost of that name."""
+
+
+def cost_function(cost: str | Mapping[str, float] | Cost) -> Cost:
+    """A cost as a function of a tick: by name, as weights of names, or as the function that it is.
+
+    Raises:
+        UnknownNameError: No cost has that name.
+    """
+    if callable(cost):
+        return _checked(cost)
+    weights = {cost: 1.0} if isinstance(cost, str) else dict(cost)
+    for name in weights:
+        if name not in COSTS:
+            raise unknown_name("taut.tune", "cost", name, COSTS)
+    return lambda tick: sum(weight * _squared(COSTS[name](tick)) for name, weight in weights.items())
+
+
+def _checked(cost: Cost) -> Cost:
+    def checked(tick: Tick) -> Any:
+        try:
+            return cost(tick)
+        except TautError:
+            raise
+        except Exception as cause:
+            raise UsageError(
+                f"the cost raised {type(cause).__name__}: {cause}; it is a function of a taut.analysis.Tick (t, q, "
+                "v, tau, command, ref, e, rotation_error, pose, loop), which is traced: write it with taut.math",
+                name="cost",
+            ) from cause
+
+    return checked
+
+
+def _squared(rows: Any) -> Any:
+    return tm.array(list(rows)) @ tm.array(list(rows))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RunSlopes:
+    """Cost and torques of a run, each with its derivative along d directions.
+
+    Args:
+        dt: [s] control period.
+        cost: (k,) of each tick.
+        cost_slopes: (d, k).
+        tau: (k, n) [N m | N].
+        tau_slopes: (d, k, n).
+        error: (k,) norm of the tracking error [rad | m]; NaN where the law follows no motion.
+    """
+
+    dt: float
+    cost: Float64Array
+    cost_slopes: Float64Array
+    tau: Float64Array
+    tau_slopes: Float64Array
+    error: Float64Array
+
+    def mean_cost(self) -> tuple[float, Float64Array]:
+        """The cost of the run, and (d,) its derivative."""
+        return float(self.cost.mean()), self.cost_slopes.mean(axis=1)
+
+    def chatter(self) -> tuple[float, Float64Array]:
+        """Total variation of the torques per second [N m/s], and (d,) its derivative."""
+        steps, slopes = np.diff(self.tau, axis=0), np.diff(self.tau_slopes, axis=1)
+        seconds = len(steps) * self.dt
+        return float(np.abs(steps).sum()) / seconds, (np.sign(steps) * slopes).sum(axis=(1, 2)) / seconds
+
+    def largest(self, limit: ArrayLike | None, *, rate: bool = False) -> tuple[float, Float64Array]:
+        """The largest torque, or rate of a torque, as a fraction of a limit, and (d,) its derivative; NaN without."""
+        if limit is None:
+            return np.nan, np.zeros(len(self.tau_slopes))
+        rows, slopes = self.tau, self.tau_slopes
+        if rate:
+            rows, slopes = np.diff(rows, axis=0) / self.dt, np.diff(slopes, axis=1) / self.dt
+        limits = np.broadcast_to(np.asarray(limit, dtype=np.float64), rows.shape)
+        k, i = np.unravel_index(int(np.argmax(np.abs(rows) / limits)), rows.shape)
+        return float(abs(rows[k, i]) / limits[k, i]), np.sign(rows[k, i]) * slopes[:, k, i] / limits[k, i]
+
+
+class RunGradient:
+    """A loop with the derivative of its cost and torques by parameters, compiled once.
+
+    Exact, as automatic differentiation is: through law, sensing, limits, drives and arm, with the noise of a seed as
+    it is. A non-smooth point has the derivative of the branch that it is on.
+
+    Args:
+        loop: The loop.
+        paths: The parameters.
+        cost: Of a tick.
+    """
+
+    def __init__(self, loop: Loop, paths: Sequence[str], cost: str | Mapping[str, float] | Cost) -> None:
+        self._loop, self._paths, self._cost = loop, tuple(paths), cost_function(cost)
+        self._inputs, self._parameters = Block.of(loop.input_shapes()), Block.of(loop.parameter_shapes())
+        self._compiled: tuple[StepTangent, Block] | None = None  # and the memory
+
+    def _step(self, inputs: Any, parameters: Any, memory: Any) -> Any:
+        loop = self._loop
+        record, after = loop.step(inputs, parameters, memory)
+        tick = Tick(
+            t=inputs["t"],
+            **{name: record[name] for name in ("q", "v", "tau", "command")},
+            ref=loop.side.law.reference.of(subtree(inputs, "ref")),
+            loop=loop,
+        )
+        outputs = {"cost": self._cost(tick), "tau": record["tau"]}
+        if issubclass(loop.side.law.reference, (JointMotion, TaskMotion)):
+            outputs["error"] = tm.sqrt(_squared(tick.e))
+        return outputs, after
+
+    def _started(self, q: Float64Array, v: Float64Array, row: Float64Array, values: Float64Array) -> dict[str, Any]:
+        return self._loop.start(q, v, self._inputs.views(row), self._parameters.views(values))
+
+    def at(self, directions: Mapping[str, Float64Array], q: Float64Array, v: Float64Array, seed: int) -> RunSlopes:
+        """The run with the loop's parameters as they are, and its derivative.
+
+        Args:
+            directions: By path, (d, ...) how each direction changes the parameter.
+            q: (n,) positions at the start.
+            v: (n,) velocities at the start.
+            seed: Of the noise.
+
+        Raises:
+            RangeError: The run diverges.
+            UsageError: The state of the loop at the start depends on a parameter.
+        """
+        loop = self._loop
+        fused = FusedRun(loop, q, v, seed, ())
+        kept, outcome = fused.go(lambda _: None, None)
+        if not outcome.ok:
+            raise RangeError(outcome.message, name="cost")
+        rows = fused.tape.input_rows[:kept]
+        values = self._parameters.pack({**loop.parameters, DT: loop.dt})
+        start = self._started(q, v, rows[0], values)
+        self._check_start(directions, q, v, rows[0], start)
+        if self._compiled is None:
+            block = Block.of({path: np.shape(value) for path, value in start.items()})
+            steps = Steps(self._step, self._inputs, self._parameters, block, loop.substep, loop.plant.substeps - 1)
+            outputs = ("cost", "tau")
+            self._compiled = StepTangent(steps, directed=self._paths, outputs=outputs, engine=loop.engine), block
+        return self._advanced(directions, rows, values, self._compiled[1].pack(start))
+
+    def _check_start(self, directions: Any, q: Any, v: Any, row: Any, start: Mapping[str, Any]) -> None:
+        """Refuse parameters on which the state at the start depends, whose derivative is not known."""
+        for path in self._paths:
+            moved = dict(self._loop.parameters)
+            moved[path] = moved[path] * (1.0 + PROBE) + PROBE * np.abs(directions[path]).max(axis=0)
+            other = self._started(q, v, row, self._parameters.pack({**moved, DT: self._loop.dt}))
+            if any(not np.array_equal(value, other[name]) for name, value in start.items()):
+                raise UsageError(
+                    f"the state of the loop at the start depends on {path}, so that the derivative of the cost is "
+                    "not known; leave it out of paths",
+                    name=path,
+                )
+
+    def _advanced(
+        self, directions: Mapping[str, Float64Array], rows: Float64Array, values: Float64Array, start: Float64Array
+    ) -> RunSlopes:
+        """All ticks, each with its derivative along each direction."""
+        assert self._compiled is not None
+        steps, d = self._compiled[0], len(next(iter(directions.values())))
+        inputs, parameters, memory = (
+            np.zeros((d, block.size)) for block in (steps.inputs, steps.parameters, steps.memory)
+        )
+        parameters[:, : len(values)] = values
+        directed = tangent_block(self._parameters, self._paths)
+        for path, direction in directions.items():
+            field = directed.field(f"{TANGENT}{path}")
+            parameters[:, field.offset : field.offset + field.size] = direction.reshape(d, -1)
+        memory[:, : len(start)] = start
+        n, ticks = self._loop.plant.arm.n, len(rows)
+        cost, tau, error = np.zeros(ticks), np.zeros((ticks, n)), np.full(ticks, np.nan)
+        cost_slopes, tau_slopes = np.zeros((d, ticks)), np.zeros((d, ticks, n))
+        for k in range(ticks):
+            inputs[:, : rows.shape[1]] = rows[k]
+            out, memory = steps.rows(inputs, parameters, memory)
+            seen = steps.outputs.views(out)
+            cost[k], tau[k] = seen["cost"][0], seen["tau"][0]
+            if "error" in seen:
+                error[k] = seen["error"][0]
+            cost_slopes[:, k], tau_slopes[:, k] = seen[TANGENT + "cost"], seen[TANGENT + "tau"]
+        return RunSlopes(
+            dt=self._loop.dt, cost=cost, cost_slopes=cost_slopes, tau=tau, tau_slopes=tau_slopes, error=error
+        )

@@ -1,1 +1,0 @@
-"""Parameters tuned on simulated runs."""

@@ -1,0 +1,415 @@
+"""The arms of the book: runs of them, and the same by SciPy, by hand and by MuJoCo."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import Any, Final
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from taut.arm.builtin import one_joint
+from taut.arm.description import Arm
+from taut.arm.load import load_arm
+from taut.base.types import ArrayLike, Float64Array
+from taut.control.law import Law
+from taut.control.sensing.sensing import Sensing
+from taut.control.trajectories.joint import Sine
+from taut.control.trajectories.reference import Sample
+from taut.controller import Controller, compile
+from taut.loop import Loop
+from taut.plant.rigid import RigidPlant
+from taut.record.run import Run
+from taut.runtime.robots.mujoco.plant import MujocoPlant
+from taut.runtime.simulate import run
+
+__all__ = [
+    "B",
+    "Engine",
+    "FAST",
+    "G",
+    "KD",
+    "KI",
+    "KP",
+    "M",
+    "MASS",
+    "R",
+    "SAMPLED",
+    "Solved",
+    "TWO_LINKS",
+    "TwoLinks",
+    "WRONG_R",
+    "controller",
+    "engine",
+    "held_radius",
+    "link",
+    "looped",
+    "on_link",
+    "one_pole",
+    "panda",
+    "rms",
+    "simulated",
+    "solved",
+    "task",
+    "ticked",
+    "total",
+    "two_links",
+    "two_poles",
+    "weight",
+]
+
+M, MASS, R, B, G = 0.5, 1.0, 0.1, 0.1, 9.81  # section 10.2.1: [kg m^2], [kg], [m], [N m s/rad], [m/s^2]
+KP, KD, KI = 2.205, 2.0, 1.0  # figure 10.6: [N m/rad], [N m s/rad], [N m/(rad s)]
+WRONG_R: Final = 0.08  # [m] figure 10.10: what the controller believes
+FAST: Final = 10000.0  # [Hz] of runs that stand for continuous time
+SAMPLED: Final = 1e-3  # of a number: what a tick of 0.1 ms leaves between a run and continuous time
+
+
+@cache
+def link(*, gravity: bool = True, r: float = R, b: float = B) -> Arm:
+    """The link, in a vertical or a horizontal plane."""
+    arm = one_joint(M=M, m=MASS, r=r, b=b)
+    return arm if gravity else arm.with_gravity([0.0, 0.0, 0.0])
+
+
+def weight(theta: Any, r: float = R) -> Any:
+    """m g r cos(theta) [N m]."""
+    return MASS * G * r * np.cos(theta)
+
+
+def task(number: int) -> Sine:
+    """The desired motions of figure 10.10: theta(t) = -+ pi/2 - cos(t), from 0 to pi."""
+    sign = {1: -1.0, 2: 1.0}[number]
+    return Sine(center=[sign * math.pi / 2.0], amplitude=-1.0, frequency=0.5 / math.pi, phase=math.pi / 2.0)
+
+
+def controller(law: Law, arm: Arm, *, rate: float = FAST, differenced: bool = False) -> Controller:
+    """A law compiled for the link, which measures its velocity or differences positions as figure 10.8 does."""
+    return compile(law, arm, rate=rate, sensing=Sensing(velocity="difference") if differenced else None)
+
+
+def on_link(
+    law: Law | Controller,
+    *,
+    model: Arm | None = None,
+    plant: Arm | None = None,
+    ref: object,
+    duration: float,
+    q0: ArrayLike,
+    v0: ArrayLike | None = None,
+    **options: Any,
+) -> Run:
+    """A run of a law on the link, or on another arm of one joint, that stands for continuous time.
+
+    Ticks are 0.1 ms long, the velocity is measured, the plant has its friction and is integrated to fourth order.
+    """
+    real = plant or link()
+    options = {"friction": "arm", "integrator": "rk4", **options}
+    return simulated(law, model or real, ref, plant=real, rate=FAST, duration=duration, q0=q0, v0=v0, **options)
+
+
+# -------------------------------------------------------------------- the same by SciPy
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solved:
+    """A solution: at each time the angle, its rate, the integral of the error and that of tau^2."""
+
+    t: Float64Array  # [s]
+    theta: Float64Array  # [rad]
+    v: Float64Array  # [rad/s]
+    e: Float64Array  # [rad] desired less actual
+    e_int: Float64Array  # [rad s]
+    effort: Float64Array  # [(N m)^2 s]
+
+
+def solved(
+    tau: Callable[..., Any],
+    desired: Callable[[Any], Any],
+    *,
+    times: Float64Array,
+    q0: float,
+    v0: float = 0.0,
+    gravity: bool = True,
+) -> Solved:
+    """M a + m g r cos(theta) + b v = tau(t, theta, v, e_int) by SciPy's DOP853.
+
+    Args:
+        tau: The torque of a law, written out by hand.
+        desired: The desired angle over time.
+        times: (k,) where the solution is wanted [s].
+        q0: Angle at the start [rad].
+        v0: Its rate [rad/s].
+        gravity: Whether there is any.
+    """
+
+    def rate(t: float, y: Float64Array) -> list[float]:
+        theta, v, e_int, _ = y
+        torque = float(tau(t, theta, v, e_int))
+        a = (torque - B * v - (weight(theta) if gravity else 0.0)) / M
+        return [v, a, float(desired(t)) - theta, torque**2]
+
+    span = (0.0, float(times[-1]))
+    got = solve_ivp(rate, span, [q0, v0, 0.0, 0.0], "DOP853", times, rtol=1e-10, atol=1e-12)
+    theta, v, e_int, effort = got.y
+    return Solved(t=times, theta=theta, v=v, e=desired(times) - theta, e_int=e_int, effort=effort)
+
+
+def looped(
+    law: Law | Controller,
+    arm: Arm,
+    ref: object = None,
+    *,
+    rate: float = 1000.0,
+    plant: Arm | None = None,
+    duration: float = 1.0,
+    **options: Any,
+) -> Loop:
+    """A law for an arm on a rigid plant of the same arm or another, without friction if no more is said."""
+    ctrl = law if isinstance(law, Controller) else compile(law, arm, rate=rate)
+    return Loop(ctrl, RigidPlant(plant or arm, **{"friction": None, **options}), ref, duration=duration)
+
+
+def simulated(
+    law: Law | Controller,
+    arm: Arm,
+    ref: object = None,
+    *,
+    duration: float,
+    q0: ArrayLike | None = None,
+    v0: ArrayLike | None = None,
+    rate: float = 1000.0,
+    plant: Arm | None = None,
+    **options: Any,
+) -> Run:
+    """A run of such a loop.
+
+    Args:
+        law: Or a controller of it, whose rate it then is.
+        arm: What the law knows.
+        ref: What it follows; hold if left out.
+        duration: [s].
+        q0: (n,) at the start [rad | m]; home if left out.
+        v0: (n,) [rad/s | m/s]; rest if left out.
+        rate: [Hz].
+        plant: What there really is; `arm` if left out.
+        **options: Of the `RigidPlant`.
+    """
+    loop = looped(law, arm, ref, rate=rate, plant=plant, duration=duration, **options)
+    return run(loop, q0=q0, v0=v0, progress=False)
+
+
+def ticked(law: Law, arm: Arm, q: ArrayLike, v: ArrayLike, ref: Sample, **measured: ArrayLike) -> Controller:
+    """A controller after one tick at 1 kHz, not compiled: `terms` has what it asked for, `memory` what it keeps."""
+    ctrl = compile(law, arm, rate=1000.0, engine="float")
+    ctrl.step(q, v, ref, **measured)
+    return ctrl
+
+
+def total(terms: Mapping[str, Float64Array]) -> Float64Array:
+    """(n,) what the terms of a law add up to [N m | N]."""
+    added: Float64Array = np.sum(list(terms.values()), axis=0)
+    return added
+
+
+def one_pole(t: Float64Array, y: Float64Array) -> float:
+    """The rate at which something dies away, by a straight line through its logarithm [1/s]."""
+    return float(np.polyfit(t, np.log(np.abs(y)), 1)[0])
+
+
+def two_poles(y: Any, dt: float) -> Any:
+    """(2,) the poles [1/s] of y[k + 1] = a y[k] + b y[k - 1], by least squares; y (m,) may be complex."""
+    a, b = np.linalg.lstsq(np.column_stack([y[1:-1], y[:-2]]), y[2:], rcond=None)[0]
+    return np.log(np.roots([1.0, -a, -b]).astype(complex)) / dt
+
+
+def rms(y: Float64Array) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(np.square(y))))
+
+
+@cache
+def two_links() -> Arm:
+    """`planar2` without friction."""
+    return load_arm("planar2").with_joints(viscous=0.0)
+
+
+@cache
+def panda() -> Arm:
+    """The Panda of the catalogue without friction."""
+    return load_arm("panda").with_joints(viscous=0.0, coulomb=0.0)
+
+
+def held_radius(mass: float, damping: float, K: float, B: float, rate: float) -> float:
+    """Largest modulus of the poles of a mass under u = -K x - B v, held over a tick, with v differenced."""
+    T = 1.0 / rate
+    held = expm(np.array([[0.0, 1.0, 0.0], [0.0, -damping / mass, 1.0 / mass], [0.0, 0.0, 0.0]]) * T)
+    loop = np.zeros((3, 3))  # of x, v and the x before
+    loop[:2, :2], loop[2, 0] = held[:2, :2], 1.0
+    loop[:2] -= np.outer(held[:2, 2], [K + B / T, 0.0, -B / T])
+    return float(np.abs(np.linalg.eigvals(loop)).max())
+
+
+@dataclass(frozen=True, kw_only=True)
+class TwoLinks:
+    """Two solid rods on two hinges in a vertical plane, by the equations that every textbook has."""
+
+    m1: float = 4.0  # [kg]
+    m2: float = 2.0
+    L1: float = 0.5  # [m]
+    L2: float = 0.4
+    radius: float = 0.03
+
+    @property
+    def inertias(self) -> tuple[float, float]:
+        """About their own centres [kg m^2]."""
+        about = [m * (3.0 * self.radius**2 + L**2) / 12.0 for m, L in ((self.m1, self.L1), (self.m2, self.L2))]
+        return about[0], about[1]
+
+    def M(self, q: Float64Array) -> Float64Array:
+        """(2, 2) mass matrix."""
+        I1, I2 = self.inertias
+        c1, c2, cos = 0.5 * self.L1, 0.5 * self.L2, math.cos(q[1])
+        both = I2 + self.m2 * (c2**2 + self.L1 * c2 * cos)
+        first = I1 + self.m1 * c1**2 + I2 + self.m2 * (self.L1**2 + c2**2 + 2.0 * self.L1 * c2 * cos)
+        return np.array([[first, both], [both, I2 + self.m2 * c2**2]])
+
+    def M_rate(self, q: Float64Array, v: Float64Array) -> Float64Array:
+        """(2, 2) d M / dt."""
+        k = -self.m2 * self.L1 * 0.5 * self.L2 * math.sin(q[1]) * v[1]
+        return np.array([[2.0 * k, k], [k, 0.0]])
+
+    def Cv(self, q: Float64Array, v: Float64Array) -> Float64Array:
+        """(2,) Coriolis and centripetal torques."""
+        k = self.m2 * self.L1 * 0.5 * self.L2 * math.sin(q[1])
+        return np.array([-k * (2.0 * v[0] * v[1] + v[1] ** 2), k * v[0] ** 2])
+
+    def g(self, q: Float64Array) -> Float64Array:
+        """(2,) gravity torques."""
+        second = self.m2 * G * 0.5 * self.L2 * math.cos(q[0] + q[1])
+        return np.array([(0.5 * self.m1 + self.m2) * self.L1 * G * math.cos(q[0]) + second, second])
+
+    def h(self, q: Float64Array, v: Float64Array) -> Float64Array:
+        """(2,) C v + g."""
+        return self.Cv(q, v) + self.g(q)
+
+    def tip(self, q: Float64Array) -> Float64Array:
+        """(2,) x and z of the tool."""
+        a, b = q[0], q[0] + q[1]
+        return np.array(
+            [self.L1 * math.cos(a) + self.L2 * math.cos(b), self.L1 * math.sin(a) + self.L2 * math.sin(b)]
+        )
+
+    def J(self, q: Float64Array) -> Float64Array:
+        """(2, 2) of x and z of the tool."""
+        a, b = q[0], q[0] + q[1]
+        x2, z2 = -self.L2 * math.sin(b), self.L2 * math.cos(b)
+        return np.array([[-self.L1 * math.sin(a) + x2, x2], [self.L1 * math.cos(a) + z2, z2]])
+
+    def Jdot_v(self, q: Float64Array, v: Float64Array) -> Float64Array:
+        """(2,) J-dot v."""
+        a, b, w = q[0], q[0] + q[1], v[0] + v[1]
+        one, two = self.L1 * v[0] ** 2, self.L2 * w**2
+        return np.array([-one * math.cos(a) - two * math.cos(b), -one * math.sin(a) - two * math.sin(b)])
+
+    def ik(self, tip: Float64Array) -> Float64Array:
+        """(2,) the joints, the elbow below the line to the tool."""
+        square = float(tip @ tip)
+        cos = (square - self.L1**2 - self.L2**2) / (2.0 * self.L1 * self.L2)
+        elbow = math.acos(cos)
+        reach = math.atan2(self.L2 * math.sin(elbow), self.L1 + self.L2 * cos)
+        return np.array([math.atan2(tip[1], tip[0]) - reach, elbow])
+
+
+TWO_LINKS: Final = TwoLinks()
+
+
+class Engine:
+    """An arm in MuJoCo at one state: mass matrix, bias, and pose and Jacobian of the tool."""
+
+    def __init__(self, arm: Arm) -> None:
+        self._plant = MujocoPlant(arm)
+
+    def at(self, q: ArrayLike, v: ArrayLike) -> EngineState:
+        """A state."""
+        import mujoco
+
+        model = self._plant.model
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:] = q, v
+        mujoco.mj_forward(model, data)
+        return EngineState(model, data)
+
+
+class EngineState:
+    """What MuJoCo says of a state."""
+
+    def __init__(self, model: Any, data: Any) -> None:
+        self._model, self._data = model, data
+
+    @cached_property
+    def M(self) -> Float64Array:
+        """(n, n) mass matrix."""
+        import mujoco
+
+        M = np.zeros((self._model.nv, self._model.nv))
+        mujoco.mj_fullM(self._model, self._data, M)
+        return M
+
+    @property
+    def h(self) -> Float64Array:
+        """(n,) C v + g."""
+        return np.array(self._data.qfrc_bias)
+
+    @property
+    def p(self) -> Float64Array:
+        """(3,) of the tool."""
+        return np.array(self._data.site_xpos[-1])
+
+    @property
+    def R(self) -> Float64Array:
+        """(3, 3) of the tool."""
+        return np.array(self._data.site_xmat[-1]).reshape(3, 3)
+
+    def _jacobian(self, data: Any) -> Float64Array:
+        import mujoco
+
+        linear, angular = np.zeros((3, self._model.nv)), np.zeros((3, self._model.nv))
+        mujoco.mj_jacSite(self._model, data, linear, angular, self._model.nsite - 1)
+        return np.vstack([linear, angular])
+
+    @cached_property
+    def J(self) -> Float64Array:
+        """(6, n) of the tool, linear part first, world axes."""
+        return self._jacobian(self._data)
+
+    @cached_property
+    def Jdot_v(self) -> Float64Array:
+        """(6,) J-dot v, by central differences along the motion."""
+        import mujoco
+
+        step, rows = 1e-5, []
+        for sign in (1.0, -1.0):
+            data = mujoco.MjData(self._model)
+            data.qpos[:] = self._data.qpos + sign * step * self._data.qvel
+            mujoco.mj_kinematics(self._model, data)
+            mujoco.mj_comPos(self._model, data)
+            rows.append(self._jacobian(data))
+        rate: Float64Array = (rows[0] - rows[1]) / (2.0 * step) @ self._data.qvel
+        return rate
+
+    @cached_property
+    def Lambda(self) -> Float64Array:
+        """(6, 6) inertia at the tool."""
+        made: Float64Array = np.linalg.inv(self.J @ np.linalg.solve(self.M, self.J.T))
+        return made
+
+
+@cache
+def engine() -> Engine:
+    """The Panda in MuJoCo."""
+    return Engine(panda())

@@ -1,0 +1,365 @@
+"""Samples at stated times as trajectories: of joints, of the tool, of a learned policy; and CSV files of them."""
+
+from __future__ import annotations
+
+import os
+from array import array
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+
+from taut.base.checks import finite_array, readable_file
+from taut.base.errors import FileError, RangeError, ShapeError, TautError
+from taut.base.fields import Field, Parts
+from taut.base.types import ArrayLike, Float64Array
+from taut.control.trajectories.reference import JointMotion, Sample
+from taut.control.trajectories.task_reference import TaskMotion, differences, rotated_rows
+from taut.control.trajectories.timing import MAX_OF_MOTION, Motion
+from taut.trace.pose import Pose
+
+__all__ = ["Chunk", "Samples", "TaskSamples", "chunk", "sample_times"]
+
+MIN_SAMPLE_GAP: Final = 1e-12  # [s]
+MAX_CSV_BYTES: Final = 32 * 2**20  # half a million samples of an arm
+MAX_QUOTED: Final = 300  # letters of what a message quotes
+
+
+def sample_times(times: ArrayLike) -> Float64Array:
+    """(k,) times [s], one at least, increasing.
+
+    Raises:
+        ShapeError: No vector, or an empty one.
+        RangeError: They do not increase, or are beyond what floats can work with.
+    """
+    t = finite_array("times", times, unit="s")
+    if t.ndim != 1 or not t.size:
+        raise ShapeError(f"times must be a vector (k,); got shape {t.shape}", name="times")
+    wrong = np.diff(t) < MIN_SAMPLE_GAP
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        raise RangeError(
+            f"times must increase; times[{k + 1}] = {t[k + 1]:.15g} follows {t[k]:.15g}",
+            name="times",
+            rule="increasing",
+        )
+    return t
+
+
+def _times() -> Field:
+    return Field(unit="s", shape="k", minimum=-MAX_OF_MOTION, maximum=MAX_OF_MOTION, convert=sample_times)
+
+
+def _table(unit: str, *, optional: bool = False) -> Field:
+    return Field(unit=unit, shape=("k", "n"), minimum=-MAX_OF_MOTION, maximum=MAX_OF_MOTION, optional=optional)
+
+
+class Samples(Motion[JointMotion]):
+    """Recorded or computed samples of joints, linear in between.
+
+    Args:
+        times: (k,) [s], increasing.
+        q: (k, n) [rad | m].
+        v: (k, n) [rad/s | m/s]; differences of q if left out.
+        a: (k, n) [rad/s^2 | m/s^2]; differences of v if left out.
+
+    Example:
+        >>> Samples(times=[0.0, 1.0, 2.0], q=[[0.0], [1.0], [2.0]]).at(0.5).v.tolist()
+        [1.0]
+    """
+
+    times: Field = _times()
+    q: Field = _table("rad | m")
+    v: Field = _table("rad/s | m/s", optional=True)
+    a: Field = _table("rad/s^2 | m/s^2", optional=True)
+
+    def check(self) -> None:
+        k, n = len(self.times), self.q.shape[1]
+        for name, before in (("q", "q"), ("v", "q"), ("a", "v")):
+            if getattr(self, name) is None:
+                self.__dict__[name] = _rates(self.times, getattr(self, before))
+            if getattr(self, name).shape != (k, n):
+                rule = f"must have shape ({k}, {n}), a row for each of the times; got {getattr(self, name).shape}"
+                self.refuse(name, rule, ShapeError)
+
+    @classmethod
+    def from_csv(cls, path: str | os.PathLike[str]) -> Samples:
+        """Samples from a CSV file: a header, then rows of t and n positions, or also n velocities, n accelerations.
+
+        Args:
+            path: The header names the columns `t`, `q1` ... `qn`, and optionally `v1` ... and `a1` ...
+
+        Raises:
+            FileError: No such file, no header, a column or a number that does not fit.
+        """
+        header, table = read_rows(path, "t, q1, q2, ...", _joint_columns)
+        n = sum(word.startswith("q") for word in header)
+        letters = dict.fromkeys(word[0] for word in header[1:])
+        parts = {letter: table[:, 1 + k * n : 1 + (k + 1) * n] for k, letter in enumerate(letters)}
+        return cls(times=table[:, 0], **parts)
+
+    @property
+    def duration(self) -> float:
+        """Time of the last sample [s]."""
+        return float(self.times[-1])
+
+    def rows(self, times: Float64Array) -> JointMotion:
+        return JointMotion.of(JointMotion.between(times, self.times, {"q": self.q, "v": self.v, "a": self.a}))
+
+
+def _rates(times: Float64Array, values: Float64Array) -> Float64Array:
+    """(k, n) differences of values (k, n) over the times."""
+    if len(times) == 1 or len(values) != len(times):
+        return np.zeros_like(values)
+    return np.asarray(np.gradient(values, times, axis=0))
+
+
+def _joint_columns(header: Sequence[str]) -> list[str]:
+    """What the columns of a file with this header should be."""
+    letters = ["q", *(letter for letter in "va" if any(word.startswith(letter) for word in header[1:]))]
+    n = max(1, sum(word.startswith("q") for word in header))
+    return ["t", *(f"{letter}{i + 1}" for letter in letters for i in range(n))]
+
+
+# -------------------------------------------------------------------- poses
+
+
+ROTATION_COLUMNS: Final = {  # in a file
+    "xyzw": ("qx", "qy", "qz", "qw"),
+    "wxyz": ("qw", "qx", "qy", "qz"),
+    "rpy": ("roll", "pitch", "yaw"),
+}
+EASE: Final = np.polynomial.Polynomial((0.0, 0.0, 3.0, -3.0, 1.0))  # from rest to an even run
+REST_TO_REST: Final = np.polynomial.Polynomial((0.0, 0.0, 3.0, -2.0))
+
+
+class TaskSamples(Motion[TaskMotion]):
+    """Poses at stated times. Before the first it rests there, after the last there.
+
+    Positions are a cubic spline and orientations a rotation spline with continuous acceleration (SciPy's
+    `RotationSpline`); both start and end at rest. Twists and accelerations are the rates of that motion. Of a
+    rotation by exactly pi from one sample to the next either way may be gone.
+
+    Args:
+        times: (k,) [s], increasing, k >= 2.
+        poses: k poses.
+
+    Raises:
+        ShapeError: Not as many poses as times, or only one.
+        RangeError: Times that do not increase.
+        UsageError: Something that is no pose.
+    """
+
+    times: Field = _times()
+    poses: Parts[tuple[Pose, ...]] = Parts(Pose)  # type: ignore[arg-type]  # a tuple of them
+
+    def check(self) -> None:
+        from scipy.interpolate import CubicSpline
+        from scipy.spatial.transform import Rotation, RotationSpline
+
+        if len(self.poses) != len(self.times) or len(self.times) < 2:
+            rule = f"must have one pose for each time, and two at least; got {len(self.poses)} for {len(self.times)}"
+            self.refuse("poses", f"{rule} times", ShapeError)
+        p, R = np.stack([pose.p for pose in self.poses]), np.stack([pose.R for pose in self.poses])
+        if np.abs(p).max() > MAX_OF_MOTION:
+            self.refuse("poses", f"must be within +-{MAX_OF_MOTION:g} m; got {np.abs(p).max():g}", RangeError)
+        self.__dict__["_p"] = CubicSpline(self.times, p, bc_type="clamped")
+        self.__dict__["_R"] = RotationSpline(self.times, Rotation.from_matrix(R))
+
+    @classmethod
+    def from_csv(cls, path: str | os.PathLike[str]) -> TaskSamples:
+        """Samples from a CSV file: a header, then one row per sample.
+
+        Args:
+            path: The header names the columns `t, x, y, z` and those of the rotation, which say its order:
+                `qx, qy, qz, qw`, or `qw, qx, qy, qz`, or `roll, pitch, yaw` [rad].
+
+        Raises:
+            FileError: No such file, no header, a column or a number that does not fit, a row that is no pose.
+        """
+        header, table = read_rows(path, "t, x, y, z, qx, qy, qz, qw", _task_columns)
+        order = next(word for word, names in ROTATION_COLUMNS.items() if tuple(header[4:]) == names)
+        poses = []
+        for number, row in enumerate(table, start=1):
+            try:
+                poses.append(Pose(row[1:4], **{order: row[4:]}))
+            except TautError as cause:
+                raise FileError(f"{path}, sample {number}: {cause}", name=str(path)) from cause
+        return cls(times=table[:, 0], poses=poses)
+
+    @property
+    def duration(self) -> float:
+        """Time of the last sample [s]."""
+        return float(self.times[-1])
+
+    def rows(self, times: Float64Array) -> TaskMotion:
+        t = np.clip(times, self.times[0], self.times[-1])
+        position, rotation = self.__dict__["_p"], self.__dict__["_R"]
+        s, rate, second = self._eased(t)
+        R = rotation(s).as_matrix()
+        omega = rate * rotation(s, 1)  # in the tool's axes
+        alpha = rate**2 * rotation(s, 2) + second * rotation(s, 1)
+        inside = (t == times)[:, np.newaxis]
+        twist = np.hstack([position(t, 1), rotated_rows(R, omega)]) * inside
+        acceleration = np.hstack([position(t, 2), rotated_rows(R, alpha)]) * inside
+        return TaskMotion.of({"p": position(t), "R": R, "twist": twist, "acceleration": acceleration})
+
+    def _eased(self, times: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
+        """Time of the rotation spline, which starts and ends at a rate: eased in its first and last piece.
+
+        The time runs evenly where the pieces meet, so that the angular acceleration stays continuous.
+        """
+        knots = self.times
+        s, rate, second = times.copy(), np.ones((len(times), 1)), np.zeros((len(times), 1))
+        ease = EASE if len(knots) > 2 else REST_TO_REST
+        for end, inner, forwards in ((knots[0], knots[1], True), (knots[-1], knots[-2], False)):
+            h = inner - end
+            here = (times <= inner) if forwards else (times > inner)
+            if len(knots) == 2:
+                here = np.full(len(times), forwards)
+            x = (times[here] - end) / h
+            s[here] = end + h * ease(x)
+            rate[here, 0] = ease.deriv()(x)
+            second[here, 0] = ease.deriv(2)(x) / h
+        return s, rate, second
+
+
+def _task_columns(header: Sequence[str]) -> list[str]:
+    """What the columns of a file with this header should be."""
+    orders = ROTATION_COLUMNS.values()
+    return ["t", "x", "y", "z", *next((names for names in orders if names[:1] == tuple(header[4:5])), (*orders,)[0])]
+
+
+# -------------------------------------------------------------------- chunks
+
+
+class Chunk(Motion[Sample]):
+    """A few future samples with their times, as a learned policy emits them; made by `taut.chunk`.
+
+    Between joint motions it is linear in each number, between task motions a smooth motion through their poses,
+    twists and accelerations. Before its first time it rests at its first position, after its last time at its last.
+    """
+
+    times: Field = _times()  # from the moment it starts
+    samples: Parts[tuple[Sample, ...]] = Parts(Sample)  # type: ignore[arg-type]  # a tuple of them
+
+    def check(self) -> None:
+        if len(self.samples) != len(self.times):
+            rule = f"must have one sample for each time; got {len(self.samples)} for {len(self.times)} times"
+            self.refuse("targets", rule, ShapeError)
+        first = self.samples[0]
+        for k, sample in enumerate(self.samples):
+            for name in type(first).fields(1):
+                got, shape = np.shape(getattr(sample, name, 0.0)), np.shape(getattr(first, name))
+                if got != shape:
+                    rule = f"must be of one kind and size; {name} of targets[{k}] has shape {got}, not {shape}"
+                    self.refuse("targets", rule, ShapeError)
+
+    def rows(self, times: Float64Array) -> Sample:
+        kind = type(self.samples[0])
+        return kind.of(kind.between(times, self.times, self._knots))
+
+    @cached_property
+    def _knots(self) -> Mapping[str, Float64Array]:
+        """Each field at the times of the chunk (m, ...)."""
+        names = type(self.samples[0]).fields(1)
+        return {name: np.stack([getattr(sample, name) for sample in self.samples]) for name in names}
+
+
+def chunk(times: ArrayLike, targets: Sequence[Sample] | Sequence[Pose] | ArrayLike) -> Chunk:
+    """A few future samples with their times.
+
+    From one `taut.TaskMotion` to the next the tool moves smoothly, as a quintic of its position and of its rotation
+    vector that has their twists and accelerations; a task motion without a twist is one at rest. From poses alone
+    twists and accelerations follow by differences, so that two of them make a straight line with slerp.
+
+    Args:
+        times: (k,) [s] from the moment the chunk starts, increasing.
+        targets: k samples, or k poses, or joint positions (k, n), whose velocities then follow from the differences.
+
+    Raises:
+        ShapeError: Not as many targets as times.
+        RangeError: Times that do not increase.
+
+    Example:
+        >>> chunk([0.0, 0.1], [[0.0], [1.0]]).at(0.05).q.tolist()
+        [0.5]
+        >>> ahead = chunk([0.0, 0.1], [Pose([0.4, 0.0, 0.3]), Pose([0.4, 0.02, 0.3], rpy=[0.0, 0.0, 0.2])])
+        >>> ahead.at(0.05).pose.rpy.round(6).tolist(), ahead.at(0.05).twist.round(6).tolist()
+        ([0.0, 0.0, 0.1], [0.0, 0.2, 0.0, 0.0, 0.0, 2.0])
+    """
+    t = sample_times(times)
+    kinds: Any = {type(target) for target in targets} if isinstance(targets, Sequence) else set()
+    if kinds and all(issubclass(kind, Sample) for kind in kinds):
+        return Chunk(times=t, samples=targets)
+    if kinds == {Pose}:
+        return Chunk(times=t, samples=_through_poses(t, targets))  # type: ignore[arg-type]  # checked in the line above
+    q = finite_array("targets", targets, unit="rad | m")  # type: ignore[arg-type]  # checked inside
+    if q.ndim != 2:
+        raise ShapeError(f"targets must have shape (k, n); got {q.shape}", name="targets")
+    return Chunk(times=t, samples=[JointMotion(q=row, v=v) for row, v in zip(q, _rates(t, q), strict=True)])
+
+
+def _through_poses(t: Float64Array, poses: Sequence[Pose]) -> list[TaskMotion]:
+    """Samples at poses, with twists and accelerations by differences."""
+    if len(poses) != len(t):
+        return [TaskMotion(pose=pose) for pose in poses]  # which the chunk refuses
+    p, R = np.stack([pose.p for pose in poses]), np.stack([pose.R for pose in poses])
+    rows = zip(poses, *differences(t, p, R), strict=True)
+    return [TaskMotion(pose=pose, twist=V, acceleration=rate) for pose, V, rate in rows]
+
+
+# -------------------------------------------------------------------- CSV files
+
+
+def read_rows(
+    path: str | os.PathLike[str], example: str, columns: Callable[[Sequence[str]], Sequence[str]]
+) -> tuple[list[str], Float64Array]:
+    """Header and numbers (rows, columns) of a CSV file whose first column is t.
+
+    Args:
+        path: The file.
+        example: The columns, as a message names them.
+        columns: From the header, what it should be.
+
+    Raises:
+        FileError: No such file, no header, a column or a number that does not fit.
+    """
+    file = readable_file("CSV file", path)
+    name = str(file)
+    if file.stat().st_size > MAX_CSV_BYTES:
+        raise FileError(
+            f"CSV file '{file}' is larger than {MAX_CSV_BYTES // 2**20} MB; give longer tables as arrays: "
+            "taut.trajectories.Samples(...)",
+            name=name,
+        )
+    with file.open(encoding="utf-8-sig", errors="replace") as lines:
+        header = [word.strip() for word in lines.readline().split(",")]
+        if header[0] != "t":
+            raise FileError(
+                f"{file}: the first line must name the columns {example}; got {_quoted(header)}", name=name
+            )
+        expected = list(columns(header))
+        if header != expected:
+            raise FileError(f"{file}: the columns must be {_quoted(expected)}; got {_quoted(header)}", name=name)
+        numbers = array("d")  # a list of lists would be five times as large
+        for number, line in enumerate(lines, start=2):
+            if not line.strip():
+                continue
+            try:
+                row = [float(word) for word in line.split(",")]
+            except ValueError as cause:
+                text = f"{file}, line {number}: not a number: {_quoted([str(cause)])}"
+                raise FileError(text, name=name) from cause
+            if len(row) != len(header):
+                raise FileError(f"{file}, line {number}: {len(header)} numbers are needed; got {len(row)}", name=name)
+            numbers.extend(row)
+    if not numbers:
+        raise FileError(f"{file}: there are no samples below the header", name=name)
+    return header, np.array(numbers).reshape(-1, len(header))
+
+
+def _quoted(words: Sequence[str]) -> str:
+    text = ", ".join(words)
+    return text if len(text) <= MAX_QUOTED else f"{text[: MAX_QUOTED - 3]}..."

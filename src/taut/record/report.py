@@ -1,0 +1,233 @@
+"""taut.report: a run or a result as one HTML file that needs no other file, no network and no script."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import io
+import os
+import re
+from collections.abc import Iterator, Mapping
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from taut.base.errors import UsageError
+from taut.base.result import Content, Result, Table, cell_text
+from taut.record.info import versions
+from taut.record.log.files import checked_target, written_aside
+from taut.record.run import Run
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["content_of", "html_of", "report", "without_folders"]
+
+MAX_REPORT_BYTES: Final = 3_000_000
+RESOLUTIONS: Final = (160, 120, 90, 60)  # [dots per inch], the first one that fits
+STYLE: Final = """
+:root { color-scheme: light dark; --ink: #1c1c1c; --paper: #fff; --line: #d0d0d0; --soft: #f4f4f4; --bad: #a40000;
+  --edge: rgba(0, 0, 0, .35); }
+@media (prefers-color-scheme: dark) {
+  :root { --ink: #e6e6e6; --paper: #17181a; --line: #44474b; --soft: #222427; --bad: #ff8a80;
+    --edge: rgba(255, 255, 255, .35); }
+}
+* { box-sizing: border-box; }
+body { margin: 0 auto; max-width: 62rem; padding: 1rem; background: var(--paper); color: var(--ink);
+  font: 1rem/1.5 system-ui, -apple-system, "Segoe UI", Roboto, "Liberation Sans", sans-serif; }
+h1 { font-size: 1.4rem; line-height: 1.25; }
+h2 { font-size: 1.1rem; margin: 2rem 0 .5rem; border-bottom: 1px solid var(--line); }
+.fault { border-left: .3rem solid var(--bad); padding: .2rem .8rem; background: var(--soft); }
+.fault, h1, p { overflow-wrap: anywhere; }
+.fault b { color: var(--bad); }
+.wide, pre { overflow-x: auto; background-repeat: no-repeat; background-attachment: local, local, scroll, scroll;
+  background-size: 2.5rem 100%, 2.5rem 100%, .8rem 100%, .8rem 100%; background-position: 0 0, 100% 0, 0 0, 100% 0;
+  background-image: linear-gradient(to right, var(--under) 40%, transparent),
+    linear-gradient(to left, var(--under) 40%, transparent),
+    linear-gradient(to right, var(--edge), transparent), linear-gradient(to left, var(--edge), transparent); }
+.wide { --under: var(--paper); margin: .5rem 0 1rem; }
+table { border-collapse: collapse; font-size: .875rem; }
+caption { text-align: left; font-weight: 600; padding: .3rem 0; }
+th, td { padding: .2rem .7rem .2rem 0; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line); }
+td { overflow-wrap: break-word; }
+.n { text-align: right; white-space: nowrap; font-variant-numeric: tabular-nums; }
+.w { min-width: 6.5rem; }
+@media (min-width: 40rem) { td.w:first-child { white-space: nowrap; } }
+.note { font-size: .875rem; margin-top: -.6rem; }
+pre { --under: var(--soft); background-color: var(--soft); padding: .7rem; white-space: pre;
+  font: .8rem/1.4 ui-monospace, Consolas, "Liberation Mono", monospace; }
+.again { white-space: pre-wrap; overflow-wrap: anywhere; }
+th.n { white-space: normal; }
+figure { margin: .5rem 0 1rem; }
+figure img { width: 100%; min-width: 40rem; height: auto; background: #fff; display: block; }
+@media print {
+  :root { --ink: #000; --paper: #fff; --line: #bbb; --soft: #f4f4f4; --bad: #a40000; }
+  body { max-width: none; padding: 0; font-size: 10pt; }
+  .wide, pre { overflow: visible; background-image: none; }
+  table { font-size: 7.5pt; }
+  th, td { padding-right: .4rem; overflow-wrap: anywhere; }
+  .n, td.w:first-child { white-space: normal; }
+  .w { min-width: 0; }
+  pre { white-space: pre-wrap; overflow-wrap: anywhere; }
+  figure img { min-width: 0; max-height: 24cm; width: auto; max-width: 100%; }
+  figure, tr, .fault { break-inside: avoid; }
+  h2 { break-after: avoid; }
+}
+"""
+POLICY: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+FOLDERS: Final = re.compile(
+    r"(?<![\w.~/\\:])(?:~|[A-Za-z]:)?[/\\](?:[^\s/\\'\"<>:]+[/\\])+|file:///?(?:[^\s/'\"<>]+/)*"
+)
+
+
+def report(x: object, path: str | os.PathLike[str], *, title: str = "", repeat: str = "") -> Path:
+    """Write a report: numbers, pictures, settings, versions, and how to do it again, in one HTML file.
+
+    The file needs no other file, no network and no script; it prints, and it reads on a phone. It names files without
+    their folders, and no machine.
+
+    Args:
+        x: A `taut.Run`; or a result of an analysis, such as `taut.design`, `taut.compare`, `taut.doctor` or
+            `taut.linearise` give: anything that describes itself in `content()`.
+        path: Where to, ending in .html, in a folder that exists. What is there stays until the new file is whole.
+        title: A title, instead of the usual one.
+        repeat: How to do it again, instead of what is known: a run of a scenario knows its command.
+
+    Returns:
+        The path.
+
+    Raises:
+        UsageError: Nothing that can be reported; a run without two ticks.
+        FileError: Another suffix, no such folder, a disk that is full.
+
+    Example:
+        >>> import taut, tempfile
+        >>> d = taut.error_dynamics(M=0.5, b=0.1, kd=2.0, zeta=1.0)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     file = report(d, f"{folder}/gains.html", title="Critical damping")
+        ...     "<h1>Critical damping</h1>" in file.read_text(encoding="utf-8")
+        True
+    """
+    target = checked_target("report", path, (".html", ".htm"))
+    content = content_of(x, title=title, repeat=repeat)
+    with written_aside("report", target) as aside:
+        aside.write_text(html_of(content), encoding="utf-8", errors="replace")
+    return target
+
+
+def content_of(x: object, *, title: str = "", repeat: str = "") -> Content:
+    """What a report holds, before it is a file.
+
+    Raises:
+        UsageError: Nothing that can be reported.
+    """
+    if not isinstance(x, (Run, Result)):
+        got = x.__name__ if isinstance(x, type) else type(x).__name__
+        raise UsageError(f"a report is of a taut.Run or of a result, which has content(); got {got}", name="x")
+    content = x.content()
+    return dataclasses.replace(content, title=title or content.title, repeat=repeat or content.repeat)
+
+
+# -------------------------------------------------------------------- as HTML
+
+
+def html_of(content: Content) -> str:
+    """The whole file, of at most three megabytes: pictures are as sharp as that allows."""
+    figures = {title: draw() for title, draw in content.figures.items()}
+    for dpi in RESOLUTIONS:
+        text = "\n".join(_lines(content, figures, dpi))
+        if len(text.encode()) < MAX_REPORT_BYTES:
+            break
+    return text
+
+
+def _text(text: str) -> str:
+    """A text as HTML, its files without folders; what no page can hold is shown as a question mark."""
+    kept = "".join(
+        letter if letter.isprintable() or letter in "\n\t" else "\N{REPLACEMENT CHARACTER}" for letter in text
+    )
+    return escape(without_folders(kept))
+
+
+def _lines(content: Content, figures: Mapping[str, Figure], dpi: int) -> Iterator[str]:
+    yield "<!DOCTYPE html>"
+    yield '<html lang="en">'
+    yield '<head><meta charset="utf-8">'
+    yield '<meta name="viewport" content="width=device-width, initial-scale=1">'
+    yield f'<meta http-equiv="Content-Security-Policy" content="{escape(POLICY)}">'
+    yield '<meta name="generator" content="taut">'
+    yield f"<title>{_text(content.title)}</title>"
+    yield f"<style>{STYLE}</style></head>"
+    yield "<body><main>"
+    yield f"<h1>{_text(content.title)}</h1>"
+    for fault in content.faults:
+        yield f'<p class="fault"><b>Fault:</b> {_text(fault)}</p>'
+    for sentence in content.summary:
+        yield f"<p>{_text(sentence)}</p>"
+    if content.tables:
+        yield "<h2>Numbers</h2>"
+    for table in content.tables:
+        yield from _table(table)
+    for note in content.notes:
+        yield f"<p>{_text(note)}</p>"
+    if figures:
+        yield "<h2>Pictures</h2>"
+    for title, figure in figures.items():
+        yield _picture(title, figure, dpi)
+    if content.settings:
+        yield "<h2>Settings</h2>"
+        yield from _pairs("setting", "value", content.settings)
+    for title, text in content.texts.items():
+        yield f"<h2>{_text(title)}</h2>"
+        yield f'<pre tabindex="0">{_text(text)}</pre>'
+    if content.repeat:
+        yield "<h2>How to repeat it</h2>"
+        yield f'<pre class="again">{_text(content.repeat)}</pre>'
+    yield "<h2>Versions</h2>"
+    yield from _pairs("program", "version", content.versions or versions())
+    yield "</main></body>"
+    yield "</html>\n"
+
+
+def _pairs(name: str, value: str, pairs: Mapping[str, str]) -> Iterator[str]:
+    yield from _table(Table(columns=(name, value), rows=list(pairs.items())))
+
+
+def _table(table: Table) -> Iterator[str]:
+    """A table that scrolls by itself where the page is narrow, with a shade where more of it is."""
+    label = f' role="region" aria-label="{_text(table.title)}"' if table.title else ""
+    yield f'<div class="wide" tabindex="0"{label}><table>'
+    if table.title:
+        yield f"<caption>{_text(table.title)}</caption>"
+    classes = ["w" if words else "n" for words in table.text_columns]
+    heads = [_text(head).replace("_", "_<wbr>") for head in table.columns]  # names of joints are long
+    pairs = zip(classes, heads, strict=True)
+    yield "<thead><tr>" + "".join(f'<th class="{kind}" scope="col">{head}</th>' for kind, head in pairs)
+    yield "</tr></thead><tbody>"
+    for row in table.rows:
+        cells = zip(classes, map(cell_text, row), strict=True)
+        yield "<tr>" + "".join(f'<td class="{kind}">{_text(text)}</td>' for kind, text in cells) + "</tr>"
+    yield "</tbody></table></div>"
+    if table.note:
+        yield f'<p class="note">{_text(table.note)}</p>'
+
+
+def _picture(title: str, figure: Figure, dpi: int) -> str:
+    data = io.BytesIO()
+    figure.savefig(data, format="png", dpi=dpi, facecolor="white", metadata={"Software": None})
+    encoded = base64.b64encode(data.getvalue()).decode()
+    title = _text(title)
+    return (
+        f'<figure><div class="wide" tabindex="0"><img alt="{title}" src="data:image/png;base64,{encoded}"></div>'
+        f"<figcaption>{title}</figcaption></figure>"
+    )
+
+
+def without_folders(text: str) -> str:
+    """A text whose files have their names alone: where they lie is nobody's business.
+
+    Example:
+        >>> without_folders("stopped at /home/anna/laws/mine.py:12 after 3 m/s, 1/2 of ~/work/a.toml")
+        'stopped at mine.py:12 after 3 m/s, 1/2 of a.toml'
+    """
+    return FOLDERS.sub("", text)

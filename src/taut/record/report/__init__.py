@@ -1,1 +1,0 @@
-"""Reports: one HTML file of a run or of a result."""

@@ -1,0 +1,329 @@
+"""What runs beside MuJoCo, in native code: drives, gears and friction before its joints, environments, sensors."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from taut.arm.description import Arm, CommandKind, Friction
+from taut.base.paths import subtree
+from taut.base.types import Array, Float64Array
+from taut.codegen import native as native_code
+from taut.codegen.engine import Steps, best_engine
+from taut.codegen.kernel import native
+from taut.codegen.loop import StepLoop
+from taut.codegen.program import Block
+from taut.maths import dynamics as dyn
+from taut.maths.adds import Adds, compensation
+from taut.maths.model import PayloadValues, model_of
+from taut.plant.drives.actuation import Actuation
+from taut.plant.drives.drivetrain import Drivetrain
+from taut.plant.drives.stiff_drive import Follower
+from taut.plant.environments.environment import Environment, touch
+from taut.plant.sensors.sensors import Sensors
+from taut.plant.step_length import Steps as Division
+from taut.plant.step_length import require_short_contact, require_short_steps
+from taut.runtime.robots.mujoco.rig import Rig
+
+__all__ = ["Compensation", "EnvironmentStage", "JointStage", "LinkTorque", "SensorStage"]
+
+Values = Mapping[str, Any]
+HELD: float = 1.0 - 1e-9  # of its limit: what friction is less than holds a joint
+
+
+class Stage(ABC):
+    """A pure function of inputs, parameters and memory, in native code from the first run on."""
+
+    _loop: StepLoop | None = None
+
+    @abstractmethod
+    def _step(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Outputs, and the memory after it."""
+
+    def _begin(self, inputs: Values, parameters: Values, memory: Values, dt: float) -> None:
+        """Prepare for a run, from inputs at which the function can be taken, with steps of dt [s]."""
+        values = {**parameters, "dt": dt}
+        if self._loop is None:
+            self._inputs, self._parameters, self._memory = (
+                Block.of({path: np.shape(value) for path, value in part.items()}) for part in (inputs, values, memory)
+            )
+            blocks = self._inputs, self._parameters, self._memory
+            example = self._inputs.pack(inputs), self._parameters.pack(values), self._memory.pack(memory)
+            self._loop = StepLoop(Steps(self._step, *blocks), example, engine=best_engine())
+            self._row, self._out = np.zeros((1, self._inputs.size)), np.zeros((1, self._loop.outputs.size))
+            self._seen = {path: view[0, ...] for path, view in self._inputs.views(self._row).items()}
+            self._given = {path: view[0, ...] for path, view in self._loop.outputs.views(self._out).items()}
+        self._h, self.sane = dt, True
+        self._flat = self._memory.pack(memory)
+        self.memory = self._memory.views(self._flat)
+        self.take(parameters)
+
+    def take(self, parameters: Values) -> None:
+        """New values of the parameters, by path, in a run or between two."""
+        if self._loop is not None:
+            self._values = self._parameters.pack({**parameters, "dt": self._h})
+
+    def _call(self, inputs: Values) -> dict[str, Float64Array]:
+        """The outputs, which the next call overwrites; memory goes on by a step."""
+        assert self._loop is not None
+        for path, value in inputs.items():
+            self._seen[path][...] = value
+        done = self._loop.run(self._row, self._values, self._flat, self._out)
+        self.sane = self.sane and done == 1
+        return self._given
+
+
+class LinkTorque:
+    """What arrives at the links of torques that were given to MuJoCo's joints: friction and rotors take theirs."""
+
+    def __init__(self, rig: Rig) -> None:
+        import mujoco
+
+        self._rig = rig
+        self._of_joints = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
+        self._dofs = np.array(rig.dofs, dtype=np.intp)
+        self._place = np.full(rig.model.nv, -1, dtype=np.intp)  # of a degree of freedom: the arm's joint, or none
+        self._place[self._dofs] = np.arange(rig.arm.n)
+
+    def friction(self) -> Float64Array:
+        """(n,) dry friction of the last step."""
+        data = self._rig.data
+        f = np.zeros(self._rig.arm.n)
+        rows = np.arange(data.ne, data.ne + data.nf)
+        rows = rows[data.efc_type[rows] == self._of_joints]
+        joints = self._place[data.efc_id[rows]]
+        f[joints[joints >= 0]] = data.efc_force[rows[joints >= 0]]
+        return f
+
+    def of_step(self, given: Float64Array, f: Float64Array, v: Float64Array, a: Float64Array) -> Float64Array:
+        """(n,) of torques given, dry friction f, velocities v after the step and its accelerations."""
+        model = self._rig.model
+        arrived: Float64Array = given + f - model.dof_damping[self._dofs] * v - model.dof_armature[self._dofs] * a
+        return arrived
+
+
+class JointStage(Stage):
+    """What stands between a torque command and MuJoCo's joints.
+
+    MuJoCo knows a dry friction that is the same at rest and in motion. Its limit is given anew before each step, as
+    the law says at that speed and load; where it differs with the direction, its middle goes with the motor's torque.
+    A joint whose transmission gives way or has play has its rotor here, and gets the torque of spring and teeth.
+
+    Args:
+        rig: The arm in its model, built by us.
+        actuation: The drives.
+        train: Rotors, friction and transmissions.
+        adds: What the plant adds to a torque command itself.
+        takes: The command. Drives that take velocities or positions have an inner loop, which gives the torque.
+    """
+
+    def __init__(
+        self, rig: Rig, actuation: Actuation, train: Drivetrain, adds: Adds, takes: CommandKind = "torque"
+    ) -> None:
+        self._rig, self._actuation, self._train, self._adds = rig, actuation, train, adds
+        self._model = model_of(rig.arm)
+        self._links = model_of(rig.arm.with_joints(rotor_inertia=0.0))
+        self._follower: Follower | None = None
+        if takes != "torque":
+            self._follower = Follower(arm=rig.arm, takes=takes, model=self._links)
+        self._rigid = np.array(train.rigid, dtype=np.intp)
+        self._dofs = np.array(rig.dofs, dtype=np.intp)
+        self._arrived = LinkTorque(rig)
+
+    def _step(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:
+        train, dt = self._train, parameters["dt"]
+        q, v = inputs["q"], inputs["v"]
+        q_m, v_m = memory.get("q_motor", q), memory.get("v_motor", v)
+        payload = PayloadValues.of(subtree(parameters, "plant.payload"))
+        added = compensation(self._model, self._adds, q, v, payload)
+        cut: Any = np.zeros(self._rig.arm.n)
+        if self._follower is None:
+            given = self._actuation.step(self._rig.arm, memory, q_m, v_m, parameters, dt, added)
+            asked, after = given.tau, given.memory
+        else:
+            asked, cut, after = self._follower.torque(memory, q, v, parameters, dt)
+        out = {**memory, **after}
+        tau = asked + added
+        load: Any = np.zeros(self._rig.arm.n)
+        if train.lossy or (isinstance(train.friction, Friction) and np.any(train.friction.load_external_static)):
+            load = dyn.jacobian(self._model, q).T @ inputs["F_ext"] - dyn.bias(self._model, q, v, payload)
+        spring = train.spring(q, v, memory, parameters) if train.compliant else tau
+        values = train.values(parameters)
+        onto, half, limits = tau, np.zeros(self._rig.arm.n), None
+        if train.dry:
+            M = dyn.mass_matrix(self._links, q, payload)
+            limits = train.limits(values, memory, parameters, v_m, tau, train.merged(load, -spring), M, dt)
+            half = 0.5 * (limits.low + limits.high)
+            onto = tau + 0.5 * (limits.high - limits.low)
+        if train.compliant:
+            moved = train.rotors(memory, tau, spring, values.viscous, limits, parameters["plant.rotor_inertia"], dt)
+            out["v_motor"] = train.merged(v, moved.v)
+            out["q_motor"] = train.merged(q, q_m + dt * moved.v)
+            out["tau_link"] = train.merged(memory["tau_link"], spring)
+            if limits is not None and train.remembers_rest:
+                out["at_rest"] = train.merged(memory["at_rest"], moved.at_rest)
+            onto = train.merged(onto, spring)
+            half = train.merged(half, np.zeros(self._rig.arm.n))
+        return {"tau": asked, "onto": onto, "half": half, "cut": cut}, out
+
+    def start(self, q: Float64Array, v: Float64Array, parameters: Values, dt: float, steps: int) -> None:
+        """Memory at the start of a run, for control periods of dt [s], each of so many steps."""
+        arm = self._rig.arm
+        payload = PayloadValues.of(subtree(parameters, "plant.payload"))
+        full = dyn.gravity_torque(self._model, q, payload)
+        weight = full - compensation(self._model, self._adds, q, np.zeros(arm.n), payload)
+        memory = {"held": weight, "tau_link": full}
+        if self._follower is None:
+            memory |= self._actuation.start(arm, weight, parameters)
+        else:
+            memory |= self._follower.start(q, v, parameters, Division(dt, steps))
+        started = self._train.start(q, v, full, parameters)
+        memory |= {name: value for name, value in started.items() if name != "friction"}
+        require_short_steps(self._train, self._actuation, parameters, Division(dt, steps))
+        self._begin({"q": q, "v": np.zeros(arm.n), "F_ext": np.zeros(6)}, parameters, memory, dt / steps)
+
+    def before(self, q: Float64Array, v: Float64Array, F_ext: Float64Array) -> Float64Array:
+        """(n,) the torques for MuJoCo's next step, whose friction limits are put into the model."""
+        given = self._call({"q": q, "v": v, "F_ext": F_ext})
+        self._rig.model.dof_frictionloss[self._dofs] = given["half"]
+        self._v = v.copy()
+        return given["onto"]
+
+    def after(self, q: Float64Array, v: Float64Array) -> None:
+        """What MuJoCo's step did that the next one depends on: motion, and friction."""
+        rigid, f = self._rigid, self._arrived.friction()
+        if self._train.compliant:
+            self.memory["q_motor"][rigid], self.memory["v_motor"][rigid] = q[rigid], v[rigid]
+        arrived = self._arrived.of_step(self._given["onto"], f, v, (v - self._v) / self._h)
+        self.memory["tau_link"][rigid] = arrived[rigid]
+        if "at_rest" in self.memory:
+            self.memory["at_rest"][rigid] = (np.abs(f) < HELD * self._given["half"])[rigid]
+
+    @property
+    def tau(self) -> Float64Array:
+        """(n,) torques of the motors in the last step."""
+        tau: Float64Array = self._given["tau"].copy()
+        return tau
+
+    @property
+    def cut(self) -> Float64Array:
+        """(n,) what the effort of drives that follow by themselves cut off in the last step."""
+        cut: Float64Array = self._given["cut"].copy()
+        return cut
+
+
+class EnvironmentStage(Stage):
+    """An environment that acts at the tool in each of MuJoCo's steps, as generalised forces J^T F.
+
+    Args:
+        rig: The arm in its model, built by us.
+        environment: What touches the tool.
+        train: Rotors, friction and transmissions.
+    """
+
+    def __init__(self, rig: Rig, environment: Environment, train: Drivetrain) -> None:
+        self._rig, self._environment, self._train = rig, environment, train
+        self._model = model_of(rig.arm)
+
+    def _step(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:
+        """The wrench at a state, as a force on the joints, and memory after a step."""
+        q, v, numbers = inputs["q"], inputs["v"], subtree(parameters, "environment")
+        wrench, after = touch(self._environment, self._model, q, v, memory, numbers, inputs["t"], parameters["dt"])
+        return {"wrench": wrench, "force": dyn.jacobian(self._model, q).T @ wrench}, after
+
+    def start(self, q: Float64Array, v: Float64Array, parameters: Values, dt: float, steps: int) -> None:
+        """Memory at the start of a run, for control periods of dt [s], each of so many steps.
+
+        Raises:
+            RangeError: Steps that are too long for it.
+        """
+        require_short_contact(self._environment, self._train, q, parameters, Division(dt, steps))
+        memory = self._environment.start(dyn.pose(self._model, q))
+        self._begin({"q": q, "v": np.zeros(len(q)), "t": 0.0}, parameters, memory, dt / steps)
+        self._t = self.work = 0.0
+        kept = self._flat.copy()
+        self.before(q, v)  # what a sensor gives in the first tick
+        self._flat[:], self._t = kept, 0.0
+
+    def at(self, t: float) -> None:
+        """A control period begins at time t [s]."""
+        self._t = t
+
+    def before(self, q: Float64Array, v: Float64Array) -> Float64Array:
+        """(n,) the force on the joints in MuJoCo's next step."""
+        given = self._call({"q": q, "v": v, "t": self._t})
+        self._t += self._h
+        self._v = v.copy()
+        return given["force"]
+
+    def after(self, v: Float64Array) -> None:
+        """What MuJoCo's step did: the work is that of the mean speed, as in RigidPlant."""
+        self.work += 0.5 * self._h * float(self._given["force"] @ (self._v + v))
+
+    @property
+    def wrench(self) -> Float64Array:
+        """(6,) F_ext in the last step."""
+        wrench: Float64Array = self._given["wrench"].copy()
+        return wrench
+
+
+class SensorStage(Stage):
+    """What the sensors of an arm give, from what is true.
+
+    Args:
+        arm: The true arm.
+        sensors: Its sensors.
+    """
+
+    def __init__(self, arm: Arm, sensors: Sensors) -> None:
+        self._sensors, self._model = sensors, model_of(arm)
+        self._shapes = sensors.noise(arm, touched=True)
+
+    def _step(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:  # noqa: ARG002
+        true = {path: value for path, value in inputs.items() if not path.startswith("noise.")}
+        return self._sensors.read(self._model, true, subtree(inputs, "noise"), subtree(parameters, "sensors")), {}
+
+    def start(self, seed: int, true: Values, parameters: Values) -> None:
+        """Prepare for a run whose noise comes from this seed: the numbers that a model plant gets too.
+
+        Args:
+            seed: Seed of the run.
+            true: What is true in the first tick, by name.
+            parameters: The plant's parameters by path.
+        """
+        self._noise = {name: np.random.default_rng([seed, *name.encode()]) for name in self._shapes}
+        still = {name: value if name == "q" else np.zeros_like(value) for name, value in true.items()}
+        silence = {f"noise.{name}": np.zeros(shape) for name, shape in self._shapes.items()}
+        self._begin(still | silence, parameters, {}, 0.0)
+
+    @property
+    def saturating(self) -> tuple[str, ...]:
+        """What `read` gives besides measurements: whether those that have a range are at it."""
+        return tuple(path for path in self._given if path.startswith("saturated."))
+
+    def read(self, true: Values) -> dict[str, Float64Array]:
+        """What the sensors give in this tick, with fresh noise."""
+        noise = {f"noise.{name}": rng.standard_normal(self._shapes[name]) for name, rng in self._noise.items()}
+        return {name: np.array(value) for name, value in self._call({**true, **noise}).items()}
+
+
+class Compensation:
+    """What a plant adds to every torque command itself, by the Arm's own formulas: gravity and Coriolis torques."""
+
+    def __init__(self, arm: Arm, adds: Adds) -> None:
+        self._adds, self._model = adds, model_of(arm)
+        n = arm.n
+        self._call: Any = self._torque
+        if native_code.available():
+            self._call = native(self._torque, q=n, v=n, mass=(), com=3, inertia=6)
+
+    def torque(self, q: Float64Array, v: Float64Array, payload: tuple[Float64Array, ...]) -> Float64Array:
+        """(n,) at a state, for a payload of (mass, com, inertia)."""
+        total: Float64Array = self._call(q, v, *payload)
+        return total
+
+    def _torque(self, q: Array, v: Array, mass: Any, com: Array, inertia: Array) -> Array:
+        return compensation(self._model, self._adds, q, v, PayloadValues(mass=mass, com=com, inertia=inertia))
