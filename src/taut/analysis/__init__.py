@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from taut.analysis.design.achieved import Requirement as Requirement
     from taut.analysis.design.result import Design as Design
     from taut.analysis.diagnosis.check import Check as Check
+    from taut.analysis.diagnosis.check import ExaminedRun as ExaminedRun
     from taut.analysis.diagnosis.check import Finding as Finding
     from taut.analysis.diagnosis.check import Threshold as Threshold
     from taut.analysis.diagnosis.checks import CHECKS as CHECKS
     from taut.analysis.diagnosis.diagnosis import Diagnosis as Diagnosis
-    from taut.analysis.diagnosis.examined_run import ExaminedRun as ExaminedRun
     from taut.analysis.grading import Grade as Grade
     from taut.analysis.impedance_at_tool import ToolImpedance as ToolImpedance
     from taut.analysis.impedance_at_tool import tool_impedance as tool_impedance

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from taut.analysis.diagnosis.check import Check, Finding, Number
+from taut.analysis.diagnosis.check import Check, ExaminedRun, Finding, Number
 from taut.analysis.diagnosis.checks import CHECKS, SHARED
-from taut.analysis.diagnosis.examined_run import ExaminedRun
 from taut.analysis.diagnosis.model import model_of_run
 from taut.arm.description import Arm
 from taut.base.errors import UsageError

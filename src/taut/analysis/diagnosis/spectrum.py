@@ -12,12 +12,11 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import butter, sosfiltfilt
 
-from taut.analysis.diagnosis.check import Finding
 from taut.base.types import Float64Array
 from taut.control.limits import LIMIT_TERMS
 
 if TYPE_CHECKING:
-    from taut.analysis.diagnosis.examined_run import ExaminedRun
+    from taut.analysis.diagnosis.check import ExaminedRun, Finding
 
 __all__ = ["Oscillation", "Sinusoid", "chatter", "find_oscillation", "fit_sinusoid", "oscillation"]
 
@@ -314,12 +313,10 @@ def oscillation(run: ExaminedRun, kind: str) -> Finding | None:
     lacks = found.term == "D" and found.evidence["of the work on it"][0] == 0.0
     factor = f", about {0.7 / line.zeta:.2g} times for a damping ratio of 0.7" if line and line.zeta > 0.005 else ""
     stability = f"; {judged.message}" if judged is not None and judged.stable is False else ""
-    by = {"I": ("wind-up",), **dict.fromkeys((*LIMIT_TERMS, "torque"), ("saturation",))}
     return run.finding(
         *(found.term, i, found.fraction, {**evidence, **found.evidence}),
         signals={f"{name} [{unit}]": x[:, i] for name, x in run.feedback_terms.items() if np.any(x[shown, i])},
         window=shown,
-        follows=by.get(found.term),
         remedy=f"raise the damping (kd, B or zeta){factor}" if lacks else "",
         note=stability,
     )
@@ -362,6 +359,6 @@ def chatter(run: ExaminedRun) -> Finding | None:
         "lowest frequency": (low, "Hz"),
         "highest frequency": (high, "Hz"),
     }
-    fraction = min(1.0, run.energy(noise * (bad if bad.all() else np.arange(run.n) == i)) / run.effort)
+    fraction = run.energy(noise * (bad if bad.all() else np.arange(run.n) == i)) / run.effort
     signals = {f"commanded torque [{unit}]": asked[:, i], f"its noise [{unit}]": noise[:, i]}
     return run.finding(max(parts, key=lambda name: parts[name]), i, fraction, evidence, signals=signals)
