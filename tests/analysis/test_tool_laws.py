@@ -174,6 +174,12 @@ def test_an_admittance_that_stays_put_at_rest_gives_way_all_the_same() -> None:
     assert pytest.approx(tip.Z(OMEGA[:1]), rel=SWEPT) == tip.measured_Z(OMEGA[:1])
 
 
+def test_a_loop_that_drifts_is_measured_all_the_same() -> None:
+    tip = taut.analysis.tool_impedance(loop_of("ForceControl", taut.load_arm("panda")), direction=Z_AXIS, within=2.0)
+    assert tip.lin.unstable_because.startswith("marginally stable")
+    assert pytest.approx(tip.Z(OMEGA[-1:]), rel=LOOSE) == tip.measured_Z(OMEGA[-1:])
+
+
 @pytest.mark.parametrize("frame", ["world", "tool"])
 def test_a_spring_alone_specifies_what_joints_with_their_damping_make_of_it(frame: str) -> None:
     arm = taut.load_arm("planar3")

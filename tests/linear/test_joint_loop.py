@@ -185,3 +185,9 @@ def test_the_gains_of_a_specification_are_those_it_was_read_from() -> None:
         ):  # fmt: skip
             made = taut.analysis.second_order(M=M, b=b, **pair)
             assert (made.kp, made.kd) == pytest.approx((known.kp, known.kd), rel=1e-6)
+
+
+def test_an_inertia_that_is_none_is_refused_with_its_value() -> None:
+    for numbers in ({}, {"kp": 1.0}, {"zeta": 1.0, "omega_n": 5.0}):
+        with pytest.raises(taut.errors.RangeError, match=r"M must be > 0 .*; got -1\.0"):
+            taut.error_dynamics(M=-1.0, **numbers)

@@ -221,13 +221,10 @@ def test_systems_that_do_not_fit_are_refused() -> None:
         taut.LinearSystem(A=[[0.0]], B=[[1.0]]).feedback(taut.LinearSystem(A=[[0.0]]))
 
 
-def test_its_content_has_modes_margins_and_step_and_every_figure_is_drawn() -> None:
+def test_its_content_has_modes_margins_and_step_and_its_figure_is_drawn() -> None:
     for system in (taut.error_dynamics(**JOINT), taut.error_dynamics(**JOINT, ki=1.0, rate=100.0)):
         content = system.content()
         assert [table.title for table in content.tables] == ["modes", "margins", "step response"]
-        assert set(content.figures) == {"step response", "poles", "Bode diagram", "Nyquist diagram"}
-        for draw in content.figures.values():
-            assert draw().axes
         assert str(system)
-        assert system.plot().axes
+        assert len(system.plot().axes) == 5  # step response, poles, two of Bode, Nyquist
     assert taut.error_dynamics(M=0.5, kp=1.0, kd=0.0).content().faults

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import control
 import numpy as np
@@ -92,6 +93,15 @@ def test_values_that_do_not_increase_are_refused(values: object) -> None:
         taut.analysis.root_locus(lambda kp: joint(kp=kp), values)
     with pytest.raises((taut.errors.ShapeError, taut.errors.RangeError)):
         taut.analysis.stability_map(lambda kp, kd: joint(kp=kp, kd=kd), values, [1.0, 2.0])
+
+
+@pytest.mark.parametrize("given", [3, lambda *values: 3.0, taut.error_dynamics(kp=1.0)])
+def test_what_gives_no_linear_system_is_refused_in_a_sentence(given: Any) -> None:
+    sentence = r"^system_of must be a function that gives a taut\.LinearSystem; got .+$"
+    with pytest.raises(taut.errors.UsageError, match=sentence):
+        taut.analysis.root_locus(given, [1.0, 2.0])
+    with pytest.raises(taut.errors.UsageError, match=sentence):
+        taut.analysis.stability_map(given, [1.0, 2.0], [1.0, 2.0])
 
 
 # -------------------------------------------------------------------- maps

@@ -29,6 +29,7 @@ from taut.control.laws.task_space import Compliance
 from taut.control.laws.via_joint_space import ViaJointSpace
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.linear.equilibrium import WITHIN
+from taut.linear.judgement import uncertain_eigenvalues
 from taut.linear.linear_system import LinearSystem
 from taut.linear.linearise import linearise, rest_of
 from taut.linear.period import loop_map, small_rotations
@@ -153,15 +154,16 @@ class ToolImpedance(Result):
             omega: (k,) or one [rad/s], above zero and below half the rate.
 
         Raises:
-            RangeError: A frequency without meaning; an unstable loop, whose response grows without end.
+            RangeError: A frequency without meaning; a loop whose deviations grow. One that drifts is measured.
         """
         w = self._above_zero(omega)
-        if not self.lin.stable:
+        z, uncertainty = uncertain_eigenvalues(self.lin.A)
+        if (np.abs(z) > 1.0 + uncertainty).any():
             raise RangeError(
-                f"the loop is not stable ({self.lin.unstable_because}), so that no sine settles; measure a "
-                "stable loop",
+                f"the loop must not grow, or no sine settles; it is {self.lin.unstable_because}",
                 name="loop",
                 value=self.lin.radius,
+                rule="not growing",
             )
         Z = np.abs(self.Z(w))
         amplitudes = np.where(np.isfinite(Z), AMPLITUDE * Z, 1.0)

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
+from scipy.optimize import bisect, linear_sum_assignment
 
 from taut.base.checks import finite_array
-from taut.base.errors import RangeError, ShapeError
+from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.plot_style import INK, SMALL, WIDTH, colour, prepared
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
@@ -43,13 +43,8 @@ def bisected(same: Callable[[float], bool], low: float, high: float, tolerance: 
         high: The other.
         tolerance: Relative to the value [-].
     """
-    floor = NEAR_ZERO * abs(high - low)
-    while abs(high - low) > tolerance * max(abs(low), abs(high), floor):
-        middle = 0.5 * (low + high)
-        if middle in (low, high):
-            break
-        low, high = (middle, high) if same(middle) else (low, middle)
-    return 0.5 * (low + high)
+    near_zero = tolerance * NEAR_ZERO * abs(high - low)
+    return float(bisect(lambda value: 1.0 if same(value) else -1.0, low, high, xtol=near_zero, rtol=tolerance))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,6 +143,7 @@ def root_locus(
 
     Raises:
         ShapeError, RangeError: Fewer than two values, or values that do not increase.
+        UsageError: No function that gives a linear system.
 
     Example:
         >>> import taut
@@ -161,7 +157,7 @@ def root_locus(
         Chapter, figures 10.5 and 10.7.
     """
     grid = _grid("values", values)
-    systems = [system_of(value) for value in grid.tolist()]
+    systems = [_system(system_of, value) for value in grid.tolist()]
     n = max(len(system.poles) for system in systems)
     branches = np.full((len(systems), n), np.nan + 0j)
     for k, system in enumerate(systems):
@@ -320,6 +316,7 @@ def stability_map(
 
     Raises:
         ShapeError, RangeError: Fewer than two values, or values that do not increase.
+        UsageError: No function that gives a linear system.
 
     Example:
         >>> import taut
@@ -333,7 +330,7 @@ def stability_map(
         Chapter, section 10.2.1.1, practical bounds on feedback gains.
     """
     grids = _grid("x", x), _grid("y", y)
-    stable = np.array([[system_of(a, b).stable for b in grids[1].tolist()] for a in grids[0].tolist()])
+    stable = np.array([[_system(system_of, a, b).stable for b in grids[1].tolist()] for a in grids[0].tolist()])
     points: list[tuple[float, float]] = []
     along: list[int] = []
     above: list[bool] = []
@@ -355,6 +352,14 @@ def stability_map(
         x=grids[0], y=grids[1], stable=stable, boundary=np.array(points).reshape(-1, 2),
         along=np.array(along, dtype=np.intp), stable_above=np.array(above, dtype=bool), labels=labels,
     )  # fmt: skip
+
+
+def _system(system_of: Callable[..., Any], *values: float) -> LinearSystem:
+    found = system_of(*values) if callable(system_of) else None  # callers without a type checker
+    if not isinstance(found, LinearSystem):
+        got = type(system_of).__name__ if found is None else f"one that gives {type(found).__name__}"
+        raise UsageError(f"system_of must be a function that gives a taut.LinearSystem; got {got}", name="system_of")
+    return found
 
 
 def _grid(name: str, values: ArrayLike) -> Float64Array:

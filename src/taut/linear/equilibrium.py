@@ -184,7 +184,7 @@ def _never(map_: PeriodMap, start: Point, at: Point, found: Derivative) -> Range
     name = names[int(np.argmax(wrong))]
     return RangeError(
         f"not an equilibrium: '{name}' does not settle, it changes by {wrong.max():.3g} in a period, and the arm "
-        "follows it; linearise along a run instead, along=run",
+        "follows it; begin at= another pose, or run the loop until it rests",
         name=name,
         value=float(wrong.max()),
         rule="an equilibrium",

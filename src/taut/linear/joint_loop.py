@@ -399,13 +399,13 @@ def error_dynamics(
             zeta=zeta, omega_n=omega_n, settling=settling, overshoot=overshoot,
         )  # fmt: skip
         kp, kd = found.kp, found.kd
-    if kp is None:
-        raise UsageError("kp is needed, or two of kp, kd, zeta, omega_n, settling and overshoot", name="kp")
     kd = 0.0 if kd is None else kd
-    shapes = [np.asarray(value).shape for value in (M, b, kp, kd, ki)]
+    shapes = [np.asarray(value).shape for value in (M, b, kp, kd, ki) if value is not None]
     n = max((shape[0] for shape in shapes if shape), default=1)
     inertia = joint_matrix("M", M, n, "kg m^2", above=0.0)
     damping = joint_matrix("b", b, n, "N m s/rad", minimum=0.0)
+    if kp is None:
+        raise UsageError("kp is needed, or two of kp, kd, zeta, omega_n, settling and overshoot", name="kp")
     kp, ki = joint_matrix("kp", kp, n, "N m/rad", minimum=0.0), joint_matrix("ki", ki, n, "N m/(rad s)", minimum=0.0)
     if rate is None and (delay or velocity != "measured"):
         raise UsageError("a delay, and a differenced or filtered velocity, are those of a servo; give rate= [Hz]",

@@ -31,7 +31,15 @@ from taut.loop import AnyPlant, HasLawSide, Loop
 from taut.maths.snapshot import snapshot
 from taut.plant.rigid import RigidPlant
 
-__all__ = ["Judgement", "directions", "judge", "judge_start", "largest_factor", "without_dry_friction"]
+__all__ = [
+    "Judgement",
+    "directions",
+    "judge",
+    "judge_start",
+    "largest_factor",
+    "uncertain_eigenvalues",
+    "without_dry_friction",
+]
 
 ROUNDING: Final = 1e-9  # [-] of a modulus of one
 REACH: Final = 1e-9  # [-] of the largest mobility of the tool: an axis with less does not move
@@ -233,6 +241,16 @@ def _smooth_loop(ctrl: HasLawSide, plant: AnyPlant, parameters: Changes) -> Loop
     return loop
 
 
+def uncertain_eigenvalues(A: Float64Array, error: Float64Array | float = 0.0) -> tuple[Complex, Float64Array]:
+    """(n,) eigenvalues of the derivative of a period, and how far each is uncertain by the error and by rounding."""
+    scale = balancing(A)
+    A, error = (X * scale / scale[:, np.newaxis] for X in (A, error * np.ones_like(A)))
+    z, right = np.linalg.eig(A)
+    noise = np.finfo(float).eps / STEP * max(1.0, float(np.abs(A).max())) + np.linalg.norm(error, 2)
+    condition = np.linalg.norm(np.linalg.pinv(right), axis=1)  # of each eigenvalue
+    return z.astype(np.complex128), np.minimum(ROUNDING + noise * condition, np.sqrt(noise))
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Model:
     """The derivative of a period at its equilibrium, of some states.
@@ -263,13 +281,8 @@ class _Model:
         block = np.ix_(states, states)
         near, far = found.A[block], period.derivative(rest.point, 2.0 * STEP).A[block]
         A = (4.0 * near - far) / 3.0
-        scale = balancing(A)
-        balanced, error = (X * scale / scale[:, np.newaxis] for X in (A, np.abs(near - far)))
-        z, right = np.linalg.eig(balanced)
-        noise = np.finfo(float).eps / STEP * max(1.0, float(np.abs(balanced).max())) + np.linalg.norm(error, 2)
-        condition = np.linalg.norm(np.linalg.pinv(right), axis=1)  # of each eigenvalue
-        slack = np.minimum(ROUNDING + noise * condition, np.sqrt(noise))
-        return cls(rest=rest, A=A, states=states, z=z.astype(np.complex128), slack=slack)
+        z, slack = uncertain_eigenvalues(A, error=np.abs(near - far))
+        return cls(rest=rest, A=A, states=states, z=z, slack=slack)
 
     @property
     def grows(self) -> bool:

@@ -639,7 +639,7 @@ class LinearSystem(Result):
     # -------------------------------------------------------------------- description
 
     def content(self) -> Content:
-        """Poles, margins and step as tables; step response, Bode, Nyquist and poles as figures."""
+        """Modes, margins and step as tables, and the figure of `plot`."""
         kind = "in continuous time" if self.dt is None else f"sampled at {1.0 / self.dt:.6g} Hz"
         title = f"linear system of {len(self.states)} states {kind}"
         title += ", about an equilibrium" if self.point.joints else ""
@@ -656,7 +656,7 @@ class LinearSystem(Result):
             faults=() if self.stable else (self.unstable_because,),
             tables=tables,
             notes=notes,
-            figures=self._figures(),
+            figures={"step response, poles and margins": self.plot},
         )
 
     def _mode_table(self) -> Table:
@@ -668,22 +668,11 @@ class LinearSystem(Result):
         columns = ("Re s [1/s]", "Im s [1/s]", "omega_n [rad/s]", "zeta [-]", "time constant [s]", "states")
         return Table(title="modes", columns=columns, rows=rows)
 
-    def _figures(self) -> dict[str, Any]:
-        from taut.linear import plots
-
-        drawn: dict[str, Any] = {"poles": partial(plots.poles, self)}
-        if "ref.q[0]" in self.inputs and "q[0]" in self.outputs:
-            drawn = {"step response": partial(plots.step, self), **drawn}
-        if "disturbance.command[0]" in self.inputs and "command[0]" in self.outputs:
-            drawn["Bode diagram"] = partial(plots.bode, self)
-            drawn["Nyquist diagram"] = partial(plots.nyquist, self)
-        return drawn
-
     def plot(self) -> Figure:
         """Step response, poles, Bode and Nyquist diagram, as far as the system has their signals."""
         from taut.linear import plots
 
-        return plots.overview(self)
+        return plots.figure_of(self)
 
 
 def _eigenvalues(A: Float64Array) -> Complex:

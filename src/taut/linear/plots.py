@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from taut.base.plot_style import DASHED, INK, SMALL, WIDTH, colour, prepared
 from taut.linear.margins import frequency_grid
-from taut.linear.step_response import BAND
+from taut.linear.step_response import BAND, powers
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from taut.linear.linear_system import LinearSystem
 
-__all__ = ["bode", "nyquist", "overview", "pole_axes", "poles", "step"]
+__all__ = ["figure_of", "pole_axes"]
 
 POINTS: Final = 600  # of a continuous step response
 MARGIN: Final = 1.15  # [-] of the farthest pole: the size of its axes
@@ -27,12 +27,14 @@ NYQUIST_SIZE: Final = 2.5  # [-] of the Nyquist diagram about -1
 HEIGHT: Final = 2.7  # [inch] of a row of panels
 
 
-def overview(system: LinearSystem) -> Figure:
-    """All figures of a system in one: those for which it has the signals."""
+def figure_of(system: LinearSystem) -> Figure:
+    """Step response, poles, Bode and Nyquist diagram of a system: those for which it has the signals."""
+    from matplotlib.figure import Figure as NewFigure
+
     drawn = [_draw_step] * _has(system, "ref.q[0]", "q[0]") + [_draw_poles]
     loop = _has(system, "disturbance.command[0]", "command[0]")
     rows = 2 if loop else 1
-    figure = _figure(rows * HEIGHT)
+    figure = NewFigure(figsize=(WIDTH, rows * HEIGHT), dpi=150, layout="constrained", facecolor="white")
     grid = figure.add_gridspec(2 * rows, 2)
     for k, draw in enumerate(drawn):
         draw(figure.add_subplot(grid[:2, k if len(drawn) > 1 else slice(None)]), system)
@@ -40,42 +42,6 @@ def overview(system: LinearSystem) -> Figure:
         _draw_bode(figure.add_subplot(grid[2, 0]), figure.add_subplot(grid[3, 0]), system)
         _draw_nyquist(figure.add_subplot(grid[2:, 1]), system)
     return figure
-
-
-def poles(system: LinearSystem) -> Figure:
-    """Poles in s, or in z with the unit circle."""
-    figure = _figure(HEIGHT, 0.5)
-    _draw_poles(figure.subplots(), system)
-    return figure
-
-
-def step(system: LinearSystem) -> Figure:
-    """Step response of the first joint, with its settling band and time."""
-    figure = _figure(HEIGHT, 0.6)
-    _draw_step(figure.subplots(), system)
-    return figure
-
-
-def bode(system: LinearSystem) -> Figure:
-    """Bode diagram of the loop opened at each command, the others closed."""
-    figure = _figure(1.5 * HEIGHT, 0.7)
-    size, phase = figure.subplots(2, 1, sharex=True)
-    _draw_bode(size, phase, system)
-    _legend(size, system)
-    return figure
-
-
-def nyquist(system: LinearSystem) -> Figure:
-    """Nyquist diagram of the loop opened at each command, the others closed."""
-    figure = _figure(HEIGHT, 0.5)
-    _draw_nyquist(figure.subplots(), system)
-    return figure
-
-
-def _figure(height: float, width: float = 1.0) -> Figure:
-    from matplotlib.figure import Figure as NewFigure
-
-    return NewFigure(figsize=(width * WIDTH, height), dpi=150, layout="constrained", facecolor="white")
 
 
 def _has(system: LinearSystem, input: str, output: str) -> bool:
@@ -119,10 +85,9 @@ def _draw_step(ax: Axes, system: LinearSystem) -> None:
     sampled = system if system.dt else system.zoh(h)
     count = max(2, min(int(SETTLED * settled / h) + 1, 10 * POINTS))
     column, row = sampled.columns("ref.q[0]")[0], sampled.rows("q[0]")[0]
-    x, y = np.zeros(len(sampled.A)), np.zeros(count)
-    for k in range(count):
-        y[k] = sampled.C[row] @ x + sampled.D[row, column]
-        x = sampled.A @ x + sampled.B[:, column]
+    start = sampled.B[:, column]  # a step adds up the impulse response
+    later = np.cumsum(powers(sampled.C[row], sampled.A, count - 1) @ start)
+    y = sampled.D[row, column] + np.concatenate([[0.0], later])
     prepared(ax, "step response", "q / reference", "t [s]")
     ax.axhspan(1.0 - BAND, 1.0 + BAND, color=colour(2), alpha=0.25, linewidth=0.0)
     ax.axhline(1.0, color=INK, linewidth=0.6)
