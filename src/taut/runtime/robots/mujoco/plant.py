@@ -98,12 +98,12 @@ class MujocoPlant(PlantInMujoco):
         adds: What the plant adds to a torque command itself: "gravity", "coriolis", and "friction", which cancels the
             arm's own, so that none is left.
         touch: What of the arm can touch the scene: "tool" for a sphere at the tool's origin, "links" for capsules
-            along the links too, None for nothing. The arm never touches itself; friction is that of what it touches.
+            of 50 mm radius along the links too, None for nothing. The arm never touches itself; friction is that of
+            what it touches.
         tool_radius: [m] of the sphere.
         tool_length: [m] of a cylinder of that radius in the sphere's place, such as a peg: its axis is the tool's z
             axis, and its end, which is flat, is at the tool's origin. It has no mass; that is the payload's.
         tip: A taut.environments.SpringTip that gives way and carries the sphere or cylinder; rigid if left out.
-        link_radius: [m] of the capsules.
         looks: What a viewer shows: "plain" shapes, or the arm's "meshes", which take longer to load.
         actuation: The drives, as of RigidPlant: delay, amplifier, motor, gear; ideal if left out.
         sensors: What is measured, and how well; ideal sensors if left out.
@@ -148,7 +148,6 @@ class MujocoPlant(PlantInMujoco):
         tool_radius: float = 0.01,
         tool_length: float | None = None,
         tip: SpringTip | None = None,
-        link_radius: float = 0.05,
         looks: Looks = "plain",
         actuation: Actuation | None = None,
         sensors: Sensors | None = None,
@@ -185,7 +184,6 @@ class MujocoPlant(PlantInMujoco):
             tool_radius=positive_scalar("tool_radius", tool_radius, unit="m"),
             tool_length=None if tool_length is None else positive_scalar("tool_length", tool_length, unit="m"),
             scene_at=_place(scene_at, scene is not None),
-            link_radius=positive_scalar("link_radius", link_radius, unit="m"),
             looks=one_of("looks", looks, LOOKS),
             tip=tip,
         )
