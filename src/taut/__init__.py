@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from taut.arm.description import Friction as Friction
     from taut.arm.description import Payload as Payload
     from taut.arm.load import load_arm as load_arm
-    from taut.arm.loaders.servo_file import load_servo as load_servo
     from taut.arm.servo import Servo as Servo
+    from taut.arm.servo import load_servo as load_servo
     from taut.base.errors import StabilityWarning as StabilityWarning
     from taut.base.errors import TautError as TautError
     from taut.codegen.casadi import to_casadi as to_casadi

@@ -8,9 +8,6 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from taut.arm.gears import matched_ratio as matched_ratio
     from taut.arm.gears import reflected_inertia as reflected_inertia
-    from taut.arm.loaders.write_friction import JointWords as JointWords
-    from taut.arm.loaders.write_friction import to_mjcf_joints as to_mjcf_joints
-    from taut.arm.loaders.write_friction import to_urdf_dynamics as to_urdf_dynamics
     from taut.base.fields import Choice as Choice
     from taut.base.fields import Field as Field
     from taut.maths.task_inertia import rotor_share as rotor_share

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from taut.control.laws.virtual_objects import VirtualGroove as VirtualGroove
     from taut.control.laws.virtual_objects import VirtualWall as VirtualWall
     from taut.control.laws.wrappers import EnergyTank as EnergyTank
+    from taut.control.laws.wrappers import LossOfContact as LossOfContact
     from taut.control.laws.wrappers import NormalEstimate as NormalEstimate
     from taut.control.side_by_side import SideBySide as SideBySide
 

@@ -379,7 +379,8 @@ def test_numbers_of_a_wrong_model_that_have_no_meaning_are_refused(numbers: dict
         ("PID(kp=[1, NaN])", "law 'PID(kp=[1, NaN])': kp[1] must be finite [N m/rad | N/m]; got nan"),
         (
             "PID(kp=3-nan)",
-            "a law is written as PID(kp=100, kd=20); got 'PID(kp=3-nan)'; '3 - nan' is no number, list, word or law",
+            "a law is written as PID(kp=100, kd=20), each gain by its name, or with a name before it, stiff: "
+            "PID(kp=100, kd=20); got 'PID(kp=3-nan)'",
         ),
     ],
 )

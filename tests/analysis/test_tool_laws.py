@@ -109,6 +109,7 @@ def test_every_law_of_motion_and_force_is_here() -> None:
     parts |= {
         "EnergyTank",
         "LimitAvoidance",
+        "LossOfContact",
         "Manipulability",
         "SideBySide",
         "VirtualWall",

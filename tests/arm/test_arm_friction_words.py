@@ -1,19 +1,17 @@
-"""Friction, gears and rotors in the words of URDF and MJCF: there and back, and what they cannot say."""
+"""Friction, gears and rotors in the words of URDF and MJCF, as they are read."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
-from arm_models import DUO, PAIR
+from arm_models import DUO
 
 import taut
 from taut import Friction
-from taut.arm.loaders.write_friction import to_mjcf_joints, to_urdf_dynamics
 from taut.arm.report import check_model, joint_table
-from taut.errors import ModelError, UsageError
+from taut.errors import ModelError
 
 SIMPLE = Friction(viscous=[0.1, 1.0 / 3.0], coulomb=[0.5, 0.0])
 FULL = Friction(
@@ -128,105 +126,3 @@ def test_an_arms_friction_is_a_table() -> None:
     assert head.split()[-5:-1] == ["friction", "static", "stribeck", "rotor"]
     assert first.split()[10:13] == ["0.1", "0.4", "0.05"]
     assert second.split()[10:13] == ["0.1", "same", "0"]
-
-
-# -------------------------------------------------------------------- writing
-
-
-def replaced(text: str, joint: str, xml: str) -> str:
-    """The two-joint URDF with another <dynamics> in a joint, or the MJCF with other numbers."""
-    head, _, rest = text.partition(f'<joint name="{joint}"')
-    inside, _, tail = rest.partition("</joint>")
-    inside = inside.replace('<dynamics damping="0.1" friction="0.2"/>', "")
-    return f'{head}<joint name="{joint}"{inside}{xml}</joint>{tail}'
-
-
-class TestUrdf:
-    def test_what_it_can_say_comes_back_bit_by_bit(self, tmp_path: Path) -> None:
-        arm = taut.load_arm(written(tmp_path, DUO)).with_friction(SIMPLE)
-        words = to_urdf_dynamics(arm)
-        text = DUO
-        for name in arm.joint_names:
-            text = replaced(text, name, words.xml(name))
-        again = taut.load_arm(written(tmp_path, text))
-        np.testing.assert_array_equal(again.viscous, arm.viscous)
-        np.testing.assert_array_equal(again.coulomb, arm.coulomb)
-
-    def test_what_it_cannot_say_is_said(self) -> None:
-        arm = taut.load_arm("planar2").with_friction(FULL).with_gears({"joint2": 50.0}, 1e-5)
-        assert to_urdf_dynamics(arm).notes == (
-            "friction is the friction at rest by the URDF's specification, and nearly every engine takes it as dry "
-            "friction in motion, as taut does: written is coulomb",
-            "static friction above that in motion is left out, on 'joint1'",
-            "the Stribeck effect is left out, on 'joint1'",
-            "friction that grows with load is left out, on 'joint2'",
-            "rotor inertia is left out, on 'joint2': <dynamics> has none; Drake reads drake:rotor_inertia and "
-            "drake:gear_ratio in the <actuator> of a <transmission>, and so does taut",
-        )
-
-    def test_nothing_that_is_left_out_is_nothing_to_say(self) -> None:
-        assert to_urdf_dynamics(taut.load_arm("planar2").with_friction(Friction(viscous=0.1))).notes == ()
-
-
-class TestMjcf:
-    def test_what_it_can_say_is_what_mujoco_computes_with(self, tmp_path: Path) -> None:
-        arm = taut.load_arm(written(tmp_path, PAIR, "pair.xml")).with_friction(SIMPLE).with_gears([30.0, 50.0], 2e-5)
-        words = to_mjcf_joints(arm)
-        text = PAIR.replace('<joint name="shoulder" axis="0 1 0" range="-2 2" damping="0.1"/>', words.xml("shoulder"))
-        text = text.replace('<joint name="elbow" axis="0 1 0"/>', words.xml("elbow"))
-        m = mujoco.MjModel.from_xml_string(text)
-        np.testing.assert_array_equal(m.dof_damping, arm.viscous)
-        np.testing.assert_array_equal(m.dof_frictionloss, arm.coulomb)
-        np.testing.assert_array_equal(m.dof_armature, arm.rotor_inertia)
-        again = taut.load_arm(written(tmp_path, text, "again.xml"))
-        np.testing.assert_array_equal(again.rotor_inertia, arm.rotor_inertia)
-        np.testing.assert_array_equal(again.coulomb, arm.coulomb)
-
-    def test_what_it_cannot_say_is_said(self) -> None:
-        arm = taut.load_arm("planar2").with_friction(FULL).with_gears(50.0, 1e-5)
-        assert to_mjcf_joints(arm).notes == (
-            "frictionloss is a soft constraint of MuJoCo: a joint that should stick creeps, less with a stiffer "
-            'solreffriction and solimpfriction, and not at all with <option noslip_iterations="..."/>',
-            "static friction above that in motion is left out, on 'joint1'",
-            "the Stribeck effect is left out, on 'joint1'",
-            "friction that grows with load is left out, on 'joint2'",
-            "the lugre attribute of MuJoCo's <dcmotor> has static friction and a Stribeck speed, behind its gear",
-            "armature is the reflected inertia, gear^2 times that of the rotor: give no gear for it again",
-        )
-
-    def test_a_name_with_marks_is_quoted(self) -> None:
-        words = to_mjcf_joints(taut.load_arm("one_joint"))
-        odd = taut.drives.JointWords(element="joint", attributes={'a"<b': {"damping": 0.5}}, notes=())
-        assert words.xml("joint1").startswith('<joint name="joint1" ')
-        assert odd.xml('a"<b') == '<joint name=\'a"&lt;b\' damping="0.5"/>'
-
-    def test_a_joint_that_should_stick_creeps_in_mujoco_without_noslip(self) -> None:
-        """What the note says: 0.3 N m against a frictionloss of 0.5 N m, for ten seconds."""
-        arm = taut.load_arm("one_joint", gravity=[0.0, 0.0, 0.0]).with_joints(coulomb=0.5, viscous=0.0)
-        creep = {}
-        for option in ("", '<option noslip_iterations="10"/>'):
-            text = (
-                f"<mujoco>{option}<option gravity='0 0 0'/><worldbody><body>{to_mjcf_joints(arm).xml('joint1')}"
-                "<geom type='capsule' fromto='0 0 0 0.3 0 0' size='.02' mass='1'/></body></worldbody></mujoco>"
-            )
-            m = mujoco.MjModel.from_xml_string(text)
-            d = mujoco.MjData(m)
-            d.qfrc_applied[0] = 0.3
-            mujoco.mj_step(m, d, 5000)
-            creep[option] = abs(float(d.qpos[0]))
-        assert creep[""] > 1e-3
-        assert creep['<option noslip_iterations="10"/>'] < 1e-3 * creep[""]
-
-
-def test_a_joint_that_is_not_there_has_no_words() -> None:
-    words = to_urdf_dynamics(taut.load_arm("one_joint"))
-    with pytest.raises(
-        taut.errors.UnknownNameError, match=r"^the arm has no joint 'joint2'; did you mean 'joint1'\?$"
-    ):
-        words.xml("joint2")
-
-
-@pytest.mark.parametrize("write", [to_urdf_dynamics, to_mjcf_joints])
-def test_only_an_arm_has_joints_with_names(write: object) -> None:
-    with pytest.raises(UsageError, match=r"takes an Arm; got Friction; arm.with_friction\(...\) makes one"):
-        write(SIMPLE)  # type: ignore[operator]

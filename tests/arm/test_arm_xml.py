@@ -50,7 +50,7 @@ def test_a_file_too_deep_is_refused_at_the_bound_and_not_read_further() -> None:
     lines = b"<link>\n" * 20_000
     with pytest.raises(ModelError) as caught:
         parse_xml(lines, "robot.urdf")
-    assert caught.value.problems[0].line == xml.MAX_DEPTH + 1
+    assert caught.value.problems[0].line == xml.MAX_ELEMENT_DEPTH + 1
 
 
 def test_a_file_with_too_many_elements_is_refused_at_the_bound() -> None:

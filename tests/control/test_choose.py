@@ -70,4 +70,4 @@ def test_the_gains_of_a_line_are_stable_on_every_arm(code: str) -> None:
             ctrl = taut.compile(law, arm)
             plant = taut.RigidPlant(arm, friction=friction, environment=TOUCHING if "F_ext" in ctrl.needs else None)
             found = taut.run(ctrl, plant, duration=2.0 / ctrl.rate).info.stability
-            assert found["stable"] is not False, (name, friction, found["message"])
+            assert found.stable is not False, (name, friction, found.message)

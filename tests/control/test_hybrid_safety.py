@@ -10,7 +10,7 @@ import pytest
 import taut
 from taut import Constraint, Pose
 from taut.base.types import Float64Array
-from taut.laws import HybridMotionForce, TaskComputedTorque
+from taut.laws import HybridMotionForce, LossOfContact, TaskComputedTorque
 
 Array = Float64Array
 ARM = taut.load_arm("kinova")
@@ -32,7 +32,7 @@ def law(constraint: Constraint = BOARD, **more: Any) -> HybridMotionForce:
 
 @pytest.fixture(scope="module")
 def faded() -> taut.Controller:
-    return taut.compile(law(), ARM, limits=LIMITS)
+    return taut.compile(LossOfContact(law=law()), ARM, limits=LIMITS)
 
 
 def run(ctrl: taut.Controller, ref: Any, *, duration: float = 0.3, **plant: Any) -> taut.Run:
@@ -66,8 +66,6 @@ def test_with_kdamp_the_speed_stays_below_what_the_damping_holds() -> None:
     bound = ((1.0 + KFP) * 5.0 + KFI * E_INT_MAX) * (1.0 / KDAMP + 1e-3 * mobility)
     speed = np.abs(against(out))
     assert 0.9 * bound < speed.max() < 1.001 * bound
-    assert "contact was lost in" in out.outcome.message
-    assert "the integral of the force error was at its bound e_int_max in" in out.outcome.message
 
 
 LIGHT = [(name, axis) for name in ("ur10", "ur3", "kinova", "xarm7", "panda") for axis in (0, 1)]
@@ -153,14 +151,13 @@ def test_the_force_goes_and_comes_without_a_jump(faded: taut.Controller) -> None
 
 def test_rows_that_hold_both_ways_are_always_there() -> None:
     line = Constraint.line(point=T.p, axis=[1.0, 0.0, 0.0])
-    both = law(line)
-    assert not both.fades
+    both = LossOfContact(law=law(line))
     ctrl = taut.compile(both, ARM, engine="float")
     ref = taut.pressing(STAY, lam=[3.0, -4.0])
     for _ in range(80):
         ctrl.step(ARM.home, np.zeros(ARM.n), ref, F_ext=np.zeros(6))
     assert ctrl.memory["law.lost"] == 0.0
-    assert ctrl.memory["law.fraction"].tolist() == [1.0, 1.0]
+    assert ctrl.memory["law.applied"].tolist() == [1.0, 1.0]
     np.testing.assert_allclose(ctrl.memory["law.e_int"], 80e-3 * np.array([3.0, -4.0]))
 
 
@@ -175,7 +172,6 @@ def test_an_integral_has_a_bound_where_none_is_given_as_that_of_force_control() 
     for _ in range(5):
         ctrl.step(ARM.home, np.zeros(ARM.n), ref, F_ext=np.zeros(6))
     np.testing.assert_allclose(ctrl.memory["law.e_int"], [-20.0, 2.0, 2.0])
-    assert ctrl.memory["law.bounded"] == 1.0
 
 
 # -------------------------------------------------------------------- what is asked for
@@ -186,37 +182,18 @@ def test_a_stream_into_the_surface_is_told_and_followed_along_it(faded: taut.Con
         return taut.pressing(taut.TaskMotion(pose=Pose(T.p - [0.0, 0.0, 0.09 * x.t], R=T.R)), 5.0)
 
     out = run(faded, taut.stream(period=0.05, source=dive), contact=BOARD, duration=0.3)
-    told = "the motion asked for, off the constraint by more than the tolerance, was followed only along it in 151 of 301"
-    assert told in out.outcome.message
-    assert "first at t = 0.15 s" in out.outcome.message
+    assert "left out a part of what was asked for: the motion must keep to the constraint" in out.outcome.message
+    assert "at t = 0.15 s it is 0.0135 into it" in out.outcome.message
     assert np.abs(out.task.p - T.p).max() < 1e-4
     quiet = run(faded, taut.stream(period=0.05, source=lambda x: taut.pressing(STAY, 5.0)), contact=BOARD)
     assert quiet.outcome.message == "completed: 301 ticks, 0.3 s"
-
-
-def test_a_motion_of_another_frame_of_the_link_is_looked_at_where_the_constraint_is() -> None:
-    flange = next(name for name in ARM.frame_names if ARM.frame(name).body == ARM.frame().body and name != ARM.tool)
-    p = taut.snapshot(ARM, ARM.home).T(flange)
-    face = Constraint.plane(point=p.p, normal=[0.0, 0.0, 1.0], face=p.R.T @ [0.0, 0.0, -1.0], frame=flange)
-    ctrl = taut.compile(law(face, kfp=0.1, kfi=1.0, tolerance=0.02), ARM, engine="float")
-    for tilt, off in ((0.0, 0.0), (0.1, 1.0)):
-        ctrl.reset()
-        R = Pose(rpy=[tilt, 0.0, 0.0]).R @ T.R
-        moved = p.p + Pose(rpy=[tilt, 0.0, 0.0]).R @ (T.p - p.p)  # the flange's origin stays on the plane
-        ctrl.step(ARM.home, np.zeros(ARM.n), taut.pressing(STAY), F_ext=np.zeros(6))
-        ref = taut.pressing(taut.TaskMotion(pose=Pose.of(R, moved)))
-        ctrl.step(ARM.home, np.zeros(ARM.n), ref, F_ext=np.zeros(6))
-        assert ctrl.memory["law.astray"] == off
 
 
 @pytest.mark.parametrize(
     ("forces", "told"),
     [
         ({"F_app": [3.0, 0.0, -5.0, 0.0, 0.0, 0.0]}, True),
-        (
-            {"F_app": [0.01, 0.0, -5.0, 0.0, 0.0, 0.0]},
-            False,
-        ),  # a part in 500: where the tool is, not where it should be
+        ({"F_app": [0.01, 0.0, -5.0, 0.0, 0.0, 0.0]}, False),  # where the tool is, not where it should be
         ({"F_app": [0.0, 0.0, 5.0, 0.0, 0.0, 0.0]}, True),
         ({"lam": [2.0]}, True),
         ({"lam": [-2.0]}, False),
@@ -228,22 +205,32 @@ def test_a_motion_of_another_frame_of_the_link_is_looked_at_where_the_constraint
 def test_a_streamed_force_that_the_constraint_does_not_bear_is_told_and_left_out(
     faded: taut.Controller, forces: Any, told: bool
 ) -> None:
-    faded.reset()
-    q, v, rest = np.array(ARM.home), np.zeros(ARM.n), np.array([0.0, 0.0, 5.0, 0.0, 0.0, 0.0])
-    faded.step(q, v, taut.pressing(STAY), F_ext=rest)
-    faded.step(q, v, taut.pressing(STAY, **forces), F_ext=rest)
-    assert faded.memory["law.unborne"] == float(told)
+    out = run(
+        faded, taut.stream(period=0.05, source=lambda x: taut.pressing(STAY, **forces)), contact=BOARD, duration=0.1
+    )
+    assert ("left out a part of what was asked for" in out.outcome.message) == told
     if "F_app" in forces and forces["F_app"][2] < 0.0:
-        assert np.abs(faded.terms["force"]).max() > 0.0
-        faded.reset()
-        faded.step(q, v, taut.pressing(STAY), F_ext=rest)
-        kept = np.array(faded.terms["force"])
-        faded.step(q, v, taut.pressing(STAY, 5.0), F_ext=rest)
-        pressed = np.array(faded.terms["force"]) - kept
-        faded.reset()
-        faded.step(q, v, taut.pressing(STAY), F_ext=rest)
-        faded.step(q, v, taut.pressing(STAY, **forces), F_ext=rest)
-        np.testing.assert_allclose(faded.terms["force"] - kept, pressed, atol=1e-9)
+        pressed = run(faded, taut.pressing(STAY, 5.0), contact=BOARD, duration=0.1)
+        np.testing.assert_allclose(out.terms["force"][60:], pressed.terms["force"][60:], atol=1e-6)
+
+
+def test_a_streamed_motion_sideways_to_a_blade_is_told_when_it_has_gone_too_far() -> None:
+    """1 cm is allowed, at 0.1 m/s for 0.1 s; along the blade any way."""
+    blade = Constraint.knife_edge(sideways=[0.0, 1.0, 0.0])
+    ctrl = taut.compile(law(blade, kfp=None, kfi=None, tolerance=0.02), ARM)
+
+    def along(turn: float) -> Any:
+        across = T.R @ [np.cos(turn), np.sin(turn), 0.0]
+        return lambda x: taut.pressing(
+            taut.TaskMotion(pose=Pose(T.p + 0.1 * x.t * across, R=T.R), twist=[*(0.1 * across), 0.0, 0.0, 0.0])
+        )
+
+    told = [
+        run(ctrl, taut.stream(period=0.05, source=along(turn)), contact=blade).outcome.message
+        for turn in (0.0, 0.5 * np.pi)
+    ]
+    assert "left out" not in told[0]
+    assert "against row 0, which is one of velocities" in told[1]
 
 
 # -------------------------------------------------------------------- gains that are too high
@@ -262,23 +249,10 @@ def test_gains_that_swing_up_on_a_rigid_contact_are_refused_there_and_told_elsew
     assert HybridMotionForce(constraint=BOARD, motion=motion()).force_loop_gain(1e-3, None) == 0.0
 
 
-def test_a_force_that_turns_round_each_tick_is_told(faded: taut.Controller) -> None:
-    """As on a contact that is nearly rigid; noise that turns round now and then is none."""
-    ref, q, v = taut.pressing(STAY, 5.0), np.array(ARM.home), np.zeros(ARM.n)
-    for forces, swings in (([0.0, 20.0] * 4, 1.0), ([4.6, 5.4] * 8, 0.0), ([3.0, 7.0, 7.0, 3.0] * 4, 0.0)):
-        faded.reset()
-        told = []
-        for force in forces:
-            faded.step(q, v, ref, F_ext=np.array([0.0, 0.0, force, 0.0, 0.0, 0.0]))
-            told.append(float(faded.memory["law.oscillates"]))
-        assert told[-1] == swings
-        assert sum(told[:4]) == 0.0
-
-
 # -------------------------------------------------------------------- rows that become dependent
 
 
-def test_rows_that_become_dependent_are_told_and_left_out() -> None:
+def test_rows_that_become_dependent_are_left_out() -> None:
     """A plane and a saddle z = 10 x y meet along x = 0, and at y = 0 they touch: their gradients are one."""
     centre = T.p + np.array([0.0, 0.05, 0.0])
 
@@ -290,10 +264,6 @@ def test_rows_that_become_dependent_are_told_and_left_out() -> None:
     ctrl = taut.compile(HybridMotionForce(constraint=both, motion=motion()), ARM)
     way = taut.pressing(taut.trajectories.Line(T0=T, T1=Pose(centre, R=T.R), duration=0.3))
     out = run(ctrl, way, contact=both, duration=0.5)
-    assert "rows of the constraint said the same as later ones, and were left out (index 0) in" in out.outcome.message
-    gone = out.extra["law.dependent"]
-    assert gone[0].tolist() == [0.0, 0.0]
-    assert gone[-1].tolist() == [1.0, 0.0]
     assert np.abs(out.command).max() < 1.2 * np.abs(out.command[0]).max()
     assert np.abs(out.task.p[-1] - centre).max() < 1e-3
     # exactly there, with a motion that both rows cannot have
@@ -301,32 +271,3 @@ def test_rows_that_become_dependent_are_told_and_left_out() -> None:
     x = taut.snapshot(ARM, taut.dynamics.onto(BOARD, ARM, out.q[-1]), np.full(ARM.n, 0.1))
     tau = ctrl.step(x.q, x.v, taut.pressing(taut.TaskMotion(pose=x.T())))
     assert np.abs(tau).max() < 100.0
-
-
-def test_a_streamed_motion_sideways_to_a_blade_is_told_when_it_has_gone_too_far() -> None:
-    """1 cm is allowed: against the row at 0.1 m/s for 0.1 s; along it any way."""
-    blade = Constraint.knife_edge(sideways=[0.0, 1.0, 0.0])
-    ctrl = taut.compile(law(blade, kfp=None, kfi=None), ARM, engine="float")
-    for turn, when in ((0.0, 0), (0.5 * np.pi, 100)):
-        ctrl.reset()
-        T0 = Pose.of(T.R, T.p)
-        across = T.R @ [np.cos(turn), np.sin(turn), 0.0]
-        told = []
-        for k in range(150):
-            at = taut.TaskMotion(
-                pose=Pose.of(T0.R, T0.p + 1e-4 * k * across), twist=[*(0.1003 * across), 0.0, 0.0, 0.0]
-            )
-            ctrl.step(ARM.home, np.zeros(ARM.n), taut.pressing(at) if k else taut.pressing(STAY))
-            told.append(float(ctrl.memory["law.astray"]))
-        assert told == [0.0] * (when or 150) + [1.0] * (150 - when if when else 0)
-
-
-def test_a_law_that_estimates_the_surface_does_not_tell_of_a_motion_off_the_stated_one() -> None:
-    told = []
-    for own in (law(), taut.laws.NormalEstimate(law=law())):
-        ctrl = taut.compile(own, ARM, engine="float")
-        ctrl.step(ARM.home, np.zeros(ARM.n), taut.pressing(STAY), F_ext=np.zeros(6))
-        above = taut.TaskMotion(pose=Pose(T.p + np.array([0.0, 0.0, 0.05]), R=T.R))
-        ctrl.step(ARM.home, np.zeros(ARM.n), taut.pressing(above), F_ext=np.zeros(6))
-        told.append(float(ctrl.memory["law.astray"]))
-    assert told == [1.0, 0.0]

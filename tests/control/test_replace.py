@@ -39,6 +39,7 @@ LAWS: dict[str, tuple[taut.Law, dict[str, Any]]] = {
     "Admittance": (laws.Admittance(inner=TASK, D=(4.0, 0.1), K=(100.0, 5.0), zeta=1.0), {"zeta": 0.5}),
     "HybridMotionForce": (HYBRID, {"kfi": 5.0}),
     "NormalEstimate": (laws.NormalEstimate(law=HYBRID), {"rate": 4.0}),
+    "LossOfContact": (laws.LossOfContact(law=HYBRID), {"patience": 0.1}),
     "EnergyTank": (laws.EnergyTank(law=laws.Impedance(K=(8.0, 1.0), B=(1.0, 0.1)), capacity=1.0), {"settle": 0.3}),
     "ForceControl": (laws.ForceControl(kfp=0.5, kfi=3.0), {"kfi": 4.0}),
     "VirtualWall": (laws.VirtualWall(point=[0, 0, 0.1], normal=[0, 0, 1], K=1000.0), {"K": 500.0}),

@@ -20,7 +20,7 @@ PRESS = taut.TaskForce(F_app=[3.0, 0.0, -6.0, 0.0, 0.4, 0.0], frame="tool")
 
 @pytest.fixture(scope="module")
 def run() -> taut.Run:
-    law = L.ForceControl(kfp=0.2, kfi=4.0, kdamp=(60.0, 2.0))
+    law = L.LossOfContact(law=L.ForceControl(kfp=0.2, kfi=4.0, kdamp=(60.0, 2.0)))
     held = taut.environments.Environments(
         spring=taut.environments.Spring(stiffness=(2e3, 60.0)), damper=taut.environments.Damper(damping=(80.0, 2.0))
     )

@@ -31,7 +31,8 @@ def arm_of(name: str) -> taut.Arm:
 @cache
 def controller(name: str, feedback: Any = "wrench") -> taut.Controller:
     gains = {} if feedback == "none" else {"kfp": KFP, "kfi": KFI, **MOST}
-    return taut.compile(L.ForceControl(kdamp=KDAMP, feedback=feedback, **gains), arm_of(name))
+    law: taut.Law = L.ForceControl(kdamp=KDAMP, feedback=feedback, **gains)
+    return taut.compile(law if feedback == "none" else L.LossOfContact(law=law), arm_of(name))
 
 
 @cache
@@ -99,7 +100,7 @@ def test_when_contact_is_lost_the_tool_is_no_faster_than_the_bound_and_the_run_s
     out = run(name, [taut.Event(t=1.0, set=FREE)])
     speed, turning = np.linalg.norm(out.task.twist[:, :3], axis=1), np.linalg.norm(out.task.twist[:, 3:], axis=1)
     x = taut.snapshot(arm_of(name), out.q[out.t <= 1.0][-1])
-    linear, angular = controller(name).law.speed_bound(F_app=F_DES, x=x, rate=1000.0)  # type: ignore[attr-defined]
+    linear, angular = controller(name).law.law.speed_bound(F_app=F_DES, x=x, rate=1000.0)  # type: ignore[attr-defined]
     assert 0.3 * linear < speed.max() <= linear
     assert turning.max() <= angular
     assert "the tool met less than was asked for, contact was lost in" in out.outcome.message
@@ -216,7 +217,6 @@ def test_without_damping_nothing_bounds_it() -> None:
 def test_a_run_that_never_meets_anything_says_so() -> None:
     out = run("panda", [taut.Event(t=0.0, set=FREE)])
     assert "contact was lost in 2951 of 3001 ticks, first at t = 0.05 s" in out.outcome.message
-    assert "the integral of the force error was at its bound e_int_max in" in out.outcome.message
 
 
 def test_the_free_motion_does_not_run_away() -> None:

@@ -49,7 +49,7 @@ def said(act: Callable[[], object], kind: type[taut.TautError]) -> str:
             taut.errors.UsageError,
             "scene_at says where the scene stands, and there is none; give scene= too",
         ),
-        ({"link_radius": "a"}, taut.errors.ShapeError, "link_radius must be one number [m]; got 'a'"),
+        ({"tool_radius": "a"}, taut.errors.ShapeError, "tool_radius must be one number [m]; got 'a'"),
         (
             {"adds": ("gravty",)},
             taut.errors.UnknownNameError,

@@ -13,8 +13,8 @@ from taut.base.types import ArrayLike, Float64Array
 __all__ = ["reach"]
 
 STARTS: Final = 64  # poses to climb from; the hill has few tops, and one start in four finds the highest
-SWEEPS: Final = 200
-SETTLED: Final = 1e-10  # [m] a sweep that gains less than this ends the climb
+MAX_SWEEPS_OF_CLIMB: Final = 200
+LEAST_GAIN: Final = 1e-10  # [m] a sweep that gains less than this ends the climb
 SEED: Final = 0
 
 
@@ -38,9 +38,9 @@ def reach(arm: Arm, frame: str | None = None, point: ArrayLike = (0.0, 0.0, 0.0)
     q = np.stack([rng.uniform(*_range(joint), size=STARTS) for joint in chain]) if chain else np.zeros((0, STARTS))
     p_tool = tool.placement.p + tool.placement.R @ np.asarray(point, dtype=np.float64)
     best = -1.0
-    for _ in range(SWEEPS):
+    for _ in range(MAX_SWEEPS_OF_CLIMB):
         distance = _sweep(chain, q, p_tool)
-        if distance - best < SETTLED:
+        if distance - best < LEAST_GAIN:
             break
         best = distance
     return max(best, distance)

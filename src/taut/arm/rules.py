@@ -32,7 +32,7 @@ __all__ = [
 
 AXIS_TOLERANCE: Final = 1e-3  # an axis shorter than this has no direction; any other length is normalised
 INERTIA_TOLERANCE: Final = 1e-6  # relative slack of the triangle inequality, for rounded files
-SINGULAR: Final = 1e-12  # a principal moment below this share of the largest is rounding, not a size
+LEAST_MOMENT: Final = 1e-12  # a principal moment below this share of the largest is rounding, not a size
 OTHER_KINDS: Final = {
     "floating": "a floating joint is not one of an arm; make it fixed, cut the model there",
     "planar": "a planar joint is not one of an arm; write it as two prismatic joints and a revolute one",
@@ -243,7 +243,7 @@ def check_inertia(mass: float, inertia: Float64Array) -> tuple[str, str] | None:
     if np.abs(inertia - inertia.T).max() > 1e-9 * max(np.abs(inertia).max(), 1e-300):
         return "inertia", "inertia must be symmetric"
     small, middle, large = np.linalg.eigvalsh(inertia)
-    if small <= SINGULAR * large:
+    if small <= LEAST_MOMENT * large:
         text = f"inertia must be positive definite [kg m^2]; its smallest principal moment is {small:.3g}"
         return "inertia", text
     if large > (small + middle) * (1.0 + INERTIA_TOLERANCE):

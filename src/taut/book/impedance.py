@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final
 
@@ -14,8 +13,8 @@ from taut.analysis.impedance_at_tool import ToolImpedance, tool_impedance
 from taut.arm.description import Arm
 from taut.arm.load import load_arm
 from taut.base.errors import RangeError
+from taut.base.fields import Field
 from taut.base.plot_style import DASHED, INK, colour, prepared
-from taut.base.types import Float64Array
 from taut.book.models import M, engine, link, looped, panda, simulated, ticked, total
 from taut.book.multi_joint import Q, V
 from taut.book.page import MUJOCO, Shown, compared, entry, legend, panels, row
@@ -29,6 +28,7 @@ from taut.control.trajectories.reference import Sample
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.controller import compile
 from taut.maths.snapshot import Snapshot, snapshot
+from taut.plant.environments.environment import Environment
 from taut.trace import math as tm
 from taut.trace.pose import Pose
 
@@ -42,23 +42,11 @@ Values = Mapping[str, Any]
 FAST: Final = 10000.0  # [Hz]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Pushed:
-    """A constant force on the tool's origin along one axis of the world.
-
-    Args:
-        axis: 0, 1 or 2.
-        force: Its size [N].
-    """
+class Pushed(Environment):
+    """A constant force on the tool's origin along one axis of the world."""
 
     axis: int = 0
-    force: float = 10.0
-
-    def parameters(self) -> dict[str, Float64Array]:
-        return {"force": np.array(self.force)}
-
-    def start(self, T_WE: Pose) -> dict[str, Any]:  # noqa: ARG002
-        return {}
+    force: Field = Field(10.0, unit="N")
 
     def wrench(
         self, T_WE: Pose, twist: Any, t: Any, memory: Values, parameters: Values, dt: Any  # noqa: ARG002

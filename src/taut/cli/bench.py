@@ -31,7 +31,7 @@ from taut.plant.rigid import RigidPlant
 
 __all__ = ["BENCH", "BareLoop", "Timing", "bench_arm", "empty_cache", "interleaved"]
 
-ROUNDS: Final = 9
+BENCH_ROUNDS: Final = 9
 BUDGET: Final = 0.05  # [s] that one case takes in one round
 
 
@@ -61,7 +61,7 @@ def interleaved(
     cases: Mapping[str, Callable[[], object] | str],
     names: Mapping[str, object] | None = None,
     *,
-    rounds: int = ROUNDS,
+    rounds: int = BENCH_ROUNDS,
     budget: float = BUDGET,
 ) -> dict[str, Timing]:
     """Time every case in every round, for about `budget` seconds each; the collector rests meanwhile.

@@ -14,7 +14,7 @@ from taut.cli.command import DONE, FAILED, STATUS, Answer, Command, Say
 
 __all__ = ["BOOK"]
 
-WIDTH: Final = 120  # letters of a line in a file or a pipe
+LINE_LETTERS: Final = 120  # letters of a line in a file or a pipe
 EXAMPLES: Final = f"""examples:
   taut book
   taut book fig-10.6 eq-10.14 --out results
@@ -58,7 +58,8 @@ def _table(pages: object) -> str:
 
     from taut.book import contents
 
-    width = shutil.get_terminal_size((WIDTH, 0)).columns if "COLUMNS" in os.environ or os.isatty(1) else WIDTH
+    asked = "COLUMNS" in os.environ or os.isatty(1)
+    width = shutil.get_terminal_size((LINE_LETTERS, 0)).columns if asked else LINE_LETTERS
     console = Console(file=io.StringIO(), color_system=None, width=width)
     console.print(contents.table(pages, width))  # type: ignore[arg-type]  # the pages that contents made
     return str(console.file.getvalue()).rstrip("\n")  # type: ignore[attr-defined]  # a StringIO

@@ -80,7 +80,13 @@ def law_rows() -> list[LawRow]:
     return [_row(cls) for name, cls in law_classes(laws).items() if name not in OF_OTHERS]
 
 
-OF_OTHERS: Final = ("Sum", "SideBySide", "NormalEstimate", "EnergyTank")  # which are made of other laws
+OF_OTHERS: Final = (
+    "Sum",
+    "SideBySide",
+    "NormalEstimate",
+    "EnergyTank",
+    "LossOfContact",
+)  # which are made of other laws
 
 
 def _row(cls: type[Law]) -> LawRow:

@@ -11,15 +11,18 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from taut.base.errors import NumericalError, RangeError, TautError
+from taut.base.errors import NumericalError, RangeError, TautError, UsageError
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.program import Block, failure
 from taut.control.command import wild_term
+from taut.control.law import Law
 from taut.control.laws.task_space import far_away, may_bound
 from taut.control.lawside import LawSide
 from taut.control.tasks.task import NO_CONTACT
 from taut.control.trajectories.feed import Feed
+from taut.control.trajectories.force_reference import HybridMotion
+from taut.control.trajectories.samples import Chunk
 from taut.loop import AnyPlant
 from taut.maths.snapshot import Snapshot
 from taut.record.info import RunInfo
@@ -35,6 +38,7 @@ RUNNING: Final = Outcome(kind="stopped", message="the run is still going on", ti
 SANE: Final = 1e6  # [rad/s | m/s]
 SEEN: Final = 1e-3  # [m] out of reach: less than that is nobody's concern
 LOG_PERIOD: Final = 0.1  # [s] of computing between two writes of a log, which is so at most twice that behind
+LOOKS: Final = 200  # ticks of a run in which the references of hybrid laws are checked
 BEYOND: Final = 0.01  # [rad | m] beyond a limit: more than an engine's soft stop gives way
 
 
@@ -130,7 +134,7 @@ class Tape:
                 f"; joint '{arm.joint_names[joint]}' went {beyond[joint]:.3g} {arm.units[joint]} beyond its limits, "
                 "where a real one meets its stop"
             )
-        message += self._remarks(ticks) + self.out_of_reach(ticks)
+        message += self._remarks(ticks) + self._inadmissible(ticks) + self.out_of_reach(ticks)
         return Outcome(kind="completed", message=message, tick=ticks - 1)
 
     def explained(self, outcome: Outcome) -> Outcome:
@@ -177,6 +181,24 @@ class Tape:
             at = np.flatnonzero(lost)
             if len(at):
                 said += f"; {text} in {len(at)} of {ticks} ticks, first at t = {self.inputs['t'][at[0]]:.6g} s"
+        return said
+
+    def _inadmissible(self, ticks: int) -> str:
+        """What hybrid laws left out of what they were asked for, which of a stream is not known before a run."""
+        whole, task = self._side.law, self._side.task
+        t, rows, home, said = self.inputs["t"][:ticks], self.reference(0, ticks), self._side.arm.home, ""
+        for name, law in {"": whole}.items() if isinstance(whole, Law) else whole.laws.items():
+            acts = self._acting(f"law.{name}", 0, ticks) if task else np.full(ticks, True)
+            seen = np.flatnonzero(acts)[:: max(1, int(acts.sum()) // LOOKS)]
+            if len(seen) and issubclass(law.reference, HybridMotion):
+                x = Snapshot(self._side.model, q=home, v=0.0 * home, t=t[seen[0]])
+                samples = [whole.reference.of({field: rows[field][i] for field in rows}) for i in seen]
+                asked = tuple(task.sample_of(name, sample) for sample in samples) if task else tuple(samples)
+                followed = Chunk(times=t[seen] - t[seen[0]], samples=asked)
+                try:
+                    law.check_references(x, followed, self._side.rate, later=True)
+                except (RangeError, UsageError) as left_out:
+                    said += f"; the law left out a part of what was asked for: {left_out}"
         return said
 
     def out_of_reach(self, ticks: int) -> str:

@@ -27,7 +27,7 @@ from taut.scenarios.references import TASK, read_phases, read_reference
 
 __all__ = ["read_control_side_and_plant", "read_experiment"]
 
-MAX_TICKS: Final = 10_000_000  # of a run, which keeps every one: gigabytes
+MAX_RUN_TICKS: Final = 10_000_000  # of a run, which keeps every one: gigabytes
 GLANCE: Final = 200  # ticks of a reference that are looked at before a run
 
 
@@ -73,9 +73,9 @@ def read_experiment(root: Table, own_laws: Mapping[str, Law] | None) -> dict[str
     reference = read_reference(table, arm, plant.arm.home, alone)
     run: RunSection = read(RunSection, run_table)
     duration, q0 = float(run.duration), plant.arm.home if run.q0 == "home" else run.q0
-    if duration * rate > MAX_TICKS:
+    if duration * rate > MAX_RUN_TICKS:
         raise run_table.error(
-            f"must be <= {MAX_TICKS / rate:g} [s] at {rate:g} Hz, as a run keeps every tick; got {duration:g}",
+            f"must be <= {MAX_RUN_TICKS / rate:g} [s] at {rate:g} Hz, as a run keeps every tick; got {duration:g}",
             "duration",
         )
     with run_table.blamed():

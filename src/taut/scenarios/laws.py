@@ -176,8 +176,12 @@ def _written(node: ast.expr) -> Any:
     """
     match node:
         case ast.Name(id=word):  # nan and inf are numbers, as in TOML, so that the law says which gain must be finite
-            return float(word) if word.lower() in ("nan", "inf") else {"law": word}
-        case ast.Call(func=ast.Name(id=name), args=[], keywords=gains):
+            if word.lower() in ("nan", "inf"):
+                return float(word)
+            if not word[:1].isupper():  # no law has such a name
+                raise ValueError(word)
+            return {"law": word}
+        case ast.Call(func=ast.Name(id=name), args=[], keywords=gains) if all(gain.arg for gain in gains):
             return {"law": name, **{str(gain.arg): _written(gain.value) for gain in gains}}
         case ast.BinOp(op=ast.Add(), left=left, right=right):
             first, second = _as_sum(_written(left)), _as_sum(_written(right))

@@ -40,13 +40,13 @@ __all__ = [
 ]
 
 MAX_BYTES: Final = 500_000  # of a file
-MAX_DEPTH: Final = 16  # tables within tables; a scenario has five
+TABLE_DEPTH: Final = 16  # tables within tables; a scenario has five
 MAX_LETTERS: Final = 100  # of a value in a message
-NONE: Final = "none"  # the word for an object that is left out
+LEFT_OUT_WORD: Final = "none"  # the word for an object that is left out
 TEXT_OR_COMMENT: Final = re.compile(
     r'"""(?:\\.|[^\\])*?"""|\'\'\'.*?\'\'\'|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*', re.DOTALL
 )
-DOTTED: Final = re.compile(rf"(?<![^\s.,=\[\]{{}}])(?:[^\s.,=\[\]{{}}]+[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}")
+DOTTED: Final = re.compile(rf"(?<![^\s.,=\[\]{{}}])(?:[^\s.,=\[\]{{}}]+[ \t]*+\.[ \t]*+){{{TABLE_DEPTH}}}")
 PARAMETERS: Final = {
     "sensors": "plant.sensors",
     "actuation": "plant.actuation",
@@ -107,7 +107,7 @@ def table_of(text: str, label: str, what: str, folder: Path = Path()) -> Table:
 
 def _too_deep(root: Table, place: str) -> ScenarioError:
     return root.error(
-        f"has at '{place[:MAX_LETTERS]}' more than {MAX_DEPTH} tables or arrays in each other; no key takes that"
+        f"has at '{place[:MAX_LETTERS]}' more than {TABLE_DEPTH} tables or arrays in each other; no key takes that"
     )
 
 
@@ -118,7 +118,7 @@ def _refuse_hostile(root: Table) -> None:
         path, value = waiting.pop()
         place = f"has at '{'.'.join(path)[:MAX_LETTERS]}'"
         if isinstance(value, (dict, list)):
-            if len(path) == MAX_DEPTH:
+            if len(path) == TABLE_DEPTH:
                 raise _too_deep(root, ".".join(path))
             inside = value.items() if isinstance(value, dict) else enumerate(value)
             waiting += [((*path, str(key)), each) for key, each in inside]
@@ -456,7 +456,7 @@ def read(kind: Callable[..., Any], table: Table, *, others: Iterable[str] = (), 
 def _value(argument: Argument, table: Table, key: str) -> Any:
     """The value of one key: as it is written, or the object that its table describes."""
     written = table.get(key)
-    if written == NONE and argument.optional:
+    if written == LEFT_OUT_WORD and argument.optional:
         return None
     tables = isinstance(written, dict) or (isinstance(written, list) and any(isinstance(x, dict) for x in written))
     if argument.part is None or (argument.plain and not tables):

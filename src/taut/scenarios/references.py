@@ -47,7 +47,7 @@ __all__ = ["TASK", "read_phases", "read_reference"]
 
 POSITIONS: Final = ("q", "q0", "q1", "center", "points")  # of the joints, which may be "home"
 POSES: Final = ("pose", "T0", "T1", "T")  # of the tool, which may be "home"
-POINTS: Final = ("centre", "via", "end")  # of the tool
+TOOL_POINTS: Final = ("centre", "via", "end")  # of the tool
 ROTATIONS: Final = ("xyzw", "wxyz", "rpy", "R")
 FORCES: Final = ("press", "lam", "F_app")  # that a motion applies, as of taut.pressing
 POSE: Final = "{ p = [0.4, 0.0, 0.3], rpy = [3.14, 0.0, 0.0] }"
@@ -75,7 +75,7 @@ def _displaced(T0: Pose, *, p: ArrayLike, duration: float | None = None) -> Task
 
 
 TONES: Final = 3
-BAND: Final = (0.1, 0.5)  # [Hz]
+NOISE_BAND: Final = (0.1, 0.5)  # [Hz]
 ONSET: Final = 0.7  # [s] in which the motion sets in
 
 
@@ -105,7 +105,7 @@ class SamplePolicy(Declared):
     def _path(self, t: Float64Array) -> Float64Array:
         """(k, 6) offsets from T, from rest at t = 0 on [m, rad]."""
         rng = np.random.default_rng([self.seed, 0])
-        f, phase = rng.uniform(*BAND, (TONES, 6)), rng.uniform(0.0, 2.0 * np.pi, (TONES, 6))
+        f, phase = rng.uniform(*NOISE_BAND, (TONES, 6)), rng.uniform(0.0, 2.0 * np.pi, (TONES, 6))
         waves = np.sin(2.0 * np.pi * f * t[:, np.newaxis, np.newaxis] + phase).sum(axis=1) * np.sqrt(2.0 / TONES)
         onset: Float64Array = -np.expm1(-((t / ONSET) ** 2))
         path: Float64Array = onset[:, np.newaxis] * waves * np.repeat(self.size, 3)
@@ -269,7 +269,7 @@ class _Home:
 _OF_HOME: Final[Mapping[str, Callable[[_Home, str], Any]]] = {
     **dict.fromkeys(POSITIONS, _Home._position),
     **dict.fromkeys(POSES, _Home._pose),
-    **dict.fromkeys(POINTS, _Home._point),
+    **dict.fromkeys(TOOL_POINTS, _Home._point),
     "poses": _Home._poses,
 }
 

@@ -356,11 +356,12 @@ def wrong_surface(run: ExaminedRun) -> Finding | None:
     A law that estimates the normal of the surface is left out: it was given an approximate one.
     """
     record, limit = run.run, run.threshold
-    laws = [name.removesuffix(".lost") for name in record.extra if name.endswith(".lost")]
-    laws = [law for law in laws if not np.isnan(record.extra.get(f"{law}.phi", np.nan)).any()]
+    laws = [name.removesuffix(".phi") for name, phi in record.extra.items() if name.endswith(".phi")]
+    laws = [law for law in laws if not np.isnan(record.extra[f"{law}.phi"]).any()]
     if len(laws) != 1 or not run.presses or f"{laws[0]}.normal" in record.extra:
         return None
-    phi, contact = record.extra[f"{laws[0]}.phi"].reshape(len(record), -1), record.extra[f"{laws[0]}.lost"] == 0.0
+    phi = record.extra[f"{laws[0]}.phi"].reshape(len(record), -1)
+    contact = record.extra.get(f"{laws[0]}.lost", np.zeros(len(record))) == 0.0
     if "one_sided" in record.terms:
         force = record.extra.get("F_ext", np.zeros((len(record), 6)))[:, :3]
         contact &= np.linalg.norm(force, axis=1) > limit["contact force"]

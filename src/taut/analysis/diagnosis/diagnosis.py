@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from taut.analysis.diagnosis.check import Check, ExaminedRun, Finding, Number
+from taut.analysis.diagnosis.check import Check, ExaminedRun, Finding
 from taut.analysis.diagnosis.checks import CHECKS, SHARED
 from taut.analysis.diagnosis.model import model_of_run
 from taut.arm.description import Arm
 from taut.base.errors import UsageError
 from taut.base.result import Content, Result, Table
+from taut.base.types import Float64Array
 from taut.record.run import Run
 
 if TYPE_CHECKING:
@@ -36,14 +37,12 @@ class Diagnosis(Result):
         findings: Causes before their consequences; of each, those first that explain most of the feedback effort.
         problems: Why the run could not be examined as a whole: a fault, gaps, too few ticks.
         notes: Checks that were left out, with the reason.
-        figures: The figures of the run that the checks look at, by name; of a task by phase.
         model: Where the model comes from that the torques were compared with.
     """
 
     findings: tuple[Finding, ...]
     problems: tuple[str, ...]
     notes: tuple[str, ...]
-    figures: Mapping[str, Number]
     model: str
 
     @property
@@ -74,11 +73,6 @@ class Diagnosis(Result):
                 rows=findings,
             ),
             Table(title="evidence", columns=("finding", "quantity", "value", "unit"), rows=evidence),
-            Table(
-                title="figures of the run",
-                columns=("quantity", "value", "unit"),
-                rows=[(name, number.value, number.unit) for name, number in self.figures.items()],
-            ),
         )
         figures: dict[str, Callable[[], Figure]] = {
             f"{i}. {each.name}": each.plot for i, each in enumerate(self.findings, start=1) if len(each.signals)
@@ -137,83 +131,72 @@ def doctor(run: Run, *, arm: Arm | None = None, checks: Sequence[Check] = CHECKS
     whole, lost = _longest_complete(run, int(threshold["ticks"]))
     problems += lost
     if whole is None:
-        return Diagnosis(findings=(), problems=tuple(problems), notes=(), figures={}, model="none was needed")
+        return Diagnosis(findings=(), problems=tuple(problems), notes=(), model="none was needed")
     kept = _before_running_away(whole, int(threshold["ticks"]) // 2)
     ran_away = len(kept) < len(whole) or run.outcome.kind == "diverged"
     if len(kept) < len(whole):
         problems.append(f"the loop ran away: what came after {kept.t[-1]:.4g} s was left out")
-    if len(kept) < max(threshold["ticks"], threshold["duration"] * run.rate):
+    shortest = max(threshold["ticks"], threshold["duration"] * run.rate)
+    if len(kept) < shortest:
         problems.append(f"{len(kept)} ticks, {len(kept) / run.rate:.3g} s, are too short for most checks")
-    examine = _Examination(arm=arm, checks=checks, threshold=threshold, ran_away=ran_away)
-    with np.errstate(over="ignore"):
-        found = examine.phases(kept) if run.info.phases else examine(kept)
-    return dataclasses.replace(
-        found,
-        findings=_ordered(found.findings),
+    found: dict[tuple[str, str], list[Finding]] = {}
+    notes, models = list[str](), list[str]()
+    for phase, own, step in _visits(kept):
+        label = "" if phase is None else f"{phase}: "
+        if phase is not None and len(own) < shortest:
+            notes.append(f"{label}{len(own) / run.rate:.3g} s are too short")
+            continue
+        model, source = model_of_run(own, arm)
+        models.append(source)
+        case = ExaminedRun(run=own, model=model, threshold=threshold, ran_away=ran_away)
+        with np.errstate(over="ignore"):
+            findings, left_out = _examined(case, checks)
+        notes += [f"{label}{note}" for note in left_out]
+        for each in findings:
+            jump = each.evidence.get("jump") if each.joint is not None else None
+            if jump and step[run.joint_names.index(str(each.joint))] < 0.5 * abs(jump.value):
+                continue  # the torque was there in the phase before
+            found.setdefault((each.name, each.term), []).append(dataclasses.replace(each, phase=phase))
+    return Diagnosis(
+        findings=_ordered([_once(group) for group in found.values()]),
         problems=tuple(problems),
-        notes=tuple(dict.fromkeys(found.notes)),
+        notes=tuple(notes),
+        model=", ".join(dict.fromkeys(models)) or "none was needed",
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Examination:
-    """All checks of a run of one law, or of the phases of a task."""
+def _visits(run: Run) -> Iterator[tuple[str | None, Run, Float64Array]]:
+    """Each visit to a phase of a task, or the whole run: label, part of the run, first step of the command."""
+    if not run.info.phases:
+        yield None, run, np.full(run.n, np.inf)
+        return
+    visits: dict[str, int] = {}
+    for window in run.phases:
+        visit = visits[window.name] = visits.get(window.name, -1) + 1
+        label = f"phase '{window.name}'" + (f", visit {visit + 1}" if visit else "")
+        step = np.abs(run.command[window.first] - run.command[window.first - 1])
+        yield label, run.phase(window.name, visit), step if window.first else np.full(run.n, np.inf)
 
-    arm: Arm | None
-    checks: Sequence[Check]
-    threshold: Mapping[str, float]
-    ran_away: bool
 
-    def __call__(self, run: Run) -> Diagnosis:
-        """The findings of a run, in the order of the checks."""
-        model, source = model_of_run(run, self.arm)
-        case = ExaminedRun(run=run, model=model, threshold=self.threshold, ran_away=self.ran_away)
-        findings, left_out = [], dict[str, list[str]]()
-        for check in self.checks:
-            missing: str | None = "the run is too short"
-            if len(run) >= self.threshold["ticks"] or (self.ran_away and check.name == "oscillation"):
-                missing = next((why for need in check.needs if (why := case.lacks(need)) is not None), None)
-            if missing is not None:
-                left_out.setdefault(missing, []).append(check.name)
-            elif (found := check.examine(case)) is not None:
-                findings.append(found)
-        notes = [f"{', '.join(names)}: {why}" for why, names in left_out.items()]
-        return Diagnosis(
-            findings=tuple(findings), problems=(), notes=tuple(notes), figures=_figures(case), model=source
-        )
+def _examined(case: ExaminedRun, checks: Sequence[Check]) -> tuple[list[Finding], list[str]]:
+    """The findings of a run, in the order of the checks, and the checks that were left out with the reason."""
+    findings, left_out = list[Finding](), dict[str, list[str]]()
+    for check in checks:
+        missing: str | None = "the run is too short"
+        if len(case.run) >= case.threshold["ticks"] or (case.ran_away and check.name == "oscillation"):
+            missing = next((why for need in check.needs if (why := case.lacks(need)) is not None), None)
+        if missing is not None:
+            left_out.setdefault(missing, []).append(check.name)
+        elif (found := check.examine(case)) is not None:
+            findings.append(found)
+    return findings, [f"{', '.join(names)}: {why}" for why, names in left_out.items()]
 
-    def phases(self, run: Run) -> Diagnosis:
-        """Each visit to a phase by itself; what is found in several is reported once, where it explains most."""
-        found: dict[tuple[str, str], list[Finding]] = {}
-        notes: list[str] = []
-        figures: dict[str, Number] = {}
-        models: list[str] = []
-        visits: dict[str, int] = {}
-        for window in run.phases:
-            visit = visits[window.name] = visits.get(window.name, -1) + 1
-            label = f"phase '{window.name}'" + (f", visit {visit + 1}" if visit else "")
-            own = run.phase(window.name, visit)
-            if len(own) < max(self.threshold["ticks"], self.threshold["duration"] * run.rate):
-                notes.append(f"{label}: {len(own) / run.rate:.3g} s are too short")
-                continue
-            made = self(own)
-            step = np.abs(run.command[window.first] - run.command[max(window.first - 1, 0)])
-            for each in made.findings:
-                jump = each.evidence.get("jump") if each.joint is not None else None
-                if window.first and jump and step[run.joint_names.index(str(each.joint))] < 0.5 * abs(jump.value):
-                    continue  # the torque was there in the phase before
-                found.setdefault((each.name, each.term), []).append(dataclasses.replace(each, phase=label))
-            notes += [f"{label}: {note}" for note in made.notes]
-            figures |= {f"{label}: {name}": number for name, number in made.figures.items()}
-            models.append(made.model)
-        once = []
-        for group in found.values():
-            first = max(group, key=lambda each: each.fraction)
-            also = [str(each.phase) for each in group if each is not first]
-            phase = f"{first.phase}, also in {', '.join(also)}" if also else first.phase
-            once.append(dataclasses.replace(first, phase=phase))
-        model = ", ".join(dict.fromkeys(models)) or "none was needed"
-        return Diagnosis(findings=tuple(once), problems=(), notes=tuple(notes), figures=figures, model=model)
+
+def _once(group: Sequence[Finding]) -> Finding:
+    """What was found in several phases, where it explains most."""
+    first = max(group, key=lambda each: each.fraction)
+    also = [str(each.phase) for each in group if each is not first]
+    return dataclasses.replace(first, phase=f"{first.phase}, also in {', '.join(also)}") if also else first
 
 
 def _ordered(found: Sequence[Finding]) -> tuple[Finding, ...]:
@@ -295,23 +278,3 @@ def _before_running_away(run: Run, min_ticks: int) -> Run:
     if not ends:
         return run
     return run.between(float(run.t[0]), float(run.t[min(max(min(ends), min_ticks), len(run)) - 1]))
-
-
-def _figures(case: ExaminedRun) -> dict[str, Number]:
-    """The figures of a run that the checks look at, each of the joint where it is largest."""
-    run, out = case.run, dict[str, tuple[float, str]]()
-    if case.error is not None:
-        out["peak error"] = np.abs(case.error / case.tolerance).max(), "times the tolerance"
-        if case.settled.any():
-            out["steady-state error"] = np.abs(case.steady_error / case.tolerance).max(), "times the tolerance"
-    if case.of_torque:
-        of = "% of the effort limit" if case.effort_limit is not None else "% of the largest torque"
-        out["torque"] = 100.0 * np.abs(run.tau / case.scale).max(), of
-        out["first feedback"] = 100.0 * np.abs(case.applied_feedback[0] / case.scale).max(), of
-        if case.fit is not None and case.model is not None and len(case.model.ticks):
-            out["torque beyond the model"] = 100.0 * np.abs(case.model.residual / case.scale).max(), of
-    out["time cut"] = 100.0 * (case.cut != 0.0).any(axis=1).mean(), "% of the run"
-    out["longest period"] = np.diff(run.t).max(initial=0.0) * run.rate, "times the nominal"
-    if case.of_task:
-        out["smallest singular value"] = run.task.min_singular_value.min(), "1"
-    return {"ticks": Number(float(len(run)))} | {name: Number(float(x), unit) for name, (x, unit) in out.items()}

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Lumps"]
 
-MOVING: Final[tuple[JointKind, ...]] = ("revolute", "continuous", "prismatic")
+MOVING_KINDS: Final[tuple[JointKind, ...]] = ("revolute", "continuous", "prismatic")
 
 
 class Lumps:
@@ -172,7 +172,7 @@ class Lumps:
 
 
 def _moving_kind(joint: TreeJoint) -> JointKind:
-    for kind in MOVING:
+    for kind in MOVING_KINDS:
         if joint.kind == kind:
             return kind
     raise AssertionError(joint.kind)
@@ -188,7 +188,7 @@ def _unit_axis(axis: Float64Array) -> Float64Array:
 
 def _held(joint: TreeJoint, q: float) -> Pose:
     """The motion of a joint that is held at q, as a pose; `assemble` has checked that q fits the joint."""
-    if joint.kind not in MOVING or q == 0.0:
+    if joint.kind not in MOVING_KINDS or q == 0.0:
         return Pose.identity()
     axis = _unit_axis(joint.axis)
     if joint.kind == "prismatic":

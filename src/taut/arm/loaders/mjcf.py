@@ -6,13 +6,13 @@ frame. A joint whose anchor is not the body's origin has a frame of its own, und
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from taut.arm.loaders.mjcf_actuators import Efforts, Rotors
 from taut.arm.loaders.mjcf_compile import Compiled, compiled
 from taut.arm.loaders.mjcf_source import prepare
 from taut.arm.loaders.tree import LinkInertia, Tree, TreeJoint, TreeKind, TreeLink, Words
@@ -62,8 +62,7 @@ class _Builder:
         self._main = main
         self._taken: set[str] = set()
         self._links: list[str] = []  # by body id
-        self._efforts = Efforts(result.model)
-        self._rotors = Rotors(result.model)
+        self._actuators = _Actuators(result.model)
 
     def build(self) -> list[TreeLink]:
         """Fill the tree; the link of each body, by id."""
@@ -80,8 +79,7 @@ class _Builder:
         self._tree.gravity = _gravity(m)
         self._home()
         self._tree.notes.extend(_left_out(m))
-        self._tree.notes.extend(self._rotors.notes())
-        self._tree.notes.extend(self._efforts.notes())
+        self._tree.notes.extend(self._actuators.notes)
         return bodies
 
     def _unique(self, name: str) -> str:
@@ -165,11 +163,11 @@ class _Builder:
             ref = float(m.qpos0[m.jnt_qposadr[j]])
             joint.origin = T_parent_joint @ _motion(kind, axis, -ref)
             joint.axis = axis
-            joint.viscous = float(m.dof_damping[dof]) + self._rotors.damping(j)
+            joint.viscous = float(m.dof_damping[dof]) + self._actuators.damping.get(j, 0.0)
             joint.coulomb = float(m.dof_frictionloss[dof])
-            joint.rotor_inertia = float(m.dof_armature[dof]) + self._rotors.inertia(j)
-            joint.gear = self._rotors.gear(j)
-            joint.effort = self._efforts.of(j)
+            joint.rotor_inertia = float(m.dof_armature[dof]) + self._actuators.inertia.get(j, 0.0)
+            joint.gear = self._actuators.gear(j)
+            joint.effort = self._actuators.effort(j)
             joint.mimic = self._coupled(j)
             if m.jnt_limited[j]:
                 joint.lower, joint.upper = (float(x) for x in m.jnt_range[j])
@@ -216,6 +214,69 @@ class _Builder:
                 self._tree.home[joint.name] = value
             else:
                 self._tree.notes.append(f"the key frame 'home' puts joint '{joint.name}' out of its limits")
+
+
+class _Actuators:
+    """What the actuators give to each joint: effort, and through their gears inertia and damping of their rotors."""
+
+    def __init__(self, m: mujoco.MjModel) -> None:
+        import mujoco
+
+        self._m = m
+        self._efforts: dict[int, float] = {}
+        self._gears: dict[int, set[float]] = {}  # of actuators that have a rotor
+        self.inertia: dict[int, float] = {}  # seen at the joint [kg m^2 | kg]
+        self.damping: dict[int, float] = {}  # seen at the joint [N m s/rad | N s/m]
+        servos, motors, elsewhere, bent = [], [], [], []
+        on_joint = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+        for a in range(m.nactuator):
+            name = m.actuator(a).name or f"actuator{a}"
+            if int(m.actuator_trntype[a]) not in on_joint:
+                elsewhere.append(name)
+                continue
+            unbiased = int(m.actuator_biastype[a]) == int(mujoco.mjtBias.mjBIAS_NONE)
+            gain = int(m.actuator_gaintype[a])
+            if gain == int(mujoco.mjtGain.mjGAIN_DCMOTOR):
+                motors.append(name)
+            elif not unbiased:
+                servos.append(name)
+            largest = _smaller_side(m.actuator_forcerange[a]) if m.actuator_forcelimited[a] else math.inf
+            if unbiased and gain == int(mujoco.mjtGain.mjGAIN_FIXED) and m.actuator_ctrllimited[a]:
+                largest = min(largest, abs(m.actuator_gainprm[a, 0]) * _smaller_side(m.actuator_ctrlrange[a]))
+            j, gear = int(m.actuator_trnid[a, 0]), abs(float(m.actuator_gear[m.actuator_outadr[a], 0]))
+            self._efforts[j] = self._efforts.get(j, 0.0) + (gear * largest if gear else 0.0)
+            self.damping[j] = self.damping.get(j, 0.0) + gear**2 * float(m.actuator_damping[a])
+            if m.actuator_armature[a]:
+                self.inertia[j] = self.inertia.get(j, 0.0) + gear**2 * float(m.actuator_armature[a])
+                self._gears.setdefault(j, set()).add(gear)
+            if m.actuator_dampingpoly[a].any():
+                bent.append(name)
+        says = (
+            ("damping that is not linear left out, of actuators {}", bent),
+            ("actuators with their own servo gains: {}; an Arm takes torques", servos),
+            (
+                "the electrical motors of {} are left out, with their cogging and LuGre friction; an Arm takes "
+                "torques, and Friction has static friction and the Stribeck effect",
+                motors,
+            ),
+            ("actuators that drive no joint are left out: {}", elsewhere),
+        )
+        self.notes = [text.format(quoted_list(names)) for text, names in says if names]
+
+    def effort(self, j: int) -> float:
+        """Largest torque [N m | N]; infinite where the file bounds neither the joint nor its actuators."""
+        own = _smaller_side(self._m.jnt_actfrcrange[j]) if self._m.jnt_actfrclimited[j] else math.inf
+        return min(own, self._efforts.get(j, math.inf))
+
+    def gear(self, j: int) -> float:
+        """Turns of the one rotor per turn of the joint; 1 where there is none. Other actuators' gear only scales."""
+        gears = self._gears.get(j, set())
+        return next(iter(gears)) if len(gears) == 1 and 0.0 not in gears else 1.0
+
+
+def _smaller_side(both: Float64Array) -> float:
+    """An Arm's effort limit is the same both ways; the smaller one is safe."""
+    return float(min(abs(both[0]), abs(both[1])))
 
 
 def _motion(kind: TreeKind, axis: Float64Array, q: float) -> Pose:

@@ -17,7 +17,7 @@ import numpy as np
 from taut.arm.loaders.visuals import OutsideError, file_inside
 from taut.arm.loaders.xml import (
     MAX_BYTES,
-    MAX_DEPTH,
+    MAX_ELEMENT_DEPTH,
     MAX_ELEMENTS,
     BadNumberError,
     Element,
@@ -161,8 +161,8 @@ class _Includes:
         self._bytes = 0
 
     def resolved(self, element: Element, depth: int = 0) -> Element:
-        if depth > MAX_DEPTH:
-            raise self._too_much("depth", f"its elements are more than {MAX_DEPTH} deep, includes counted")
+        if depth > MAX_ELEMENT_DEPTH:
+            raise self._too_much("depth", f"its elements are more than {MAX_ELEMENT_DEPTH} deep, includes counted")
         children: list[Element] = []
         for child in element.children:
             if child.tag == "include":
@@ -342,7 +342,7 @@ def _attributes(element: Element) -> dict[str, str]:
 
 
 def _write(element: Element, text: list[str], lines: list[Element]) -> None:
-    """One tag on each line; `element` is at most MAX_DEPTH deep."""
+    """One tag on each line; `element` is at most MAX_ELEMENT_DEPTH deep."""
     attributes = "".join(f' {name}="{value.translate(ESCAPED)}"' for name, value in _attributes(element).items())
     text.append(f"<{element.tag}{attributes}>")
     lines.append(element)

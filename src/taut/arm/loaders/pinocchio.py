@@ -115,7 +115,7 @@ WORDS: Final = Words(
     wrong_inertia="fix its entry of model.inertias",
     hold="or hold it still: pinocchio.buildReducedModel",
 )
-HUGE: Final = 1e300  # Pinocchio writes the largest float where there is no limit
+NO_LIMIT: Final = 1e300  # Pinocchio writes the largest float where there is no limit
 KINDS: Final[dict[str, TreeKind]] = {
     **{f"JointModelR{axis}": "revolute" for axis in "XYZ"},
     **{f"JointModelRUB{axis}": "continuous" for axis in "XYZ"},
@@ -206,7 +206,7 @@ def _fill(made: TreeJoint, model: PinocchioModel, joint: JointModel) -> None:
 
 
 def _unlimited(value: float) -> float:
-    return math.copysign(math.inf, value) if abs(value) > HUGE else float(value)
+    return math.copysign(math.inf, value) if abs(value) > NO_LIMIT else float(value)
 
 
 def _pose(placement: Placement) -> Pose:

@@ -6,13 +6,13 @@ import difflib
 import math
 from collections.abc import Container, Iterator, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from taut.arm.loaders.tree import LinkInertia, Tree, TreeJoint, TreeKind, TreeLink, Words
-from taut.arm.loaders.urdf_transmissions import read_transmissions
 from taut.arm.loaders.visuals import MeshPaths, colours_of, urdf_visuals
 from taut.arm.loaders.xml import BadNumberError, Element, numbers, read_xml
 from taut.arm.parts import inertia_matrix
@@ -50,6 +50,9 @@ ATTRIBUTES: Final = {
     "dynamics": ("damping", "friction"),
     "mimic": ("joint", "multiplier", "offset"),
 }
+GEAR_RATIO: Final = "drake:gear_ratio"
+ROTOR_INERTIA: Final = "drake:rotor_inertia"
+REDUCTION: Final = "mechanicalReduction"
 MAX_ATTRIBUTES: Final = 50  # an element with more is a vendor's own
 LIKE: Final = 0.75  # difflib's ratio from which a word is taken for another
 
@@ -108,7 +111,7 @@ class _Reader:
                 self._tree.structure_unknown = True
             else:
                 self._tree.joints.append(joint)
-        read_transmissions(robot, self._tree)
+        _read_transmissions(robot, self._tree)
         if self._wrapping:
             text = "continuous, so the position limits in the file are left out"
             self._tree.notes.append(f"{quoted_list(self._wrapping)}: {text}")
@@ -322,3 +325,81 @@ def _meant(word: str, known: tuple[str, ...], present: Container[str]) -> str | 
     close = [other for other in known if sorted(other) == sorted(word.lower())]  # xzy for xyz
     close = close or difflib.get_close_matches(word.lower(), known, n=1, cutoff=LIKE)
     return close[0] if close and close[0] not in present else None
+
+
+# <transmission> elements of ROS, and Drake's words for the rotor inertia. One that is not one joint and one actuator
+# is no gear of a joint; it is left out and said.
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Gear:
+    """What one transmission says of one joint."""
+
+    ratio: float
+    rotor: float | None  # [kg m^2] of the rotor itself
+
+
+def _read_transmissions(robot: Element, tree: Tree) -> None:
+    """Put gear ratios and rotor inertias into the joints of the tree; problems and notes too."""
+    joints = {joint.name: joint for joint in tree.joints if joint.kind != "fixed"}
+    found: dict[str, list[_Gear]] = {}
+    coupled: list[str] = []
+    for transmission in robot.all("transmission"):
+        names = [end.get("name") or "".join(end.text).strip() for end in transmission.all("joint")]
+        actuators = transmission.all("actuator")
+        if len(names) != 1 or len(actuators) != 1:
+            coupled += [name for name in names if name in joints]
+        elif names[0] in joints:
+            found.setdefault(names[0], []).append(_gear_of(transmission, actuators[0], names[0], tree))
+    several = []
+    for name, gears in found.items():
+        if len({(gear.ratio, gear.rotor) for gear in gears}) > 1:
+            several.append(name)
+        else:
+            _put_gear(joints[name], gears[0])
+    tree.notes.extend(_left_out(coupled, several))
+
+
+def _put_gear(joint: TreeJoint, gear: _Gear) -> None:
+    joint.gear = gear.ratio
+    if gear.rotor is not None:
+        joint.rotor_inertia = gear.ratio**2 * gear.rotor
+
+
+def _left_out(coupled: list[str], several: list[str]) -> Iterator[str]:
+    if coupled:
+        names = quoted_list(dict.fromkeys(coupled))
+        yield f"transmissions of several joints or motors are left out, with their gears, on {names}"
+    if several:
+        yield f"transmissions that contradict each other are left out, with their gears, on {quoted_list(several)}"
+
+
+def _gear_of(transmission: Element, actuator: Element, joint: str, tree: Tree) -> _Gear:
+    ratio = 1.0
+    for place in (actuator, transmission):  # ROS 1 puts it into the actuator, the PR2 beside it
+        for element in place.all(REDUCTION):
+            ratio = abs(_transmission_number(element, "".join(element.text), joint, tree, 1.0, least=None))
+    for element in actuator.all(GEAR_RATIO):
+        ratio = abs(_transmission_number(element, element.get("value"), joint, tree, 1.0, least=None))
+    rotor = None
+    for element in actuator.all(ROTOR_INERTIA):
+        rotor = _transmission_number(element, element.get("value"), joint, tree, 0.0, least=0.0)
+    return _Gear(ratio=ratio, rotor=rotor)
+
+
+def _transmission_number(
+    element: Element, text: str | None, joint: str, tree: Tree, default: float, *, least: float | None
+) -> float:
+    """A number of a transmission: a ratio is not zero, of either sign; an inertia is >= 0."""
+    try:
+        (value,) = numbers(text or "", 1)
+        if least is None and value == 0.0:
+            raise BadNumberError("must not be 0: a gear has a ratio, and direct drive is 1")
+        if least is not None and value < least:
+            raise BadNumberError(f"must be >= 0 [kg m^2]; got {value:g}")
+    except BadNumberError as wrong:
+        tree.problem(
+            joint, element.tag, f"joint '{joint}': <{element.tag}> of its transmission {wrong}", element.line
+        )
+        return default
+    return value

@@ -20,7 +20,7 @@ from taut.base.errors import ModelError, Problem, printable
 __all__ = ["BadNumberError", "Element", "is_not_finite", "numbers", "parse_xml", "read_xml"]
 
 MAX_BYTES: Final = 4 * 2**20  # the largest robot description met so far has 0.2 MB and 4000 elements
-MAX_DEPTH: Final = 200  # elements inside elements
+MAX_ELEMENT_DEPTH: Final = 200  # elements inside elements
 MAX_ELEMENTS: Final = 20_000
 MAX_WORDS: Final = 10_000  # characters in one attribute that holds numbers
 MAX_MAGNITUDE: Final = 1e9  # a length, mass or inertia beyond this is a slip, and its square may overflow
@@ -218,8 +218,8 @@ class _Reader:
                 hidden = next(letter for letter in f"{name}{value}" if not letter.isprintable())
                 text = f"{printable(name)} of <{printable(tag)}> has the invisible character {hidden!a}; delete it"
                 raise self._refuse(printable(name), text)
-        if len(self._open) >= MAX_DEPTH:
-            raise self._refuse("depth", f"its elements are more than {MAX_DEPTH} deep, the most that is read")
+        if len(self._open) >= MAX_ELEMENT_DEPTH:
+            raise self._refuse("depth", f"its elements are more than {MAX_ELEMENT_DEPTH} deep, the most that is read")
         element = Element(tag, attributes, self.parser.CurrentLineNumber, self._source)
         if self._open:
             self._open[-1].children.append(element)

@@ -19,11 +19,9 @@ from taut.maths.constraints.rows import ConstraintRows, OfVelocity
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import rotation_exp, rotation_log
 from taut.trace import math as tm
-from taut.trace.pose import Pose
 
 __all__ = [
     "along_constraint",
-    "asked_pose",
     "check_constraint",
     "check_forces",
     "check_motion",
@@ -34,7 +32,7 @@ __all__ = [
 ]
 
 DEPENDENT: Final = 3e-4  # of the largest singular value, rows of length 1; below it rounding is beyond 1e-9
-OUT_OF_RANGE: Final = 1e-6  # of the wrench
+OUT_OF_RANGE: Final = 0.01  # [-] of a wrench, which a stream may state where the tool is, and not where it should be
 ELSEWHEN: Final = 0.1234567  # [s]
 SHOWN: Final = 1e-5  # of the wrench, in words
 LOOKS: Final = 64  # at a motion before it is followed
@@ -377,13 +375,6 @@ def at_frame(x: Snapshot, frame: str | None, ref: TaskMotion, tool: str | None) 
     """What a motion of the tool asks of the origin of another frame of the same body; R stays that of the tool."""
     d = _lever(x, frame, tool)
     return ref if d is None else _at_point(ref, d)
-
-
-def asked_pose(x: Snapshot, frame: str | None, ref: TaskMotion, tool: str | None) -> Pose:
-    """The pose that it asks of that frame."""
-    turn = x.model.placement(tool)[1].T @ x.model.placement(frame)[1]
-    R = ref.R if np.array_equal(turn, np.eye(3)) else ref.R @ turn
-    return Pose.of(R, at_frame(x, frame, ref, tool).p)
 
 
 def felt_along(x: Snapshot, rows: ConstraintRows, frame: str | None) -> Snapshot:

@@ -9,10 +9,10 @@ import numpy as np
 
 from taut.base.checks import positive_scalar, vector
 from taut.base.fields import Choice, Part
-from taut.base.types import ArrayLike, Float64Array, Matrix, Rotation, Vector, Wrench
+from taut.base.types import ArrayLike, Matrix, Rotation, Vector, Wrench
 from taut.control.closed_loop import ClosedLoop, PlacedGains
 from taut.control.command import Command, Terms, Torque
-from taut.control.gains import Gain, GainValue, Memory
+from taut.control.gains import Gain, GainValue
 from taut.control.integral import Integral, check_force_pole, damping_force
 from taut.control.law import Law, MemoryView
 from taut.control.laws.null_space import Posture, check_null, with_null_space
@@ -31,31 +31,13 @@ from taut.trace import math as tm
 if TYPE_CHECKING:
     from taut.plant.contact import RigidTouch
 
-__all__ = [
-    "CONTACT",
-    "E_INT_MAX",
-    "PATIENCE",
-    "ForceControl",
-    "asked_multipliers",
-    "braking",
-    "counted",
-    "gentler",
-    "missed",
-    "misses",
-    "of_wrench",
-    "per_row",
-    "swung",
-    "taken_back",
-    "wrench_of_torques",
-]
+__all__ = ["E_INT_MAX", "ForceControl", "asked_multipliers", "misses", "of_wrench", "wrench_of_torques"]
 
 Feedback = Literal["wrench", "joint_torque", "none"]
 ANY: Final = ("scalar", "pair", "matrix")
 STILL: Final = 1e-12  # [m, 1] of a Jacobian's entry: below it that is rounding
 
-CONTACT: Final = (1.0, 0.1)  # [N, N m] that count as contact, where nothing else is said
-PATIENCE: Final = 0.05  # [s] without it after which contact is lost, likewise
-E_INT_MAX: Final = (20.0, 2.0)  # [N s, N m s] the bound of the integral of a force's error, likewise
+E_INT_MAX: Final = (20.0, 2.0)  # [N s, N m s] default bound of the integral of a force's error
 
 
 class ForceControl(Law):
@@ -83,13 +65,11 @@ class ForceControl(Law):
     Lambda J a. It is right at rest, a tick old, and as good as g: a payload that the model does not know is taken
     for contact, and only a wrist sensor lets the integral take it out. Friction of gears does not show in it.
 
-    Contact is lost when less than `contact` is measured along F_des while more is asked for, longer than
-    `patience`: memory `lost` is 1, a column of a run; the metric contact_lost_time and the outcome tell.
-
-    Loss of contact, why the speed is bounded: let w = (I + kfp) F_des + kfi int(F_e), E = v . M v / 2, g exact, and a
-    null law that feeds no energy in. A tick under the wrench f = w - D V adds dt (V . f + f . dt Lambda^-1 f / 2) to
-    E, which is at most dt (w . D^-1 w - V . D V) / 2, as dt Lambda^-1 <= D^-1. So E falls whenever V . D V > w . D^-1
-    w, and over any time T the mean of V . D V is at most max w . D^-1 w + 2 E(0) / T, for any arm and any motion.
+    `taut.laws.LossOfContact` around this law reports that contact is lost. The speed is bounded then. Proof: let w =
+    (I + kfp) F_des + kfi int(F_e), E = v . M v / 2, g exact, and a null law that feeds no energy in. A tick under the
+    wrench f = w - D V adds dt (V . f + f . dt Lambda^-1 f / 2) to E, which is at most dt (w . D^-1 w - V . D V) / 2,
+    as dt Lambda^-1 <= D^-1. So E falls whenever V . D V > w . D^-1 w, and over any time T the mean of V . D V is at
+    most max w . D^-1 w + 2 E(0) / T, for any arm and any motion.
     Where Lambda hardly changes, as about a pose, y = D^1/2 V goes to (I - S) y + S y_w, with y_w = D^-1/2 w and S =
     D^1/2 dt Lambda^-1 D^1/2 symmetric, its eigenvalues in [0, 1): a start from rest keeps V . D V <= max w . D^-1 w
     at every instant, for w along one line. The part dt Lambda^-1 w is in the speed of any law that presses with w:
@@ -111,8 +91,6 @@ class ForceControl(Law):
         e_int_max: (linear, angular) the largest length of each part of the integral.
         feedback: "wrench", "joint_torque" or "none".
         frame: "world" or "tool".
-        contact: (force, moment) that count as contact.
-        patience: Time without it after which contact is lost.
         null: A law for the motion that the task leaves free, `Posture()` if not said, None for none.
         integral: What keeps the integral from winding up where limits cut torques.
         tool: The frame that is controlled; the arm's tool if left out.
@@ -144,19 +122,14 @@ class ForceControl(Law):
     kdamp: Gain = task_gain(unit="N s/m, N m s/rad", shape=6, optional=True)
     e_int_max: Gain = Gain(E_INT_MAX, unit="N s, N m s", shape=2, accepts=("pair",), above=0.0)
     frame: Choice[Axes] = Choice(*FRAMES)
-    contact: Gain = Gain(CONTACT, unit="N, N m", shape=2, accepts=("pair",), above=0.0)
-    patience: Gain = Gain(PATIENCE, unit="s", shape="scalar")
     null: Law | None = Posture()
     integral: Part[Integral] = Part(Integral, default=Integral())
     tool: str | None = None
-    alone = Memory(unit="s", doc="time since there was contact")
-    lost = Memory(notice="the tool met less than was asked for, contact was lost")
-    bounded = Memory(notice="the integral of the force error was at its bound e_int_max")
-    recorded = ("integral.e_int", "lost", "bounded")
+    recorded = ("integral.e_int",)
 
     def check(self) -> None:
         check_null(self)
-        for name in () if self.measures else ("kfp", "kfi", "e_int_max", "contact", "patience"):
+        for name in () if self.measures else ("kfp", "kfi", "e_int_max"):
             if name in self.specified:
                 self.refuse(name, "is for a force that is fed back, and feedback is 'none'; leave it out")
 
@@ -243,42 +216,39 @@ class ForceControl(Law):
         inertia = bounded_inertia(x, J)
         F_des = ref.in_world(T.R)
         w = Terms(feedforward=_inwards(R, F_des))
-        after: dict[str, Any] = {name: memory[name] for name in ("integral", "alone", "lost", "bounded")}
+        e_int = memory.integral.e_int
         if self.measures:
-            F_app = -wrench_at(x, self.tool) if self.feedback == "wrench" else wrench_of_torques(x, inertia)
-            F_e = _inwards(R, _movable(x, self.tool, F_des - F_app))
-            e_int, after["bounded"] = self._integral(x, memory, F_e, R, inertia, dt)
-            after |= {"integral": {"e_int": e_int}} | self._contact(F_des, F_app, memory.alone, dt)
+            F_e = _inwards(R, _movable(x, self.tool, F_des - self._applied(x, inertia)))
+            e_int = self._integral(x, memory, F_e, R, inertia, dt)
             w = w + Terms(P=self.kfp @ F_e, I=self.kfi @ e_int)
         if self.kdamp is not None:
             mobility = inertia.mobility if R is None else rotated_matrix(R.T, inertia.mobility)
             w = w + Terms(D=-damping_force(self.kdamp.matrix(6), mobility, _inwards(R, J @ x.v), dt))
         tau = J.T @ w.mapped(lambda F: F if R is None else rotated(R, F)) + Terms(gravity=x.g)
         tau, null = with_null_space(self, tau, x, ref, memory, dt, inertia, 6)
-        return Torque(tau), {**after, **null}
+        return Torque(tau), {"integral": {"e_int": e_int}, **null}
 
     def _integral(
         self, x: Snapshot, memory: MemoryView, F_e: Wrench, R: Rotation | None, inertia: TaskInertia, dt: Any
-    ) -> tuple[Vector, Any]:
-        """The integral after this tick, and 1 where its bound cut it."""
+    ) -> Vector:
+        """The integral after this tick, each part no longer than e_int_max."""
         grown, _ = self.integral.step(
             memory.integral, F_e, dt, ki=self.kfi, cut=lambda: _inwards(R, inertia.wrench(x.tau_cut))
         )
-        parts, least = [], 1.0
-        for k in (0, 1):
-            part = grown[3 * k : 3 * k + 3]
-            share = tm.minimum(self.e_int_max[k] / tm.maximum(tm.norm(part), 1e-12), 1.0)
-            least = tm.minimum(least, share)
-            parts.extend(share * part)
-        return tm.array(parts), tm.where(least < 1.0, 1.0, 0.0)
+        out = []
+        for part, most in ((grown[:3], self.e_int_max[0]), (grown[3:], self.e_int_max[1])):
+            out.extend(tm.minimum(most / tm.maximum(tm.norm(part), 1e-12), 1.0) * part)
+        return tm.array(out)
 
-    def _contact(self, F_des: Wrench, F_app: Wrench, alone: Any, dt: Any) -> dict[str, object]:
-        """How long there has been less than `contact` along what is asked for, and whether that is too long."""
-        missing: Any = 0.0
-        for k in (0, 1):
-            wanted, there = F_des[3 * k : 3 * k + 3], F_app[3 * k : 3 * k + 3]
-            missing = tm.maximum(missing, misses(tm.norm(wanted), wanted @ there, self.contact[k]))
-        return counted(alone, missing, self.patience.as_array(), dt)
+    def missing(self, x: Snapshot, ref: TaskForce, contact: Any) -> Vector:
+        """(2,) 1 where more force, or moment, than `contact` is asked for and less is measured along it, else 0."""
+        F_des, F_app = ref.in_world(x.T(self.tool).R), self._applied(x, bounded_inertia(x, x.J(self.tool)))
+        parts = [(F_des[3 * k : 3 * k + 3], F_app[3 * k : 3 * k + 3], contact[k]) for k in (0, 1)]
+        return tm.array([misses(tm.norm(asked), asked @ there, least) for asked, there, least in parts])
+
+    def _applied(self, x: Snapshot, inertia: TaskInertia) -> Wrench:
+        """(6,) F_app as it is measured."""
+        return -wrench_at(x, self.tool) if self.feedback == "wrench" else wrench_of_torques(x, inertia)
 
 
 def wrench_of_torques(x: Snapshot, inertia: TaskInertia) -> Wrench:
@@ -304,7 +274,7 @@ def _numbers(gain: GainValue) -> Matrix:
     return np.asarray(gain.matrix(6), dtype=np.float64)
 
 
-# -------------------------------------------------------------------- loss of contact
+# -------------------------------------------------------------------- multipliers, and whether they are there
 
 
 def misses(asked: Any, along: Any, least: Any) -> Any:
@@ -318,30 +288,6 @@ def misses(asked: Any, along: Any, least: Any) -> Any:
     return tm.where(asked > least, tm.where(along < least * asked, 1.0, 0.0), 0.0)
 
 
-def counted(alone: Any, missing: Any, patience: Any, dt: Any) -> dict[str, object]:
-    """Memory `alone`, how long contact has been missing [s], and `lost`, 1 where that is longer than the patience."""
-    alone = tm.where(missing > 0.5, alone + dt, 0.0)
-    return {"alone": alone, "lost": tm.where(alone > patience + 0.5 * dt, 1.0, 0.0)}
-
-
-def taken_back(share: Any, missing: Any, patience: Any, dt: Any) -> Any:
-    """The share of a force that is applied: it falls to 0 within the patience while contact misses, and rises so."""
-    step = dt / tm.maximum(patience, dt)
-    return tm.clip(share + tm.where(missing > 0.5, -step, step), 0.0, 1.0)
-
-
-UNBORNE: Final = 0.01  # of a wrench, outside the range of A^T, is reported
-PULL: Final = 1e-6  # [N, N m] of a multiplier that is no rounding
-GENTLE: Final = 2.0  # times the threshold of contact, with which a surface that was lost is still pressed for
-BRAKING: Final = 0.02  # [s] in which motion against a surface that was lost is braked
-MAX_REVERSALS: Final = 4  # ticks in which the error of a force reverses, one after the other, before that is reported
-
-
-def per_row(constraint: Constraint, pair: tuple[float, float]) -> Float64Array:
-    """(k,) the first number for each row that is a force, the second one for each that is a moment."""
-    return np.where(constraint.moments, pair[1], pair[0])
-
-
 def of_wrench(rows: ConstraintRows, F_app: Vector) -> Vector:
     """(k,) the multipliers of a wrench of the arm on the environment: (A A^T)^-1 A F_app."""
     assert rows.A is not None
@@ -349,65 +295,13 @@ def of_wrench(rows: ConstraintRows, F_app: Vector) -> Vector:
     return out
 
 
-def asked_multipliers(constraint: Constraint, rows: ConstraintRows, ref: HybridMotion) -> tuple[Vector, Any]:
-    """(k,) the multipliers that are asked for, and 1 where some of it cannot be borne, else 0.
-
-    What cannot be borne is not in them: press where the first row is no surface, a part of F_app outside the range of
-    A^T. A pull at a contact is reported too.
-    """
-    k, F = rows.count, ref.F_app
-    lam: Vector = ref.lam[:k]
-    unborne: Any = (ref.given[0] > 0.5) & (tm.abs(ref.given[0] - float(k)) > 0.5)
-    if rows.A is None:
-        unborne = unborne | (ref.press[0] > 0.0) | (F @ F > 0.0)
-    else:
-        along = rows.A @ F
-        held = rows.factors.solve(along)
-        unborne = unborne | (along @ held < (1.0 - UNBORNE * UNBORNE) * (F @ F))
-        lam = lam + held
+def asked_multipliers(constraint: Constraint, rows: ConstraintRows, ref: HybridMotion) -> Vector:
+    """(k,) the multipliers that are asked for by lam, by press into the surface of the first row, and by F_app."""
+    lam: Vector = ref.lam[: rows.count]
+    if rows.A is not None:
+        lam = lam + of_wrench(rows, ref.F_app)
         if constraint.surface:
             gradient = rows.A[0, :3]
-            lam = lam + tm.array([-ref.press[0] / tm.sqrt(gradient @ gradient + 1e-24), *([0.0] * (k - 1))])
-        else:
-            unborne = unborne | (ref.press[0] > 0.0)
-    for row in _contacts(rows):
-        unborne = unborne | (lam[row] > PULL)
-    return lam, tm.where(unborne, 1.0, 0.0)
-
-
-def missed(rows: ConstraintRows, wanted: Vector, measured: Vector, least: Vector) -> list[Any]:
-    """(k,) of each row, 1 where a contact is pressed and gives way, else 0: a two-sided one is there."""
-    out: list[Any] = [0.0] * rows.count
-    for row in _contacts(rows):
-        out[row] = misses(-wanted[row], measured[row] * wanted[row], least[row])
-    return out
-
-
-def gentler(rows: ConstraintRows, lam: Vector, share: Vector, least: Vector) -> Vector:
-    """(k,) multipliers of which a contact that misses has its share: with none it is pressed for gently."""
-    out = list(lam)
-    for row in _contacts(rows):
-        soft = tm.maximum(lam[row], -GENTLE * least[row])
-        out[row] = soft + share[row] * (lam[row] - soft)
-    return tm.array(out)
-
-
-def braking(rows: ConstraintRows, rate: Vector, share: Vector, dt: Any) -> Vector:
-    """(k,) the rate of `rate` that brakes motion against contacts, as far as they miss; stable at any period."""
-    out: list[Any] = [0.0] * rows.count
-    for row in _contacts(rows):
-        out[row] = (share[row] - 1.0) * rate[row] / (BRAKING + dt)
-    return tm.array(out)
-
-
-def swung(e: Vector, last: Vector, turned: Any, least: Vector) -> dict[str, object]:
-    """Memory: the error, in how many ticks it has reversed one after the other, and 1 where those are many."""
-    round_: Any = -np.inf
-    for old, new, size in zip(last, e, least, strict=True):
-        round_ = tm.maximum(round_, -old * new - size * size)
-    turned = tm.where(round_ > 0.0, turned + 1.0, 0.0)
-    return {"e_last": e, "reversals": turned, "oscillates": tm.where(turned > MAX_REVERSALS - 0.5, 1.0, 0.0)}
-
-
-def _contacts(rows: ConstraintRows) -> list[int]:
-    return [row for row, side in enumerate(rows.one_sided) if side]
+            press = -ref.press[0] / tm.sqrt(gradient @ gradient + 1e-24)
+            lam = lam + tm.array([press, *([0.0] * (rows.count - 1))])
+    return lam

@@ -13,13 +13,11 @@ from taut.base.fields import Choice, Field, Part, Plain
 from taut.base.types import Vector
 from taut.control.closed_loop import ClosedLoop, PlacedGains
 from taut.control.command import Command, Terms, Torque
-from taut.control.gains import Gain, GainValue, Memory
+from taut.control.gains import Gain, Memory
 from taut.control.integral import check_force_pole, damping_force
 from taut.control.law import Law, MemoryView, call
 from taut.control.laws.constraints import (
     along_constraint,
-    asked_pose,
-    at_frame,
     check_constraint,
     check_forces,
     check_motion,
@@ -27,26 +25,12 @@ from taut.control.laws.constraints import (
     felt_along,
     of_one_body,
 )
-from taut.control.laws.force import (
-    CONTACT,
-    E_INT_MAX,
-    PATIENCE,
-    asked_multipliers,
-    braking,
-    counted,
-    gentler,
-    missed,
-    of_wrench,
-    per_row,
-    swung,
-    taken_back,
-)
+from taut.control.laws.force import E_INT_MAX, asked_multipliers, misses, of_wrench
 from taut.control.laws.task_space import check_sensor, wrench_at
 from taut.control.trajectories.force_reference import MAX_MULTIPLIERS, HybridMotion, hybrid_kind
 from taut.control.trajectories.reference import Reference, Sample
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.constraints.constraint import Constraint
-from taut.maths.constraints.impulses import choose
 from taut.maths.constraints.multipliers import Constrained
 from taut.maths.constraints.rows import ConstraintRows
 from taut.maths.snapshot import Snapshot
@@ -93,18 +77,15 @@ class HybridMotionForce(Law):
     eq. 10.34. A one-sided row is never asked to pull. The integral rests where limits of the torque cut the force, or
     a contact would be pulled at, and the error pushes further that way; it is cut at e_int_max.
 
-    Loss of contact: of a one-sided row, less than `contact` is measured while more is asked for. Longer than
-    `patience`, memory `lost` is 1; the metric contact_lost_time and the outcome tell. With kdamp the speed y = A V +
-    phi_t against the rows is bounded from rest, y . D y <= w . D^-1 w with w = (1 + kfp) lam_des + kfi e_int_max, as
-    that of `ForceControl`: one row moves at no more than (1 / kdamp + dt A Lambda^-1 A^T) w. Of several rows that
-    holds as long as they are pressed: damping does not pull at a one-sided row either. With joint torques, which show
-    the law's own force a tick late, kfp + kfi dt / 2 + d / 2 < 1 is needed off contact, d the largest eigenvalue of D
-    dt A Lambda^-1 A^T: 1/2 for what kfp and kfi have serves any kdamp. Without kdamp, the force goes within the
-    patience to twice `contact` and the integral rests, motion against the row is braked within 0.02 s, term `lost`,
-    and contact that is there again is taken up within the patience.
+    With kdamp the speed y = A V + phi_t against the rows is bounded from rest where contact is lost, y . D y <= w .
+    D^-1 w with w = (1 + kfp) lam_des + kfi e_int_max, as that of `ForceControl`: one row moves at no more than (1 /
+    kdamp + dt A Lambda^-1 A^T) w. Of several rows that holds as long as they are pressed: damping does not pull at a
+    one-sided row either. With joint torques, which show the law's own force a tick late, kfp + kfi dt / 2 + d / 2 < 1
+    is needed off contact, d the largest eigenvalue of D dt A Lambda^-1 A^T: 1/2 for what kfp and kfi have serves any
+    kdamp. Without kdamp nothing bounds the speed; `taut.laws.LossOfContact` around this law lets the force go.
 
-    The outcome of a run tells too where a motion was asked for that is off the constraint by more than the tolerance,
-    which is followed along it only, and an inadmissible force, of which only the rest is applied.
+    What is asked for against the constraint is left out: of a motion what goes against it, of a wrench what it does
+    not admit.
 
     Frames:
         The constraint is in world axes; what it says of the tool is said at the tool's origin.
@@ -117,8 +98,6 @@ class HybridMotionForce(Law):
         kfi: Integral gain.
         e_int_max: Largest integral of the force error; 20 N s, and 2 N m s for a moment, if left out.
         kdamp: Damping of motion against the constraint, such as of a tool that has lost its contact.
-        contact: Force of a row that counts as contact; 1 N, and 0.1 N m for a moment, if left out.
-        patience: Time without it after which contact is lost.
         feedback: With kfp or kfi, what measures the force: "wrench" or "joint_torque".
         curvature: Whether the term of that name is in the law.
         tolerance: How far phi may be from zero where a run starts [m, rad].
@@ -151,30 +130,12 @@ class HybridMotionForce(Law):
     kfi: Gain = Gain(unit="1/s", shape="rows", optional=True)
     e_int_max: Gain = Gain(unit="N s, N m s", shape="rows", accepts=("scalar",), above=0.0, optional=True)
     kdamp: Gain = Gain(unit="N s/m, N m s/rad", shape="rows", optional=True)
-    contact: Gain = Gain(unit="N, N m", shape="rows", accepts=("scalar",), above=0.0, optional=True)
-    patience: Gain = Gain(PATIENCE, unit="s", shape="scalar")
     feedback: Choice[ForceFeedback] = Choice("wrench", "joint_torque")
     curvature: Plain[bool] = Plain(bool, default=True)
     tolerance: Field = Field(0.01, unit="m, rad", minimum=0.0, infinite=True, run_time=False)
     e_int = Memory(unit="N s, N m s")
     lam = Memory(unit="N, N m", record=True, doc="multipliers by eq. 10.42 of what is commanded")
     phi = Memory(unit="m, rad", record=True)
-    fraction = Memory(1.0, doc="of the force that is applied, without kdamp")
-    alone = Memory(unit="s", doc="time since there was contact")
-    lost = Memory(notice="the tool met less than was asked for, contact was lost")
-    bounded = Memory(notice="the integral of the force error was at its bound e_int_max")
-    e_last = Memory(unit="N, N m", doc="error of the force a tick ago")
-    reversals = Memory(doc="ticks in which it changed its sign, one after the other")
-    oscillates = Memory(
-        notice="the force error changed its sign in every tick, as it does where kfp + kfi dt / 2 is not under 1 "
-        "at a rigid contact,"
-    )
-    slipped = Memory(unit="m, rad", doc="displacement of the motion against rows of velocities")
-    astray = Memory(
-        notice="the motion asked for, off the constraint by more than the tolerance, was followed only along it"
-    )
-    dependent = Memory(notice="rows of the constraint said the same as later ones, and were left out")
-    unborne = Memory(notice="a part of the force asked for, which the constraint does not admit, was left out")
 
     def check(self) -> None:
         motion = self.motion
@@ -270,14 +231,11 @@ class HybridMotionForce(Law):
         return functools.reduce(lambda a, b: a & b, near)
 
     def contact_state(self, x: Snapshot) -> str:
-        """How far the arm is from its constraint, of what the tolerance is, and the force where one is measured."""
-        rows = self.constraint.at(x)
-        phi = np.asarray(rows.phi, dtype=np.float64)
+        """How far the arm is from its constraint, and the force where one is measured, in words."""
+        phi = np.asarray(self.constraint.at(x).phi, dtype=np.float64)
         row = int(np.argmax(np.abs(phi)))
-        unit = "" if rows.A is None else " m" if np.any(np.asarray(rows.A)[row, :3]) else " rad"
-        limit = f"the tolerance is {self.tolerance:g}{unit}"
-        said = f"{abs(phi[row]):.3g}{unit} off row {row} of its constraint, and {limit}"
-        if self.measures and self.feedback == "wrench" and any(rows.one_sided):
+        said = f"phi of row {row} of its constraint is {phi[row]:.3g}, and the tolerance is {self.tolerance:g}"
+        if self.measures and self.feedback == "wrench":
             said += f"; {np.linalg.norm(x.F_ext[:3]):.3g} N measured, and contact is more than {TOUCHING:g} N"
         return said
 
@@ -296,9 +254,9 @@ class HybridMotionForce(Law):
         return self.controlled(x, ref, memory, dt, self.constraint.at(x))
 
     def controlled(
-        self, x: Snapshot, ref: Any, memory: MemoryView, dt: float, rows: ConstraintRows, *, estimated: bool = False
+        self, x: Snapshot, ref: Any, memory: MemoryView, dt: float, rows: ConstraintRows
     ) -> tuple[Command, dict[str, Any]]:
-        """The command with given rows of the constraint; `estimated` ones are followed wherever the motion goes."""
+        """The command with these rows of the constraint."""
         held = Constrained.of(rows, x.M_factors)
         command, motion = call(self.motion, *self._along(x, rows, ref.motion), memory["motion"], dt)
         if not isinstance(command, Torque):
@@ -306,7 +264,7 @@ class HybridMotionForce(Law):
                 f"motion holds a law that gives torques, and {type(self.motion).__name__} gives a {command.kind}",
                 name="motion",
             )
-        lam, of_force = self._multipliers(x, rows, held, ref, memory, dt)
+        lam, e_int = self._multipliers(x, rows, held, ref, memory.e_int + tm.zeros(rows.count), dt)
         falling, curved = held.of_bias(rows.bias - rows.curvature), held.of_bias(rows.curvature)
         force = lam + Terms(force_nonlinear=-falling)
         if self.curvature:
@@ -317,10 +275,7 @@ class HybridMotionForce(Law):
                 chain=held.along(held.brought_along(x, self.motion.controlled_frame, command.terms.total))
             )
         multipliers = lam.total if self.curvature else lam.total + curved
-        after: dict[str, object] = {"motion": motion, "lam": multipliers, "phi": rows.phi, **of_force}
-        after |= self._astray(x, ref.motion, memory.slipped + tm.zeros(rows.count), dt, estimated=estimated)
-        after["dependent"] = tm.array([tm.where(gone, 1.0, 0.0) for gone in held.mobility.dropped])
-        return Torque(tau), after
+        return Torque(tau), {"motion": motion, "lam": multipliers, "phi": rows.phi, "e_int": e_int}
 
     def _along(self, x: Snapshot, rows: ConstraintRows, motion: Sample) -> tuple[Snapshot, Sample]:
         """What the law of motion sees and follows: of a tool that is constrained, without what is against that."""
@@ -332,108 +287,55 @@ class HybridMotionForce(Law):
         seen = felt_along(x, rows, frame) if of_one_body(self.constraint, x, None) else x
         return seen, along_constraint(x, rows, frame, motion, tool)
 
-    def _astray(self, x: Snapshot, motion: Sample, slipped: Vector, dt: Any, *, estimated: bool) -> dict[str, object]:
-        """1 where the motion asks for what is off the constraint by more than the tolerance, else 0.
-
-        That is a pose, or a way against rows of velocities. Not of a law that estimates the surface: it goes along
-        that, whatever the motion asks for against it.
-        """
-        tool = self.motion.controlled_frame
-        if estimated or not isinstance(motion, TaskMotion) or not of_one_body(self.constraint, x, tool):
-            return {"astray": 0.0, "slipped": slipped}
-        assert self.constraint.frame is not None
-        (frame,) = self.constraint.frame
-        T = asked_pose(x, frame, motion, tool)
-        slipped = slipped + dt * self.constraint.slip_of(T, at_frame(x, frame, motion, tool).twist)
-        off = [tm.abs(y) for y in (*self.constraint.phi_of(T, x.t), *slipped)]
-        return {"astray": tm.where(functools.reduce(tm.maximum, off) > self.tolerance, 1.0, 0.0), "slipped": slipped}
-
     def _multipliers(
-        self, x: Snapshot, rows: ConstraintRows, held: Constrained, ref: Any, memory: MemoryView, dt: Any
-    ) -> tuple[Terms, dict[str, object]]:
-        """(k,) the multipliers to apply, as terms; and the memory of the force after this tick."""
-        zero = tm.zeros(rows.count)
-        after: dict[str, object] = {
-            name: getattr(memory, name) for name in ("alone", "lost", "reversals", "oscillates")
-        }
-        after |= {name: getattr(memory, name) + zero for name in ("e_int", "e_last", "fraction")}
-        wanted, unborne = asked_multipliers(self.constraint, rows, ref)
-        after |= {"bounded": memory.bounded, "unborne": unborne}
-        lam, missing, contact = Terms(force=wanted), [0.0] * rows.count, self._per_row("contact", CONTACT)
-        if self.measures:
-            measured = self._measured(x, rows, held)
-            e, patience = wanted - measured, self.patience.as_array()
-            missing = missed(rows, wanted, measured, contact)
-            after |= swung(e, memory.e_last + zero, memory.reversals, contact)
-            after |= counted(memory.alone, functools.reduce(tm.maximum, missing), patience, dt)
-            if self.fades:
-                after["fraction"] = taken_back(memory.fraction + zero, tm.array(missing), patience, dt)
+        self, x: Snapshot, rows: ConstraintRows, held: Constrained, ref: Any, e_int: Vector, dt: Any
+    ) -> tuple[Terms, Vector]:
+        """(k,) the multipliers to apply, as terms, and the integral after this tick."""
+        wanted = asked_multipliers(self.constraint, rows, ref)
+        lam, e = Terms(force=wanted), wanted - self.measured(x, rows, held) if self.measures else None
         if self.kfp is not None:
             lam = lam + Terms(force_P=self.kfp @ e)
         if self.kdamp is not None:
             mobility = rows.A_q @ held.Minv_AT
             lam = lam + Terms(force_D=-damping_force(self.kdamp.matrix(rows.count), mobility, rows.rate(x.v), dt))
         if self.kfi is not None:
-            e_int = memory.e_int + zero
             pushed = (lam + Terms(force_I=self.kfi @ e_int)).total
-            e_int, after["bounded"] = self._integral(x, rows, held, pushed, e_int, e, missing, dt)
-            after["e_int"] = e_int
+            e_int = self._integral(x, rows, held, pushed, e_int, e, dt)
             lam = lam + Terms(force_I=self.kfi @ e_int)
-        if self.fades:
-            lam = lam.up_to(gentler(rows, lam.total, memory.fraction + zero, contact), "lost")
         if any(rows.one_sided):
-            total = tm.array(
-                [tm.minimum(y, 0.0) if side else y for y, side in zip(lam.total, rows.one_sided, strict=True)]
-            )
-            lam = lam.up_to(total, "one_sided")
-        if self.fades:
-            lam = lam + Terms(lost=held.of_bias(braking(rows, rows.rate(x.v), memory.fraction + zero, dt)))
-        return lam, after
+            total = [tm.minimum(y, 0.0) if side else y for y, side in zip(lam.total, rows.one_sided, strict=True)]
+            lam = lam.up_to(tm.array(total), "one_sided")
+        return lam, e_int
 
     def _integral(
-        self,
-        x: Snapshot,
-        rows: ConstraintRows,
-        held: Constrained,
-        lam: Vector,
-        e_int: Vector,
-        e: Any,
-        missing: list[Any],
-        dt: Any,
-    ) -> tuple[Vector, Any]:
-        """(k,) the integral after this tick, and 1 where its bound cut it.
+        self, x: Snapshot, rows: ConstraintRows, held: Constrained, lam: Vector, e_int: Vector, e: Any, dt: Any
+    ) -> Vector:
+        """(k,) the integral after this tick.
 
-        It rests where limits cut the force, or a contact would be pulled at, and the error pushes further that way;
-        and where a contact misses that nothing but the integral's rest keeps from being pressed ever more.
+        It rests where limits cut the force, or a contact would be pulled at, and the error pushes further that way.
         """
         cut = held.of_bias(held.Minv_AT.T @ x.tau_cut)
-        grown: Vector = tm.where(cut * e > 0.0, e_int, e_int + e * dt)
-        if any(rows.one_sided):
-            rests = [
-                ((y > 0.0) & (z > 0.0)) | (misses > 0.5 if self.fades else False) if side else False
-                for y, z, misses, side in zip(lam, e, missing, rows.one_sided, strict=True)
-            ]
-            grown = tm.array([choose(rest, old, new) for rest, old, new in zip(rests, e_int, grown, strict=True)])
-        most = self._per_row("e_int_max", E_INT_MAX)
-        kept = tm.clip(grown, -most, most)
-        return kept, tm.where(functools.reduce(tm.maximum, tm.abs(grown) - most) > 0.0, 1.0, 0.0)
+        pulls = tm.where(np.array(rows.one_sided), lam, 0.0)
+        grown = tm.where((cut * e > 0.0) | ((pulls > 0.0) & (e > 0.0)), e_int, e_int + e * dt)
+        most: Any = np.where(self.constraint.moments, E_INT_MAX[1], E_INT_MAX[0])
+        if self.e_int_max is not None:
+            most = self.e_int_max.as_array()
+        out: Vector = tm.clip(grown, -most, most)
+        return out
 
-    def _per_row(self, gain: str, default: tuple[float, float]) -> Vector:
-        """(k,) a gain, or where it was not given what stands for forces and for moments."""
-        given: GainValue | None = getattr(self, gain)
-        if given is None:
-            return per_row(self.constraint, default)
-        values: Vector = given.as_array() + tm.zeros(self.rows)
-        return values
-
-    @property
-    def fades(self) -> bool:
-        """Whether the force is taken back with a contact that is lost: where no kdamp bounds the speed."""
-        return self.measures and self.kdamp is None and any(self.constraint.one_sided)
-
-    def _measured(self, x: Snapshot, rows: ConstraintRows, held: Constrained) -> Vector:
+    def measured(self, x: Snapshot, rows: ConstraintRows, held: Constrained) -> Vector:
         """(k,) the multipliers that are measured."""
         if self.feedback == "joint_torque":
             return held.lam(x.tau_meas - x.inverse_dynamics(np.zeros(x.n)))  # of all that acts on the links
         (frame,) = self.constraint.frame or (None,)
         return of_wrench(rows, -wrench_at(x, frame))
+
+    def missing(self, x: Snapshot, ref: Any, contact: Any) -> Vector:
+        """(k,) 1 for a one-sided row that is pressed with more than `contact` and gives less, else 0."""
+        rows = self.constraint.at(x)
+        held = Constrained.of(rows, x.M_factors)
+        wanted, measured = asked_multipliers(self.constraint, rows, ref), self.measured(x, rows, held)
+        least = np.where(self.constraint.moments, contact[1], contact[0])
+        gone = [misses(-y, z * y, c) if side else 0.0
+                for y, z, c, side in zip(wanted, measured, least, rows.one_sided, strict=True)]  # fmt: skip
+        return tm.array(gone)

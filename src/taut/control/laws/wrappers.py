@@ -1,8 +1,9 @@
-"""Wrappers of task laws: an energy tank for changing gains, and an estimate of the normal of a surface."""
+"""Wrappers of laws of the tool: an energy tank for changing gains, loss of contact, an estimated normal."""
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping
 from typing import Any, Final, Protocol, runtime_checkable
 
@@ -11,25 +12,29 @@ import numpy as np
 from taut.base.checks import finite_array, require_at_least, symmetric_psd
 from taut.base.errors import UsageError
 from taut.base.fields import Part, Plain
-from taut.base.types import Rotation, Vector3
+from taut.base.types import Rotation, Vector, Vector3
 from taut.control.combine import Wrapper
-from taut.control.command import Command
+from taut.control.command import Command, Terms, Torque
 from taut.control.gains import Gain, GainValue, Memory
 from taut.control.law import MemoryView
 from taut.control.laws.constraints import check_surface
+from taut.control.laws.force import ForceControl
 from taut.control.laws.hybrid import HybridMotionForce
 from taut.control.laws.task_space import check_sensor
 from taut.control.trajectories.reference import Reference
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.constraints.constraint import Constraint
+from taut.maths.constraints.multipliers import Constrained
 from taut.maths.constraints.rows import ConstraintRows
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import rotated
 from taut.trace import math as tm
 
-__all__ = ["EnergyTank", "NormalEstimate", "turn_between", "turned_rows"]
+__all__ = ["EnergyTank", "LossOfContact", "NormalEstimate", "turn_between", "turned_rows"]
 
 NEVER: Final = 1e-24  # keeps a root from zero, where it has no slope
+GENTLE: Final = 2.0  # [-] times the threshold of contact: force with which a surface that was lost is sought
+BRAKING: Final = 0.02  # [s] in which motion against a surface that was lost is braked
 PAID: Final = ("K", "D")  # gains whose change the tank pays for
 OfPose = Callable[[Any], Any]
 
@@ -136,6 +141,68 @@ def _six(value: Any, size: int) -> Any:
     return array
 
 
+class LossOfContact(Wrapper):
+    """Loss of contact of a law of force: it is reported, and a hybrid law lets the force go and brakes.
+
+    Law:          contact is missing where more than `contact` is asked for and less is measured along it, and lost
+                    when it has been missing for longer than `patience`
+                  of a one-sided row of a hybrid law: lam' = lam_0 + s (lam - lam_0), lam_0 = max(lam, -2 contact),
+                    and the rate y against the row is braked by (1 - s) y / 0.02 s: the term `lost`
+                    s goes to 0 within the patience while contact is missing, and back to 1; the integral rests
+    Closed loop:  that of the law, in contact; without, a tool that seeks a surface at no more than 2 `contact`
+
+    In a run `law.lost` is a column, 1 where contact is lost, of which the metric contact_lost_time is the time.
+    A `ForceControl` is only watched: its kdamp bounds the speed.
+
+    Args:
+        law: A `ForceControl` or a `HybridMotionForce` that feeds a measured force back.
+        contact: (force, moment) that count as contact.
+        patience: Time without it after which contact is lost.
+
+    Example:
+        >>> import taut
+        >>> law = LossOfContact(law=taut.laws.ForceControl(kfi=5.0, kdamp=(100.0, 5.0)), patience=0.02)
+        >>> law.parameters()["patience"]
+        array(0.02)
+    """
+
+    law: Part[ForceControl | HybridMotionForce] = Part(ForceControl, HybridMotionForce, inline=True)
+    contact: Gain = Gain((1.0, 0.1), unit="N, N m", shape=2, accepts=("pair",), above=0.0)
+    patience: Gain = Gain(0.05, unit="s", shape="scalar")
+    alone = Memory(unit="s", doc="time since there was contact")
+    lost = Memory(notice="the tool met less than was asked for, contact was lost")
+    applied = Memory(1.0, doc="fraction s of the force of each row")
+
+    def check(self) -> None:
+        super().check()
+        if not self.law.measures:
+            self.refuse("law", "must feed a measured force back, with which contact is seen")
+
+    def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
+        command, after = self.inner(self.law, x, ref, memory, dt)
+        missing, patience = self.law.missing(x, ref, self.contact), self.patience.as_array()
+        alone = tm.where(functools.reduce(tm.maximum, missing) > 0.5, memory.alone + dt, 0.0)
+        after |= {"alone": alone, "lost": tm.where(alone > patience + 0.5 * dt, 1.0, 0.0), "applied": memory.applied}
+        if isinstance(self.law, HybridMotionForce):
+            step, s = dt / tm.maximum(patience, dt), memory.applied + tm.zeros(len(missing))
+            after["applied"] = tm.clip(s + tm.where(missing > 0.5, -step, step), 0.0, 1.0)
+            after["e_int"] = tm.where(missing > 0.5, memory.e_int, after["e_int"])
+            rows = self.law.constraint.at(x)
+            held = Constrained.of(rows, x.M_factors)
+            softer = (s - 1.0) * (after["lam"] - self._gentle(self.law.constraint, after["lam"]))
+            braked = rows.rate(x.v) * np.array(rows.one_sided, dtype=np.float64) / (BRAKING + dt)
+            braking = held.of_bias((s - 1.0) * braked)
+            after["lam"] = after["lam"] + softer + braking
+            command = Torque(command.terms + Terms(lost=held.pressing(softer + braking)))
+        return command, after
+
+    def _gentle(self, constraint: Constraint, lam: Vector) -> Vector:
+        """(k,) the multipliers with which a one-sided row is still sought when it is lost."""
+        least = -GENTLE * np.where(constraint.moments, self.contact[1], self.contact[0])
+        out: Vector = tm.where(np.array(constraint.one_sided), tm.maximum(lam, least), lam)
+        return out
+
+
 class NormalEstimate(Wrapper):
     """Estimate of the normal of a surface from force and motion, around a `HybridMotionForce`, which then follows it.
 
@@ -217,7 +284,7 @@ class NormalEstimate(Wrapper):
         n = n / tm.sqrt(n @ n + NEVER)
         rows = turned_rows(constraint, x, turn_between(n_0, n))
         inner = {name: memory[name] for name in memory if name not in self.memories}
-        tau, after = self.law.controlled(x, ref, MemoryView(inner, "HybridMotionForce"), dt, rows, estimated=True)
+        tau, after = self.law.controlled(x, ref, MemoryView(inner, "HybridMotionForce"), dt, rows)
         return tau, {**after, "tilt": tilt, "normal": n}
 
     def updated(self, tilt: Vector3, n_0: Vector3, v: Vector3, F: Vector3, dt: Any) -> Vector3:

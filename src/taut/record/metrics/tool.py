@@ -150,7 +150,7 @@ _declare_error("moment_error", "moment error", "N m", _what.format("moment"), pa
 
 @metric(title="contact lost", unit="s")
 def contact_lost_time(run: Run) -> float | None:
-    """Time in which a law of force measured less than a contact gives while more was wanted."""
+    """Time in which a law within taut.laws.LossOfContact measured less than a contact gives while more was wanted."""
     lost = [column for name, column in run.extra.items() if name.startswith("law.") and name.endswith(".lost")]
     if not lost:
         return None

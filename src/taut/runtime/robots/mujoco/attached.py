@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from taut.arm.description import Arm
 from taut.base.errors import MatchError, UsageError
 from taut.base.types import Float64Array
 from taut.plant.drives.actuation import Actuation
@@ -22,7 +21,7 @@ from taut.runtime.robots.mujoco.scene import SceneView
 if TYPE_CHECKING:
     import mujoco
 
-__all__ = ["Actuator", "AttachedPlant", "UserDrives", "warn_of_cut", "whole_steps"]
+__all__ = ["Actuator", "AttachedPlant", "PlantInMujoco", "UserDrives", "whole_steps"]
 
 CUT: Final = 1e-9  # relative to the command: less than this is rounding
 
@@ -143,38 +142,29 @@ def _joint_limit(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
-class AttachedPlant(PlantBase):
-    """An arm inside a simulation of the user's, see `taut.MujocoPlant.attach`.
-
-    It takes torques and has ideal drives and sensors. Friction, limits and parameters are those of the user's model.
+class PlantInMujoco(PlantBase):
+    """An arm in a simulation by MuJoCo, ours or the user's.
 
     Args:
         rig: The arm in the simulation.
-        drives: Its actuators there.
         name: What messages call it.
+        view: What stands around the arm; None for nothing.
     """
 
-    measures = frozenset({"v", "tau_meas", "F_ext"})
-
-    def __init__(self, rig: Rig, drives: UserDrives, name: str) -> None:
+    def __init__(self, rig: Rig, name: str, view: SceneView | None) -> None:
         import mujoco
 
-        self.arm, self._rig, self._drives, self._name = rig.arm, rig, drives, name
-        self.adds = rig.adds  # gravity, of bodies that have gravcomp
-        self.friction: Literal["arm"] = "arm"
-        self.actuation, self.sensors = Actuation(), Sensors()
-        self._health, self._guard = Health(rig), Guard(rig.model.opt)
-        self._step, self._wrench, self._view = mujoco.mj_step, Wrench(rig), SceneView(rig, tool=False)
+        super().__init__(rig.arm)
+        self.adds = rig.adds
+        self._rig, self._name, self._view = rig, name, view
+        self._qpos, self._qvel = rig.data.qpos, rig.data.qvel  # views, looked up once
+        self._health, self._guard, self._wrench = Health(rig), Guard(rig.model.opt), Wrench(rig)
+        self._mj_step = mujoco.mj_step
         self._substeps = 1
         self._silence()
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        raise UsageError(
-            "an attached plant drives a simulation of yours, so it cannot be copied or pickled; attach another one "
-            "to the copy: taut.MujocoPlant.attach(model, data, arm)"
-        )
-
     def _silence(self) -> None:
+        """Nothing has acted yet."""
         n = self.arm.n
         self._tau, self._cut, self._F_ext, self._told = np.zeros(n), np.zeros(n), np.zeros(6), False
 
@@ -193,6 +183,70 @@ class AttachedPlant(PlantBase):
         """MuJoCo's state, and what it computed last."""
         return self._rig.data
 
+    def state(self) -> tuple[Float64Array, Float64Array]:
+        """(n,) the true position and velocity."""
+        return self._qpos[self._rig.q].copy(), self._qvel[self._rig.v].copy()
+
+    def _put_state(self, q: Float64Array, v: Float64Array) -> None:
+        self._qpos[self._rig.q], self._qvel[self._rig.v] = q, v
+        self._health.start()
+        self._silence()
+
+    def trouble(self) -> tuple[str, int | None] | None:
+        """What went wrong in the last period, in words, and the joint; None if nothing did."""
+        return self._health.trouble()
+
+    def _poses(self) -> dict[str, Float64Array]:
+        """The column of the bodies of the scene that move, if there are some."""
+        return {} if self._view is None or not self._view.moves else {POSES: self._view.poses(self._rig.data)}
+
+    def around(self) -> Around:
+        """What stands around the arm, for films."""
+        return Around() if self._view is None else self._view.around
+
+    def _warn_of_cut(self, limits: str, instead: str) -> None:
+        """Warn, once in a run, that joints do not get all the torque that was asked for."""
+        if self._told or not self._cut.any():
+            return
+        self._told = True
+        i = int(np.argmax(np.abs(self._cut)))
+        warnings.warn(
+            f"{self.name}: joint '{self.arm.joint_names[i]}' got {self._tau[i]:.4g} of the "
+            f"{self._tau[i] + self._cut[i]:.4g} {self.arm.joints[i].effort_unit} asked for, because of {limits}; the "
+            f"run's column tau_cut has what was cut off; give {instead}",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+
+    def __repr__(self) -> str:
+        return self.name
+
+
+class AttachedPlant(PlantInMujoco):
+    """An arm inside a simulation of the user's, see `taut.MujocoPlant.attach`.
+
+    It takes torques and has ideal drives and sensors. Friction, limits and parameters are those of the user's model.
+
+    Args:
+        rig: The arm in the simulation.
+        drives: Its actuators there.
+        name: What messages call it.
+    """
+
+    measures = frozenset({"v", "tau_meas", "F_ext"})
+
+    def __init__(self, rig: Rig, drives: UserDrives, name: str) -> None:
+        super().__init__(rig, name, SceneView(rig, tool=False))
+        self._drives = drives
+        self.friction: Literal["arm"] = "arm"
+        self.actuation, self.sensors = Actuation(), Sensors()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        raise UsageError(
+            "an attached plant drives a simulation of yours, so it cannot be copied or pickled; attach another one "
+            "to the copy: taut.MujocoPlant.attach(model, data, arm)"
+        )
+
     def reset(self, q: Float64Array, v: Float64Array, dt: float, seed: int = 0) -> None:  # noqa: ARG002
         """Put the arm into a state, and prepare for control periods of dt [s]. Nothing else moves.
 
@@ -201,13 +255,7 @@ class AttachedPlant(PlantBase):
         """
         self._substeps = whole_steps(self.name, dt, float(self.model.opt.timestep), "model.opt.timestep")
         self._drives.prepare()
-        self.data.qpos[self._rig.q], self.data.qvel[self._rig.v] = q, v
-        self._health.start()
-        self._silence()
-
-    def state(self) -> tuple[Float64Array, Float64Array]:
-        """(n,) the true position and velocity."""
-        return self.data.qpos[self._rig.q].copy(), self.data.qvel[self._rig.v].copy()
+        self._put_state(q, v)
 
     def measure(self) -> dict[str, Float64Array]:
         """Positions, velocities, what the actuators gave, and the wrench at the tool in the last step."""
@@ -223,36 +271,21 @@ class AttachedPlant(PlantBase):
                 if drives.per_step:
                     for _ in range(self._substeps):
                         drives.write(command)
-                        self._step(self.model, self.data)
+                        self._mj_step(self.model, self.data)
                 else:
                     drives.write(command)
-                    self._step(self.model, self.data, self._substeps)
+                    self._mj_step(self.model, self.data, self._substeps)
             self._tau = drives.acted()
         finally:
             drives.release()
         self._F_ext = self._wrench.of_environment()
         self._cut = _cut_off(command, self._tau)
-        if not self._told and self._cut.any():
-            self._told = True
-            limits, instead = "its actuator's limits", "the controller limits=taut.Limits(tau=...)"
-            warn_of_cut(self.name, self.arm, self._tau, self._cut, limits, instead)
+        self._warn_of_cut("its actuator's limits", "the controller limits=taut.Limits(tau=...)")
         return self._tau
-
-    def trouble(self) -> tuple[str, int | None] | None:
-        """What went wrong in the last period, in words, and the joint; None if nothing did."""
-        return self._health.trouble()
 
     def extra(self) -> dict[str, Any]:
         """(6,) F_ext of the last step; (n,) tau_cut, what the actuators cut off; (m, 7) poses of bodies that move."""
-        seen = {POSES: self._view.poses(self.data)} if self._view.moves else {}
-        return {"F_ext": self._F_ext, "tau_cut": self._cut, **seen}
-
-    def around(self) -> Around:
-        """What stands around the arm, for films."""
-        return self._view.around
-
-    def __repr__(self) -> str:
-        return self.name
+        return {"F_ext": self._F_ext, "tau_cut": self._cut, **self._poses()}
 
 
 def whole_steps(name: str, dt: float, timestep: float, setting: str) -> int:
@@ -270,15 +303,3 @@ def whole_steps(name: str, dt: float, timestep: float, setting: str) -> int:
             value=timestep,
         )
     return round(steps)
-
-
-def warn_of_cut(name: str, arm: Arm, acted: Float64Array, cut: Float64Array, limits: str, instead: str) -> None:
-    """Warn that joints do not get all the torque that was asked for."""
-    i = int(np.argmax(np.abs(cut)))
-    warnings.warn(
-        f"{name}: joint '{arm.joint_names[i]}' got {acted[i]:.4g} of the {acted[i] + cut[i]:.4g} "
-        f"{arm.joints[i].effort_unit} asked for, because of {limits}; the run's column tau_cut has what was cut off; "
-        f"give {instead}",
-        RuntimeWarning,
-        stacklevel=3,
-    )

@@ -57,6 +57,7 @@ STOP: Final = 0.99  # impedance of a joint limit: a Panda that leans on one sink
 TIP_STOP: Final = (0.95, 0.99, 1e-3, 0.5, 2.0)  # impedance of the ends of a tip's way
 AT_ONCE: Final = 1e9  # how many times faster than one step sliding is braked: at the end of the step it is at rest
 BONE: Final = 0.02  # [m] radius of a link that has no shape to show
+LINK: Final = 0.05  # [m] radius of a link that touches
 GREY: Final = (0.7, 0.7, 0.7, 1.0)
 SHOWN: Final = 2  # the group of what is looked at
 TOUCHING: Final = 3  # the group of what touches, which MuJoCo's viewers hide until asked
@@ -120,7 +121,6 @@ class ModelOptions:
     tool_radius: float  # [m]
     tool_length: float | None  # [m] of a cylinder; None for a sphere
     scene_at: Pose
-    link_radius: float  # [m]
     looks: Looks
     tip: SpringTip | None
 
@@ -139,7 +139,7 @@ def built(arm: Arm, scene: Scene | None, options: ModelOptions, adds: Adds) -> R
     own = len(builder.spec.worldbody.geoms)
     if scene is not None:
         if options.touch is not None:
-            shapes.touch(options.touch, options.tool_radius, options.tool_length, options.link_radius)
+            shapes.touch(options.touch, options.tool_radius, options.tool_length)
         attach_scene(builder.spec, scene, options.scene_at)
     try:
         with Guard(builder.spec.option), warnings.catch_warnings():
@@ -334,12 +334,12 @@ class _Shapes:
         self._arm, self._spec, self._bodies, self._tool = arm, spec, bodies, tool
         self._kinds: Any = mujoco.mjtGeom
 
-    def touch(self, what: Touch, tool_radius: float, tool_length: float | None, link_radius: float) -> None:
+    def touch(self, what: Touch, tool_radius: float, tool_length: float | None) -> None:
         """What can touch the scene. It answers to contacts and starts none, so that the arm never meets itself."""
         _make_touching(self._tool_shape(tool_radius, tool_length))
         if what == "links":
             for bone in self._bones():
-                _make_touching(self._capsule(bone, link_radius))
+                _make_touching(self._capsule(bone, LINK))
 
     def _tool_shape(self, radius: float, length: float | None) -> mujoco.MjsGeom:
         """A sphere about the tool's origin, or a cylinder along its z axis that ends there."""

@@ -22,9 +22,8 @@ from taut.plant.environments.environment import Environment
 from taut.plant.motion import WORK_OF_IT
 from taut.plant.parts import PlantParts
 from taut.plant.sensors.sensors import Sensors
-from taut.record.film.surroundings import POSES, Around
 from taut.runtime.robots.mujoco.attach import Inertias, attached
-from taut.runtime.robots.mujoco.attached import AttachedPlant, warn_of_cut, whole_steps
+from taut.runtime.robots.mujoco.attached import AttachedPlant, PlantInMujoco, whole_steps
 from taut.runtime.robots.mujoco.model import (
     INTEGRATORS,
     LOOKS,
@@ -38,7 +37,7 @@ from taut.runtime.robots.mujoco.model import (
     built,
     put_timestep,
 )
-from taut.runtime.robots.mujoco.rig import PRESSED, Guard, Health, Normals, Rig, Wrench, index
+from taut.runtime.robots.mujoco.rig import PRESSED, Normals, index
 from taut.runtime.robots.mujoco.scene import SceneView, read_scene
 from taut.runtime.robots.mujoco.stages import Compensation, EnvironmentStage, JointStage, LinkTorque, SensorStage
 from taut.trace.pose import Pose
@@ -52,7 +51,7 @@ LONGEST: Final = 1e-3  # [s] of a time step that nobody asked for
 PAYLOAD: Final = ("payload.mass", "payload.com", "payload.inertia")  # what a sensor that weighs asks for
 
 
-class MujocoPlant:
+class MujocoPlant(PlantInMujoco):
     """An arm in MuJoCo, with whatever stands around it.
 
     Model:
@@ -99,12 +98,12 @@ class MujocoPlant:
         adds: What the plant adds to a torque command itself: "gravity", "coriolis", and "friction", which cancels the
             arm's own, so that none is left.
         touch: What of the arm can touch the scene: "tool" for a sphere at the tool's origin, "links" for capsules
-            along the links too, None for nothing. The arm never touches itself; friction is that of what it touches.
+            of 50 mm radius along the links too, None for nothing. The arm never touches itself; friction is that of
+            what it touches.
         tool_radius: [m] of the sphere.
         tool_length: [m] of a cylinder of that radius in the sphere's place, such as a peg: its axis is the tool's z
             axis, and its end, which is flat, is at the tool's origin. It has no mass; that is the payload's.
         tip: A taut.environments.SpringTip that gives way and carries the sphere or cylinder; rigid if left out.
-        link_radius: [m] of the capsules.
         looks: What a viewer shows: "plain" shapes, or the arm's "meshes", which take longer to load.
         actuation: The drives, as of RigidPlant: delay, amplifier, motor, gear; ideal if left out.
         sensors: What is measured, and how well; ideal sensors if left out.
@@ -149,7 +148,6 @@ class MujocoPlant:
         tool_radius: float = 0.01,
         tool_length: float | None = None,
         tip: SpringTip | None = None,
-        link_radius: float = 0.05,
         looks: Looks = "plain",
         actuation: Actuation | None = None,
         sensors: Sensors | None = None,
@@ -176,7 +174,6 @@ class MujocoPlant:
             smooth=integrator == "rk4",
             scene=True,
         )
-        self._takes = takes
         train = numbers.drivetrain
         left = train.friction
         options = ModelOptions(
@@ -187,15 +184,15 @@ class MujocoPlant:
             tool_radius=positive_scalar("tool_radius", tool_radius, unit="m"),
             tool_length=None if tool_length is None else positive_scalar("tool_length", tool_length, unit="m"),
             scene_at=_place(scene_at, scene is not None),
-            link_radius=positive_scalar("link_radius", link_radius, unit="m"),
             looks=one_of("looks", looks, LOOKS),
             tip=tip,
         )
         self._timestep = None if timestep is None else positive_scalar("timestep", timestep, unit="s")
         rig = built(arm, None if scene is None else read_scene(scene), options, what)
-        self._name = f"MujocoPlant({arm.name})"
+        super().__init__(rig, numbers.name, None if scene is None else SceneView(rig))
         self._settings = Settings(rig, numbers)
-        self._friction, self._actuation, self._sensors = friction, drives, seen
+        self.friction, self.takes, self.actuation, self.sensors = friction, takes, drives, seen
+        self.measures, self.distorts = seen.measures(touched=True), seen.distorts(touched=True)
         self._stage = None
         if (
             drives.acts
@@ -203,14 +200,15 @@ class MujocoPlant:
             or train.lossy
             or (isinstance(left, Friction) and (left.falls or left.loaded))
         ):
-            self._stage = JointStage(rig, drives, train, what, self._takes)
+            self._stage = JointStage(rig, drives, train, what, takes)
         self._touching = None if environment is None else EnvironmentStage(rig, environment, train)
         adds_torque = (what.gravity or what.coriolis) and self._stage is None
         self._compensation = Compensation(arm, what) if adds_torque else None
         self._link, self._readings = LinkTorque(rig), SensorStage(arm, seen)
-        self._take(rig)
+        self._ctrl = rig.data.ctrl
+        motors = (rig.model.actuator(name).id for name in arm.joint_names)
+        self._motors = index([int(rig.model.actuator_ctrladr[motor]) for motor in motors])
         self._normals = None if scene is None or touch is None else Normals(rig)
-        self._view = None if scene is None else SceneView(rig)
 
     @staticmethod
     def attach(
@@ -254,92 +252,19 @@ class MujocoPlant:
 
     def like(self, *, arm: Arm | None = None, sensors: Sensors | None = None) -> MujocoPlant:
         """A plant of the same arguments but these."""
-        return MujocoPlant(arm or self.arm, **{**self.given, "sensors": sensors or self._sensors})
+        return MujocoPlant(arm or self.arm, **{**self.given, "sensors": sensors or self.sensors})
 
     def __reduce__(self) -> tuple[Any, ...]:
         """A copy is built anew, of the same arguments and with the same parameters, and has a scene of its own."""
         return _rebuilt, ({"arm": self.arm, **self.given}, dict(self.parameters))
 
-    def _take(self, rig: Rig) -> None:
-        """Keep what the loop needs; MuJoCo's arrays are looked up here, once."""
-        import mujoco
-
-        self._rig = rig
-        self._health = Health(rig)
-        self._guard = Guard(rig.model.opt)
-        self._mj_step = mujoco.mj_step
-        self._qpos, self._qvel, self._ctrl = rig.data.qpos, rig.data.qvel, rig.data.ctrl
-        motors = (rig.model.actuator(name).id for name in rig.arm.joint_names)
-        self._motors = index([int(rig.model.actuator_ctrladr[motor]) for motor in motors])
-        self._wrench = Wrench(rig)
-        self._substeps = 1
-        self._silence()
-
     def _silence(self) -> None:
-        n = self._rig.arm.n
-        self._tau, self._cut, self._F_ext = np.zeros(n), np.zeros(n), np.zeros(6)
-        self._told = False
+        super()._silence()
+        n = self.arm.n
         self._contact = np.zeros(6)
         self._ticks, self._dt, self._work = 0, 0.0, 0.0
         self._tau_link, self._a = np.zeros(n), np.zeros(n)
         self._saturated: dict[str, Float64Array] = {}
-
-    # ---------------------------------------------------------------- what it declares
-
-    @property
-    def name(self) -> str:
-        """What it is called in messages."""
-        return self._name
-
-    @property
-    def arm(self) -> Arm:
-        """The true arm."""
-        return self._rig.arm
-
-    @property
-    def model(self) -> mujoco.MjModel:
-        """MuJoCo's model."""
-        return self._rig.model
-
-    @property
-    def data(self) -> mujoco.MjData:
-        """MuJoCo's state, and what it computed last."""
-        return self._rig.data
-
-    @property
-    def friction(self) -> Literal["arm"] | None:
-        """The arm's friction, or none."""
-        return self._friction
-
-    @property
-    def actuation(self) -> Actuation:
-        """The drives."""
-        return self._actuation
-
-    @property
-    def sensors(self) -> Sensors:
-        """What is measured, and how well."""
-        return self._sensors
-
-    @property
-    def takes(self) -> CommandKind:
-        """Torque commands, or what its drives take."""
-        return self._takes
-
-    @property
-    def measures(self) -> frozenset[str]:
-        """What it measures besides positions."""
-        return self._sensors.measures(touched=True)
-
-    @property
-    def distorts(self) -> frozenset[str]:
-        """The measurements that differ from the truth."""
-        return self._sensors.distorts(touched=True)
-
-    @property
-    def adds(self) -> Adds:
-        """What it adds to a torque command itself."""
-        return self._rig.adds
 
     # ---------------------------------------------------------------- parameters
 
@@ -394,11 +319,9 @@ class MujocoPlant:
         put_timestep(rig, dt / self._substeps)
         mujoco.mj_resetData(rig.model, rig.data)
         self._ctrl[self._motors] = 0.0
-        self._qpos[rig.q], self._qvel[rig.v] = q, v
-        self._health.start()
-        self._silence()
+        self._put_state(q, v)
         self._line = None
-        taps = self._actuation.taps(dt)
+        taps = self.actuation.taps(dt)
         values = self._settings.values
         payload = PayloadValues.of(subtree(values, "plant.payload"))
         model = model_of(rig.arm)
@@ -406,7 +329,7 @@ class MujocoPlant:
         self._tau_link = weight
         self._tau = weight - compensation(model, self.adds, q, np.zeros(len(q)), payload)
         if taps:
-            first = {"torque": self._tau, "velocity": np.zeros(len(q)), "position": q}[self._takes]
+            first = {"torque": self._tau, "velocity": np.zeros(len(q)), "position": q}[self.takes]
             self._line = np.stack([first] * taps)
         self._h, self._dt = dt / self._substeps, dt
         if self._stage is not None:
@@ -422,10 +345,6 @@ class MujocoPlant:
             return max(1, math.ceil(dt / LONGEST * (1.0 - 1e-9)))
         return whole_steps(self.name, dt, self._timestep, "timestep")
 
-    def state(self) -> tuple[Float64Array, Float64Array]:
-        """(n,) the true position and velocity."""
-        return self._qpos[self._rig.q].copy(), self._qvel[self._rig.v].copy()
-
     def measure(self) -> dict[str, Float64Array]:
         """What the sensors give, by measurement; forces and torques are those of the last step."""
         given = self._readings.read(self._true())
@@ -436,9 +355,9 @@ class MujocoPlant:
         """What is true now, by name."""
         q, v = self.state()
         true = {"q": q, "v": v, "tau": self._tau, "tau_link": self._tau_link, "F_ext": self._F_ext}
-        if self._sensors.needs_acceleration:
+        if self.sensors.needs_acceleration:
             true["a"] = self._a
-        if self._sensors.weighs:
+        if self.sensors.weighs:
             true |= dict(zip(PAYLOAD, self._settings.load, strict=True))
         memory = {} if self._stage is None else self._stage.memory
         return true | {name: memory[name] for name in ("q_motor", "v_motor") if name in memory}
@@ -493,12 +412,9 @@ class MujocoPlant:
             stage.after(self._qpos[rig.q], self._qvel[rig.v])
         self._a = (self._qvel[rig.v] - v) / self._h
         self._tau, self._tau_link = stage.tau, stage.memory["tau_link"].copy()
-        if self._takes != "torque":
+        if self.takes != "torque":
             self._cut = stage.cut
-            if not self._told and self._cut.any():
-                self._told = True
-                limits, instead = "the effort of its joints", "slower motions, or an arm that has more"
-                warn_of_cut(self.name, self.arm, self._tau, self._cut, limits, instead)
+            self._warn_of_cut("the effort of its joints", "slower motions, or an arm that has more")
 
     def _apply(self) -> Any:
         """(n,) what the plant adds itself, at the state of this very step; what touches the tool comes with it."""
@@ -523,7 +439,7 @@ class MujocoPlant:
             return "its drives gave numbers that are not finite", None
         if self._touching is not None and not self._touching.sane:
             return "what touches its tool gave numbers that are not finite", None
-        return self._health.trouble()
+        return super().trouble()
 
     def extra(self) -> dict[str, Any]:
         """(6,) F_ext of the last step; work of an environment until the tick; (n,) tau_cut of actuators or drives.
@@ -531,18 +447,10 @@ class MujocoPlant:
         With a scene (3,) `contact.normal_force`, what of F_ext is along the normals of the contacts, and (m, 7)
         `scene.poses` of its bodies that move.
         """
-        seen = {} if self._view is None or not self._view.moves else {POSES: self._view.poses(self._rig.data)}
         work = {} if self._touching is None else {WORK_OF_IT: np.asarray(self._work)}
         normal = {} if self._normals is None else {PRESSED: self._normals.of_contacts()}
-        cut = {} if self._takes == "torque" else {"tau_cut": self._cut}
-        return {"F_ext": self._F_ext, **cut, **work, **normal, **self._saturated, **seen}
-
-    def around(self) -> Around:
-        """What stands around the arm, for films."""
-        return Around() if self._view is None else self._view.around
-
-    def __repr__(self) -> str:
-        return self.name
+        cut = {} if self.takes == "torque" else {"tau_cut": self._cut}
+        return {"F_ext": self._F_ext, **cut, **work, **normal, **self._saturated, **self._poses()}
 
 
 def _place(at: Pose | None, there: bool) -> Pose:
