@@ -156,16 +156,16 @@ def test_the_core_declares_what_it_imports() -> None:
 
 
 LIMITS = {  # the house as it is; a change that needs more says why in the commit that raises a number
-    "lines": (71_500, house.lines),
-    "lines of code": (48_000, house.code_lines),
-    "modules": (360, lambda: len(house.modules())),
-    "modules in one folder": (26, house.largest_folder),
-    "modules with one importer": (50, lambda: len(house.slices())),
+    "lines": (64_500, house.lines),
+    "lines of code": (42_800, house.code_lines),
+    "modules": (281, lambda: len(house.modules())),
+    "modules in one folder": (17, house.largest_folder),
+    "modules with one importer": (32, lambda: len(house.slices())),
     "names in taut": (75, lambda: len(taut.__all__)),
-    "modules loaded to compile a PID": (68, lambda: len(house.loaded_for(PID))),
+    "modules loaded to compile a PID": (63, lambda: len(house.loaded_for(PID))),
     "modules of analysis that design(PID) loads": (12, lambda: len(house.loaded_for(DESIGN, "taut.analysis."))),
-    "import circles": (4, lambda: len(house.circles())),
-    "constants of one name with several values": (61, lambda: len(house.constants_of_several_values())),
+    "import circles": (3, lambda: len(house.circles())),
+    "constants of one name with several values": (0, lambda: len(house.constants_of_several_values())),
     "expressions that the glossary replaces": (0, lambda: len(house.expressions())),
 }
 PID = "import taut; taut.compile(taut.laws.PID(kp=1.0), taut.load_arm('one_joint'))"

@@ -65,7 +65,7 @@ NO_DECAY: Final = 1.0 - 1e-9  # modulus of a pole that does not decay
 # Of a figure.
 FIGURE_HEIGHT: Final = 4.6
 DECADES: Final = 4.0
-POINTS: Final = 400
+CURVE_POINTS: Final = 400
 
 
 def _inverse(values: Complex) -> Complex:
@@ -211,7 +211,7 @@ class ToolImpedance(Result):
         above, below = figure.subplots(2, 1, sharex=True)
         prepared(above, "impedance at the tool, Z = F / X", f"|Z| [{self.unit}]")
         prepared(below, "", "phase of Z [deg]", "frequency [Hz]")
-        omega = HIGHEST * np.pi / self.lin.period * np.logspace(-DECADES, 0.0, POINTS)
+        omega = HIGHEST * np.pi / self.lin.period * np.logspace(-DECADES, 0.0, CURVE_POINTS)
         curves: list[tuple[Float64Array, Complex, str, dict[str, Any]]] = [
             (omega, self.Z(omega), "predicted, of the sampled loop", {"color": colour(0)})
         ]

@@ -29,7 +29,7 @@ LOCUS_TOLERANCE: Final = 1e-12  # [-] of a value, between two of a locus
 MAP_TOLERANCE: Final = 1e-3  # [-] likewise of a map, each point of which is a system
 NEAR_ZERO: Final = 1e-6  # [-] of the distance of two values, below which a boundary is at zero
 STABLE: Final = "#C4E7DC"  # a light shade of colour(2), opaque: neighbouring cells show no seam
-SHOWN: Final = 0.98  # quantile of the poles that a picture shows
+SHOWN_QUANTILE: Final = 0.98  # quantile of the poles that a picture shows
 
 Points = list[tuple[float, float]]
 
@@ -106,7 +106,7 @@ class RootLocus(Result):
             mark: Values that are marked with their number, from 1 on.
         """
         known = self.poles[np.isfinite(self.poles)]
-        near = known[np.abs(known) <= np.quantile(np.abs(known), SHOWN)]
+        near = known[np.abs(known) <= np.quantile(np.abs(known), SHOWN_QUANTILE)]
         pole_axes(ax, near if self.dt is None else known, self.dt)
         ends = (f"{float(f'{value:.4g}'):.6g}" for value in (self.values[0], self.values[-1]))
         ax.set_title(f"{self.label}: {' (x) to '.join(ends)} (o)", fontsize=SMALL, color=INK, loc="left")

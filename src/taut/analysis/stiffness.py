@@ -46,7 +46,7 @@ STIFFNESS: Final = ("K", "kp")  # names of stiffness gains
 OF_JOINTS: Final = "viscous friction of the joints"
 NO_GROWTH: Final = 1e-2  # [1/s] a growth that rounding of central differences may show: a factor e in 100 s
 SHOWN: Final = 0.2  # [-] smallest fraction of a mode that a sentence names
-POINTS: Final = 256  # frequencies of a grid, for each period of delay
+GRID_POINTS: Final = 256  # frequencies of a grid, for each period of delay
 LOWEST: Final = 1e-4  # [rad] omega T: below it the condition has reached its limit for slow motion
 ZOOMS: Final = 3  # each is 64 times finer
 ROUNDING: Final = 1e-9  # of the largest damping, physical or of the law: a redundant arm has directions without any
@@ -275,7 +275,7 @@ def passivity_margin(
         z = _matrices(np.exp(-s * delay) * (1.0 - np.exp(-1j * theta)) / (s * s * T)) * H
         return np.asarray(np.linalg.eigvalsh(damping + 0.5 * (z + _adjoint(z)))[:, 0])
 
-    count = round(POINTS * (1.0 + periods))
+    count = round(GRID_POINTS * (1.0 + periods))
     if band is not None:
         return _smallest(in_band, min(2.0 * math.pi * band * T, math.pi), count)
     if np.abs(law.B[:, law.columns("v")]).any() or np.abs(law.D[np.ix_(law.rows("command"), law.columns("v"))]).any():

@@ -23,14 +23,16 @@ from taut.trace.pose import Pose
 __all__ = ["IkResult", "inverse_kinematics"]
 
 STEPS: Final = 100  # of a search from one start
-LEVEL: Final = 1e-9  # slope of the error, without dimension, under which it does not fall any more
+FLAT_SLOPE: Final = 1e-9  # slope of the error, without dimension, under which it does not fall any more
 STUBBORN: Final = 1e5  # damping at which no step was better for long
 POSTURE_STEPS: Final = 60
 WATCHED: Final = 20  # steps in which the cost must fall by something
 FALLING: Final = 0.999
 NEARLY_SINGULAR: Final = 1e-2  # singular value, without dimension: the arm is stretched out, or about to be
 ROUNDING: Final = 1e-9  # [rad | m] by which a position may be beyond a limit that was written with few digits
-AT_REST: Final = 1e-9  # [rad | m] a step along the free motion under which the posture is the nearest one
+NEAREST_POSTURE_STEP: Final = (
+    1e-9  # [rad | m] a step along the free motion under which the posture is the nearest one
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -226,7 +228,7 @@ class _Search:
             state = step(state, target)
             count += 1
             trust, left, turn, slope = state[2 * n + 1 : 2 * n + 5].tolist()
-            level = slope < LEVEL or trust > STUBBORN
+            level = slope < FLAT_SLOPE or trust > STUBBORN
             if count % WATCHED == 0:
                 cost = float(state[2 * n])
                 level, before = level or cost > FALLING * before, cost
@@ -286,7 +288,7 @@ class _Search:
             first = min(first, away) if count == 1 else first
             if left < within[0] and turn < within[1] and away <= first:
                 best, error = before[:n], (left, turn)
-            if moved < AT_REST:
+            if moved < NEAREST_POSTURE_STEP:
                 break
         return best.copy(), error, count
 

@@ -19,8 +19,10 @@ if TYPE_CHECKING:
 
 __all__ = ["ClosedLoop", "PlacedGains"]
 
-SINGULAR: Final = 1e-2  # [-] of the largest singular value of J: with less the tool hardly moves in a direction
-ROUNDING: Final = 1e-12  # [-] of the largest entry of a matrix
+MIN_TOOL_MOBILITY: Final = (
+    1e-2  # [-] of the largest singular value of J: with less the tool hardly moves in a direction
+)
+MATRIX_ROUNDING: Final = 1e-12  # [-] of the largest entry of a matrix
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,10 +110,10 @@ class ClosedLoop:
         Raises:
             RangeError: The arm is singular there, or nearly so.
         """
-        moving = np.flatnonzero((np.abs(self.J) > ROUNDING).any(axis=1))
+        moving = np.flatnonzero((np.abs(self.J) > MATRIX_ROUNDING).any(axis=1))
         left, sizes, _ = np.linalg.svd(self.J[moving])
         r = min(len(moving), self.x.n)
-        if sizes[r - 1] < SINGULAR * sizes[0]:
+        if sizes[r - 1] < MIN_TOOL_MOBILITY * sizes[0]:
             axis = self.names[int(moving[np.argmax(np.abs(left[:, r - 1]))])]
             fraction = sizes[r - 1] / sizes[0]
             raise RangeError(
@@ -120,7 +122,7 @@ class ClosedLoop:
                 "choose another pose",
                 name="at",
                 value=float(fraction),
-                rule=f">= {SINGULAR:g} of the largest singular value",
+                rule=f">= {MIN_TOOL_MOBILITY:g} of the largest singular value",
             )
         basis = np.zeros((len(self.J), r))
         basis[moving] = np.eye(r) if r == len(moving) else left[:, :r]
@@ -156,7 +158,7 @@ class ClosedLoop:
         k, r = self.basis.shape
         rest = np.eye(k) - self.basis @ self.basis.T
         X = self.basis @ C @ self.basis.T + (float(np.trace(C)) / r) * rest
-        X = np.where(np.abs(X) < ROUNDING * np.abs(X).max(), 0.0, X)
+        X = np.where(np.abs(X) < MATRIX_ROUNDING * np.abs(X).max(), 0.0, X)
         return np.asarray(0.5 * (X + X.T))
 
     @property

@@ -19,9 +19,9 @@ Flags = NDArray[np.bool_]
 
 WITHIN: Final = 0.5  # [rad | m] between the start pose and the equilibrium at most
 NEWTON_STEPS: Final = 60
-AT_REST: Final = 1e-10  # [-] of a state's size per period: the loop rests
+REST_CHANGE: Final = 1e-10  # [-] of a state's size per period: the loop rests
 DRIFT: Final = 1e-7  # [-] likewise: a drift that is named
-LONGEST: Final = 0.3  # [rad | m] of a joint in one step of Newton's method
+MAX_NEWTON_STEP: Final = 0.3  # [rad | m] of a joint in one step of Newton's method
 RANK: Final = 1e-9  # [-] of the largest singular value: a motion below it is free, and stays where it is
 EFFECT: Final = 1e-9  # [-] of a drift: the smallest effect on an output
 
@@ -91,14 +91,14 @@ def equilibrium(map_: PeriodMap, start: Point, within: float = WITHIN) -> Rest:
         solved = observed_states(found.A, found.C) & ~standing_states(found, map_.tolerance)
         scale = 1.0 + np.abs(coordinates.numbers(memory))
         wrong = np.abs(found.residual) / scale
-        settled = (np.abs(step) / scale)[solved].max(initial=0.0) < AT_REST and _rests(found, solved, wrong)
+        settled = (np.abs(step) / scale)[solved].max(initial=0.0) < REST_CHANGE and _rests(found, solved, wrong)
         if settled or wrong[solved].max(initial=0.0) < map_.rest:
             return _at_rest(map_, at, found, wrong, start, within)
         step = np.zeros(len(coordinates))
         step[solved] = _newton(found, solved, scale)
         longest = float(np.abs(step[joints]).max(initial=0.0))
-        if longest > LONGEST:
-            step *= LONGEST / longest
+        if longest > MAX_NEWTON_STEP:
+            step *= MAX_NEWTON_STEP / longest
         # A state without an effect, which Newton's method does not solve for, follows the period.
         memory = coordinates.moved(np.where(_expanded(map_, solved), memory, found.memory), step)
         at = Point(inputs=start.inputs, parameters=start.parameters, memory=memory)
@@ -125,7 +125,7 @@ def _newton(found: Derivative, solved: Flags, scale: Float64Array) -> Float64Arr
 
 def _rests(found: Derivative, solved: Flags, wrong: Float64Array) -> bool:
     """Whether nothing changes that has an effect, in this period and in those that follow."""
-    drift = np.where(solved & (wrong > AT_REST), found.residual, 0.0)
+    drift = np.where(solved & (wrong > REST_CHANGE), found.residual, 0.0)
     if not drift.any():
         return True
     size = float(np.abs(drift).max())
@@ -167,7 +167,7 @@ def _never(map_: PeriodMap, start: Point, at: Point, found: Derivative) -> Range
     of_joints = np.abs(found.residual[places["plant.v"]]) / map_.dt  # acceleration that remains
     i = int(np.argmax(of_joints))
     q, q0 = (map_.memory.views(point.memory)["plant.q"][i] for point in (at, start))
-    if of_joints[i] > AT_REST:
+    if of_joints[i] > REST_CHANGE:
         unit = f"{arm.units[i]}/s^2"
         return RangeError(
             f"not an equilibrium, and none is near: after {NEWTON_STEPS} steps of Newton's method joint "

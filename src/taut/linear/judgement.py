@@ -42,7 +42,7 @@ __all__ = [
 ]
 
 ROUNDING: Final = 1e-9  # [-] of a modulus of one
-REACH: Final = 1e-9  # [-] of the largest mobility of the tool: an axis with less does not move
+MIN_MOBILITY: Final = 1e-9  # [-] of the largest mobility of the tool: an axis with less does not move
 FINE: Final = 0.01  # [-] of the largest stable factor on a gain
 MIN_FACTOR, MAX_FACTOR = 2.0**-14, 2.0**14  # [-] on a gain, between which a limit is searched
 DIGITS: Final = 3  # of a factor, and of a gain times it, rounded down: what is printed is no more than what was tried
@@ -397,7 +397,7 @@ def directions(
     of_joints = [sum(mode.participation.get(f"plant.{x}[{i}]", 0.0) for x in "qv") for i in range(len(joints))]
     velocity = np.abs(J @ mode.shape[system.state_places("plant.q")]) ** 2  # of a mode, v = (z - 1) q / dt
     mobility = np.diag(J @ np.linalg.solve(M, J.T))
-    energy = np.divide(velocity, mobility, out=np.zeros(6), where=mobility > REACH * mobility.max(initial=0.0))
+    energy = np.divide(velocity, mobility, out=np.zeros(6), where=mobility > MIN_MOBILITY * mobility.max(initial=0.0))
     parts = energy / (float(energy.sum()) or 1.0)
     return (
         {joints[i]: float(of_joints[i]) for i in np.argsort(-np.array(of_joints))},

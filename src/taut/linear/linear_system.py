@@ -34,7 +34,7 @@ BALANCING: Final = 12  # sweeps
 SINGULAR: Final = 1e-12  # [-] of the largest singular value: smaller ones are zero
 CRITICAL: Final = 1e-14  # [-] of the discriminant of a double pole: rounding of the coefficients
 UNDAMPED: Final = 1e-12  # [-] damping ratio below which an oscillation is sustained
-ROUNDING: Final = 1e-13  # [-] of the fastest rate: a slower decay is none
+RATE_ROUNDING: Final = 1e-13  # [-] of the fastest rate: a slower decay is none
 WHOLE: Final = 1e-9  # [periods] a delay this near to whole periods is whole
 INSTANT: Final = 1e-6  # [-] modulus in z of a mode that is over within a period
 NEAR_POLE: Final = 1e-6  # [-] distance in z, or of the largest |s|, at which a response is taken from around a pole
@@ -291,7 +291,7 @@ class LinearSystem(Result):
         """
         s = self._in_s(self._resting_and_moving[1])
         s = s[np.isfinite(s.real)]
-        return bool((-s.real > UNDAMPED * np.abs(s) + ROUNDING * self._fastest).all())
+        return bool((-s.real > UNDAMPED * np.abs(s) + RATE_ROUNDING * self._fastest).all())
 
     @property
     def unstable_because(self) -> str:

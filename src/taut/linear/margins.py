@@ -26,7 +26,7 @@ GRID: Final = 1000  # frequencies of the grid, besides those about poles
 DECADES_BELOW: Final = 5.0  # of the grid, below half the rate
 DECADES_AROUND: Final = 4.0  # of the grid in continuous time, below the slowest and above the fastest pole
 NEAR: Final = np.array([0.9, 0.97, 0.99, 1.0, 1.01, 1.03, 1.1])  # [-] frequencies about each pole
-BALANCING: Final = 60  # sweeps of the scaling that makes the bound tight
+SCALING_SWEEPS: Final = 60  # sweeps of the scaling that makes the bound tight
 BALANCED: Final = 1e-4  # [-] change of the scaling at which they end
 
 
@@ -241,7 +241,7 @@ def scaled_norm(M: Complex) -> Float64Array:
     """
     off = np.abs(M) ** 2 * (1.0 - np.eye(M.shape[1]))
     d = np.ones(M.shape[:2])  # squares of D
-    for _ in range(BALANCING):
+    for _ in range(SCALING_SWEEPS):
         scaled = off * d[:, :, None] / d[:, None, :]
         rows, columns = scaled.sum(axis=2), scaled.sum(axis=1)
         some = (rows > 0.0) & (columns > 0.0)

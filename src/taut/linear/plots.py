@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 
 __all__ = ["figure_of", "pole_axes"]
 
-POINTS: Final = 600  # of a continuous step response
+PLOT_POINTS: Final = 600  # of a continuous step response
 MARGIN: Final = 1.15  # [-] of the farthest pole: the size of its axes
 SETTLED: Final = 1.3  # [-] settling times that a step response shows
 MAX_SIGNALS: Final = 8  # in one picture
 NYQUIST_SIZE: Final = 2.5  # [-] of the Nyquist diagram about -1
-HEIGHT: Final = 2.7  # [inch] of a row of panels
+ROW_HEIGHT: Final = 2.7  # [inch] of a row of panels
 
 
 def figure_of(system: LinearSystem) -> Figure:
@@ -34,7 +34,7 @@ def figure_of(system: LinearSystem) -> Figure:
     drawn = [_draw_step] * _has(system, "ref.q[0]", "q[0]") + [_draw_poles]
     loop = _has(system, "disturbance.command[0]", "command[0]")
     rows = 2 if loop else 1
-    figure = NewFigure(figsize=(WIDTH, rows * HEIGHT), dpi=150, layout="constrained", facecolor="white")
+    figure = NewFigure(figsize=(WIDTH, rows * ROW_HEIGHT), dpi=150, layout="constrained", facecolor="white")
     grid = figure.add_gridspec(2 * rows, 2)
     for k, draw in enumerate(drawn):
         draw(figure.add_subplot(grid[:2, k if len(drawn) > 1 else slice(None)]), system)
@@ -81,9 +81,9 @@ def _draw_step(ax: Axes, system: LinearSystem) -> None:
     settled = (
         found.settling_time if np.isfinite(found.settling_time) else 10.0 / max(float(system.omega_n.min()), 1e-3)
     )
-    h = system.dt or SETTLED * settled / POINTS
+    h = system.dt or SETTLED * settled / PLOT_POINTS
     sampled = system if system.dt else system.zoh(h)
-    count = max(2, min(int(SETTLED * settled / h) + 1, 10 * POINTS))
+    count = max(2, min(int(SETTLED * settled / h) + 1, 10 * PLOT_POINTS))
     column, row = sampled.columns("ref.q[0]")[0], sampled.rows("q[0]")[0]
     start = sampled.B[:, column]  # a step adds up the impulse response
     later = np.cumsum(powers(sampled.C[row], sampled.A, count - 1) @ start)
@@ -91,7 +91,7 @@ def _draw_step(ax: Axes, system: LinearSystem) -> None:
     prepared(ax, "step response", "q / reference", "t [s]")
     ax.axhspan(1.0 - BAND, 1.0 + BAND, color=colour(2), alpha=0.25, linewidth=0.0)
     ax.axhline(1.0, color=INK, linewidth=0.6)
-    style = "." if system.dt and count < POINTS else "-"
+    style = "." if system.dt and count < PLOT_POINTS else "-"
     ax.plot(h * np.arange(count), y, style, color=colour(0), linewidth=1.5, markersize=4.0)
     if np.isfinite(found.settling_time):
         label = f"settled, {found.settling_time:.3g} s"

@@ -23,9 +23,9 @@ EARLY, LATE = 0.9, 0.1  # [-] of a step that are still to go at the ends of the 
 TIME_CONSTANTS: Final = 25.0  # [-] of the slowest pole, for which a response is followed
 POINTS: Final = 4000  # of a continuous response at least
 PER_RADIAN: Final = 10.0  # points of its fastest oscillation
-LONGEST: Final = 2_000_000  # points that are followed at most
+MAX_POINTS: Final = 2_000_000  # points that are followed at most
 CHUNK: Final = 8192  # of them at once
-NONE: Final = 1e-9  # [-] of a step: a smaller overshoot is rounding
+NO_OVERSHOOT: Final = 1e-9  # [-] of a step: a smaller overshoot is rounding
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +94,7 @@ def step_response(
     some = s_poles[np.isfinite(s_poles.real) & (s_poles.real < 0.0)]
     horizon = TIME_CONSTANTS / float(-some.real.max(initial=-np.inf)) if len(some) else 0.0
     h = dt or min(horizon / POINTS, 1.0 / (PER_RADIAN * max(float(np.abs(some.imag).max(initial=0.0)), 1e-300)))
-    count = min(math.ceil(horizon / h) + 2, LONGEST)
+    count = min(math.ceil(horizon / h) + 2, MAX_POINTS)
     step = A if dt else np.asarray(scipy.linalg.expm(A * h))
     remaining = _followed(step, start, row, count)
     if not np.isfinite(remaining).all():
@@ -136,10 +136,10 @@ def step_response(
         k_time = k * h
     return StepInfo(
         final=final,
-        overshoot=100.0 * peak if peak > NONE else 0.0,
+        overshoot=100.0 * peak if peak > NO_OVERSHOOT else 0.0,
         settling_time=settling,
         rise_time=first(LATE) - first(EARLY),
-        peak_time=k_time if peak > NONE else math.nan,
+        peak_time=k_time if peak > NO_OVERSHOOT else math.nan,
     )
 
 

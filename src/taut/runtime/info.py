@@ -31,7 +31,7 @@ __all__ = ["around_info", "tool_info"]
 
 BOARD: Final = (0.2, 0.35, 0.3, 1.0)
 HOLLOW: Final = (0.2, 0.35, 0.3, 0.35)  # what the tool is inside of lets it be seen
-REACH: Final = 0.25  # [m] of a surface to each side of the tool
+SURFACE_HALF_WIDTH: Final = 0.25  # [m] of a surface to each side of the tool
 THICKNESS: Final = 0.005  # [m] half of what is drawn
 PERIOD: Final = 0.02  # [s] between two places of a surface that moves
 
@@ -90,9 +90,9 @@ def _thing(surface: Surface, p: Float64Array, duration: float) -> Thing:
         return Thing(shapes=(ball,), p=_numbers(surface.point))
     along = float(n @ (p - surface.point))
     if surface.kind == "cylinder":
-        pipe = Shape(kind="cylinder", size=(surface.radius, REACH, 0.0), rgba=rgba)
+        pipe = Shape(kind="cylinder", size=(surface.radius, SURFACE_HALF_WIDTH, 0.0), rgba=rgba)
         return Thing(shapes=(pipe,), p=_numbers(surface.point + along * n), wxyz=_along(n))
-    board = Shape(kind="box", size=(REACH, REACH, THICKNESS), rgba=rgba)
+    board = Shape(kind="box", size=(SURFACE_HALF_WIDTH, SURFACE_HALF_WIDTH, THICKNESS), rgba=rgba)
     times: tuple[float, ...] = ()
     shifts: tuple[tuple[float, ...], ...] = ()
     if surface.displacement is not None:

@@ -28,7 +28,7 @@ Mode = Literal["slide", "stick", "apart"]
 MODES: Final[tuple[Mode, ...]] = ("slide", "stick", "apart")
 AXES: Final = ("x", "y", "z", "phi_x", "phi_y", "phi_z")
 ROTATIONS_FIRST: Final = (3, 4, 5, 0, 1, 2)  # as in the chapter's table
-TOUCHING: Final = 1e-6  # [m, rad] of phi
+ON_SURFACE: Final = 1e-6  # [m, rad] of phi
 ON_LINE: Final = 1e-6  # [m] from the frame's origin to the line of a contact force
 ROUNDING: Final = 1e-9  # of rows of length 1: less is zero, and such rows are dependent
 VIOLATION: Final = 1e-6  # of the largest number of the motion, or of the forces
@@ -576,7 +576,7 @@ def _notes(table: ConstraintTable, constraint: Constraint, at: Pose | Snapshot, 
         force = f"{table._forces[axes[0]]} {sign} 0" if len(axes) == 1 else f"lam[{table.numbers[i]}] <= 0"
         yield f"the contact can be pressed and not pulled: {force}"
     row = max(table.numbers, key=lambda i: abs(phi[i]), default=None)
-    if row is not None and abs(phi[row]) > TOUCHING:
+    if row is not None and abs(phi[row]) > ON_SURFACE:
         yield f"the pose is off the constraint: phi[{row}] = {phi[row]:.4g}"
     if isinstance(at, Snapshot) and constraint.frame is not None:
         motions, forces = _of_joints(table.A, np.asarray(at.J(constraint.frame[0]), dtype=np.float64))

@@ -17,8 +17,8 @@ from taut.base.types import ArrayLike, Float64Array
 
 __all__ = ["Specification", "check_specification", "coefficients_of", "linear_sum", "possible_specifications"]
 
-DEPENDENT: Final = 1e-9  # smallest singular value of the specified rows, each scaled to length 1
-ROUNDING: Final = 1e-12  # of the largest number: less is zero
+MIN_SINGULAR_VALUE: Final = 1e-9  # smallest singular value of the specified rows, each scaled to length 1
+SPECIFICATION_ROUNDING: Final = 1e-12  # of the largest number: less is zero
 MOTIONS: Final = {"M": "V_dot", "B": "V", "K": "X"}
 TERM: Final = re.compile(
     r"\s*([+-]?)\s*(\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?)?\s*\*?\s*([A-Za-z_]\w*)\s*"
@@ -189,9 +189,9 @@ def _dependent(rows: Float64Array, S: Float64Array, G: Float64Array) -> bool:
     """Rows S (n, n) over the motion are dependent, or one is zero but for rounding."""
     n, sizes = len(G), np.linalg.norm(S, axis=1)
     terms = np.abs(rows[:, :n]).sum(axis=1) + np.abs(G).max() * np.abs(rows[:, n:]).sum(axis=1)
-    if (sizes <= ROUNDING * terms).any():
+    if (sizes <= SPECIFICATION_ROUNDING * terms).any():
         return True
-    return float(np.linalg.svd(S / sizes[:, np.newaxis], compute_uv=False)[-1]) <= DEPENDENT
+    return float(np.linalg.svd(S / sizes[:, np.newaxis], compute_uv=False)[-1]) <= MIN_SINGULAR_VALUE
 
 
 # -------------------------------------------------------------------- linear combinations of named quantities
@@ -238,7 +238,7 @@ def linear_sum(coefficients: Float64Array, names: Sequence[str], constant: float
         >>> linear_sum(np.array([2.0, 0.0, -1.0]), ["V1", "V2", "F1"], 0.5)
         '2 V1 - F1 + 0.5'
     """
-    smallest = ROUNDING * float(np.abs(coefficients).max(initial=0.0))
+    smallest = SPECIFICATION_ROUNDING * float(np.abs(coefficients).max(initial=0.0))
     text = ""
     for c, name in [*zip(coefficients, names, strict=True), (constant, "")]:
         if abs(c) <= smallest:

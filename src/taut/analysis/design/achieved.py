@@ -27,9 +27,11 @@ STATIC: Final = 0.01  # [-] likewise of a stiffness
 OVERSHOOT: Final = 1.0  # [%] of the step that an overshoot may differ besides
 BAND: Final = 0.02  # [-] of a step: the settling band; a mode with a smaller part in a step is not seen in it
 SMALL_PART: Final = 1e-4  # [-] of a step: a mode with a smaller part is not one of its two poles
-SAME: Final = 0.02  # [-] of a pole: nearer ones are one, which rounding sets apart where several directions have it
+SAME_POLE: Final = (
+    0.02  # [-] of a pole: nearer ones are one, which rounding sets apart where several directions have it
+)
 REAL: Final = 1e-5  # [-] of a pole: a smaller imaginary part is rounding
-TIME_CONSTANTS: Final = 8.0  # of the slowest mode that is seen in a step, for which it is followed
+STEP_TIME_CONSTANTS: Final = 8.0  # of the slowest mode that is seen in a step, for which it is followed
 MIN_TICKS, MAX_TICKS = 50, 40_000  # of a step
 NO_COMMAND: Final = 1e-9  # [-] of the largest command of a step: rounding
 RANK: Final = 1e-9  # [-] of the largest singular value, or of a step: less is rounding
@@ -160,7 +162,7 @@ class Achieved:
         lin, (x, rows, end) = self.system, self._ahead
         poles, parts = self._modes
         slowest = float(-poles.real[(parts > BAND).any(axis=1)].max())
-        count = int(np.clip(TIME_CONSTANTS / slowest / lin.period, MIN_TICKS, MAX_TICKS))
+        count = int(np.clip(STEP_TIME_CONSTANTS / slowest / lin.period, MIN_TICKS, MAX_TICKS))
         command = lin.C[list(lin.rows("command"))]
         e, commands = np.zeros((count, x.shape[1])), np.zeros((count, *end.shape))
         for k in range(count):
@@ -177,7 +179,7 @@ class Achieved:
         upper = (z.imag >= -ROUNDING) & (np.abs(z) > INSTANT)
         groups: list[tuple[list[complex], list[NDArray[np.complex128]]]] = []
         for s, part in zip((np.log(z[upper]) / self.system.period).tolist(), parts[upper], strict=True):
-            poles, members = next((g for g in groups if abs(g[0][0] - s) <= SAME * abs(s)), ([], []))
+            poles, members = next((g for g in groups if abs(g[0][0] - s) <= SAME_POLE * abs(s)), ([], []))
             if not poles:
                 groups.append((poles, members))
             poles.append(s)

@@ -41,7 +41,7 @@ __all__ = ["Design", "Limit", "Requirement", "design"]
 ANYWHERE: Final = 1e3  # [rad | m] from the reference: an equilibrium is taken wherever it is
 DRIVE: Final = 1e4  # [rad/s] bandwidth of drives that are as good as ideal
 ACCURATE: Final = 0.3  # [-] of a step of rk4 times the fastest rate in it: its error is below 1e-4
-MAX_SUBSTEPS: Final = 50
+MAX_DESIGN_SUBSTEPS: Final = 50
 MIN_RATE: Final = 4.0  # [Hz] below which no lower servo rate is looked for
 FINE: Final = 0.01  # [-] of the lowest rate
 
@@ -285,7 +285,7 @@ def plant_for(ctrl: Controller, specification: Specification, friction: Literal[
     substeps = math.ceil(fastest / (ACCURATE * ctrl.rate))
     return RigidPlant(
         arm, friction=friction, environment=environment, integrator="rk4",
-        substeps=min(max(substeps, 1), MAX_SUBSTEPS),
+        substeps=min(max(substeps, 1), MAX_DESIGN_SUBSTEPS),
     )  # fmt: skip
 
 

@@ -32,7 +32,7 @@ QUANTITIES: Final = {
     "integral": Quantity(unit="-", rule=">= 0"),
 }
 SCALARS: Final = ("zeta", "overshoot", "force", "integral")
-BAND: Final = 50.0  # [-] of a step and the 2 % within which it has settled
+SETTLED_RATIO: Final = 50.0  # [-] of a step and the 2 % within which it has settled
 FREE: Final = 1e-9  # [-] of the largest stiffness over inertia: a motion that no spring draws back
 
 
@@ -112,7 +112,7 @@ class Specification:
         if self.omega_n is not None:
             return per_coordinate("omega_n", self.omega_n, loop)
         zeta = self.damping_ratio
-        angle = math.log(BAND) if zeta is None else second_order(zeta=zeta, settling=1.0).omega_n
+        angle = math.log(SETTLED_RATIO) if zeta is None else second_order(zeta=zeta, settling=1.0).omega_n
         return angle / per_coordinate("settling", self.settling, loop)
 
     def check(self, law: str, loop: ClosedLoop) -> None:

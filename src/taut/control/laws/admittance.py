@@ -36,7 +36,7 @@ from taut.trace import math as tm
 __all__ = ["Admittance"]
 
 ModelKind = Literal["own", "measured"]
-ROUNDING: Final = 1e-12
+SOLVE_ROUNDING: Final = 1e-12
 
 
 class Admittance(Law):
@@ -305,7 +305,7 @@ class Model:
         kinetic = self.energy(X, U) - spring
         moves = kinetic > 0.0
         share = tm.sqrt(tm.clip((allowed - spring) / tm.where(moves, kinetic, 1.0), 0.0, 1.0))
-        return tm.where(spring > allowed * (1.0 + ROUNDING), -1.0, tm.where(moves, share, 1.0))
+        return tm.where(spring > allowed * (1.0 + SOLVE_ROUNDING), -1.0, tm.where(moves, share, 1.0))
 
 
 def damping_matrix(D: GainValue, K: GainValue, zeta: GainValue) -> Matrix:

@@ -34,8 +34,8 @@ __all__ = [
 DEPENDENT: Final = 3e-4  # of the largest singular value, rows of length 1; below it rounding is beyond 1e-9
 OUT_OF_RANGE: Final = 0.01  # [-] of a wrench, which a stream may state where the tool is, and not where it should be
 ELSEWHEN: Final = 0.1234567  # [s]
-SHOWN: Final = 1e-5  # of the wrench, in words
-LOOKS: Final = 64  # at a motion before it is followed
+MIN_SHOWN_PART: Final = 1e-5  # of the wrench, in words
+REFERENCE_INSTANTS: Final = 64  # at a motion before it is followed
 
 
 def check_constraint(constraint: Constraint, x: Snapshot) -> None:
@@ -213,7 +213,7 @@ def _check_pressed(one_sided: Sequence[bool], lam: Float64Array, name: str, sent
 
 def _shown(F: Float64Array, size: float) -> str:
     """A wrench without what is nothing beside its size."""
-    some = np.where(np.abs(F) > SHOWN * size, F, 0.0)
+    some = np.where(np.abs(F) > MIN_SHOWN_PART * size, F, 0.0)
     return f"[{', '.join(f'{x:.4g}' for x in some)}]"
 
 
@@ -300,7 +300,7 @@ def _times(ref: Reference) -> list[float]:
     length = getattr(ref, "duration", None)
     if not isinstance(length, (int, float)) or not np.isfinite(length):
         return []
-    return [float(t) for t in np.linspace(0.0, float(length), LOOKS)]
+    return [float(t) for t in np.linspace(0.0, float(length), REFERENCE_INSTANTS)]
 
 
 def _first(ref: Reference) -> Sample | None:

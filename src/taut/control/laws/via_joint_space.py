@@ -37,7 +37,7 @@ __all__ = ["ViaJointSpace", "via_joint_space"]
 MAX_STEPS: Final = 10
 ARRIVED: Final = 1e-5  # [m, rad] an error under which the tool's target is met
 MOVING: Final = 1e-3  # share of full speed above which the joints are on their way
-NEVER: Final = 1e-30  # keeps a quotient finite
+MIN_DIVISOR: Final = 1e-30  # keeps a quotient finite
 
 
 class ViaJointSpace(Law):
@@ -188,7 +188,7 @@ class ViaJointSpace(Law):
         Full speed is reached in the time `rise` and left in the same, as if the way were straight.
         """
         rise = self.rise.as_array()[()]
-        time = tm.maximum(NEVER, _largest(tm.abs(ahead) / tm.minimum(self.speed.as_array(), velocity)))
+        time = tm.maximum(MIN_DIVISOR, _largest(tm.abs(ahead) / tm.minimum(self.speed.as_array(), velocity)))
         fastest = tm.minimum(tm.minimum(1.0, pace + dt / rise), tm.sqrt(2.0 * time / rise))
         share = tm.minimum(1.0, fastest * dt / time)
         return share, share * time / dt

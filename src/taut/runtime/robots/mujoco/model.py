@@ -59,8 +59,8 @@ AT_ONCE: Final = 1e9  # how many times faster than one step sliding is braked: a
 BONE: Final = 0.02  # [m] radius of a link that has no shape to show
 LINK: Final = 0.05  # [m] radius of a link that touches
 GREY: Final = (0.7, 0.7, 0.7, 1.0)
-SHOWN: Final = 2  # the group of what is looked at
-TOUCHING: Final = 3  # the group of what touches, which MuJoCo's viewers hide until asked
+VISUAL_GROUP: Final = 2  # the group of what is looked at
+CONTACT_GROUP: Final = 3  # the group of what touches, which MuJoCo's viewers hide until asked
 
 LOAD: Final = ("mass", "com", "inertia")
 
@@ -287,7 +287,7 @@ class _Builder:
         body.mass, body.ipos, body.inertia = 0.0, [0.1, 0.2, 0.3], [0.0, 0.0, 0.0]
         body.iquat = [0.5, 0.5, 0.5, 0.5]
         body.simple, body.fuse = 0, 0
-        body.add_site(name=self._arm.tool, size=[0.005] * 3, group=TOUCHING)
+        body.add_site(name=self._arm.tool, size=[0.005] * 3, group=CONTACT_GROUP)
         for kind in ("force", "torque"):
             self.spec.add_sensor(
                 name=f"{self._arm.tool}_{kind}",
@@ -382,12 +382,12 @@ class _Shapes:
 def _make_touching(geom: mujoco.MjsGeom) -> None:
     geom.contype, geom.conaffinity = 0, 1
     geom.friction = [0.0, 0.0, 0.0]  # MuJoCo takes the larger of two: that of what is touched
-    geom.mass, geom.group = 0.0, TOUCHING
+    geom.mass, geom.group = 0.0, CONTACT_GROUP
 
 
 def _make_shown(geom: mujoco.MjsGeom, rgba: tuple[float, float, float, float]) -> None:
     geom.contype, geom.conaffinity = 0, 0
-    geom.mass, geom.group, geom.rgba = 0.0, SHOWN, rgba
+    geom.mass, geom.group, geom.rgba = 0.0, VISUAL_GROUP, rgba
 
 
 class Settings:

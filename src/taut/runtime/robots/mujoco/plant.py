@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 __all__ = ["MujocoPlant"]
 
-LONGEST: Final = 1e-3  # [s] of a time step that nobody asked for
+MAX_DEFAULT_TIMESTEP: Final = 1e-3  # [s] of a time step that nobody asked for
 PAYLOAD: Final = ("payload.mass", "payload.com", "payload.inertia")  # what a sensor that weighs asks for
 
 
@@ -342,7 +342,7 @@ class MujocoPlant(PlantInMujoco):
 
     def _steps_in(self, dt: float) -> int:
         if self._timestep is None:
-            return max(1, math.ceil(dt / LONGEST * (1.0 - 1e-9)))
+            return max(1, math.ceil(dt / MAX_DEFAULT_TIMESTEP * (1.0 - 1e-9)))
         return whole_steps(self.name, dt, self._timestep, "timestep")
 
     def measure(self) -> dict[str, Float64Array]:
