@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["PRESSED", "Guard", "Health", "Index", "Normals", "Rig", "Wrench", "index"]
 
 PRESSED: Final = "contact.normal_force"  # column of a run
-MUJOCO_MAX_VALUE: Final = 1e10  # what MuJoCo itself calls huge, in qpos, qvel, qacc and ctrl
+MUJOCO_MAX: Final = 1e10  # what MuJoCo itself calls huge, in qpos, qvel, qacc and ctrl
 WAY_OUT: Final = "try smaller gains, a higher rate or a smaller timestep"
 SAID: Final = {
     "mjWARN_INERTIA": "the mass matrix is singular; a body has no inertia",
@@ -31,7 +31,7 @@ SAID: Final = {
     "mjWARN_BADQPOS": f"a position is not finite; {WAY_OUT}",
     "mjWARN_BADQVEL": f"a velocity is not finite; {WAY_OUT}",
     "mjWARN_BADQACC": f"an acceleration is not finite; {WAY_OUT}",
-    "mjWARN_BADCTRL": f"a command is beyond {MUJOCO_MAX_VALUE:g} or not finite; MuJoCo set every motor to zero; {WAY_OUT}",
+    "mjWARN_BADCTRL": f"a command is beyond {MUJOCO_MAX:g} or not finite; MuJoCo set every motor to zero; {WAY_OUT}",
 }
 NOTHING = np.zeros(6)
 NOTHING.flags.writeable = False
@@ -132,7 +132,7 @@ class Health:
         for values, what, per in ((self._acceleration, "acceleration", "s^2"), (self._velocity, "velocity", "s")):
             size = np.where(np.isfinite(values), np.abs(values), np.inf)
             dof = int(np.argmax(size))
-            if size[dof] >= MUJOCO_MAX_VALUE:
+            if size[dof] >= MUJOCO_MAX:
                 joint = self._joint_of.get(dof)
                 of = self._owner(dof) if joint is None else "its"
                 unit = "" if joint is None else f" {self._rig.arm.units[joint]}/{per}"
