@@ -59,7 +59,8 @@ class Number(NamedTuple):
         return f"{self.value:{'.0f' if whole else '.3g'}} {'' if self.unit == '1' else self.unit}".rstrip()
 
 
-class Threshold(NamedTuple):
+@dataclass(frozen=True)
+class Threshold:
     """A threshold of a check, which reads it as `run.threshold[name]`, with its unit ("1" of a ratio) and reason."""
 
     name: str
