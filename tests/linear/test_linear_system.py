@@ -183,7 +183,7 @@ def test_a_specification_gives_the_gains_and_the_response_that_was_specified() -
     assert fast.overshoot == pytest.approx(5.0, rel=1e-9)
     gains = second_order(omega_n=10.0, settling=0.4)
     assert taut.error_dynamics(kp=gains.kp, kd=gains.kd).step().settling_time == pytest.approx(0.4, rel=1e-8)
-    assert second_order(**JOINT).case == "critically damped"
+    assert second_order(**JOINT).zeta == pytest.approx(1.0, rel=1e-12)
     assert second_order(**JOINT).largest_ki == pytest.approx(9.261)
 
 

@@ -145,7 +145,7 @@ def test_a_plant_in_mujoco_is_made_anew_with_noise_and_another_arm(here: Path) -
         (["short.toml", "--plot", "x.doc"], "the plot's name must end in .png or .pdf or .svg; got 'x.doc'"),
         (["short.toml", "--case", "a"], "scenario 'short.toml' has no cases; leave case out"),
         (["short.toml", "--noise", "position"], "--noise takes NAME=VALUE such as position=1e-5; got 'position'"),
-        (["short.toml", "--noise", "position=nan"], "encoder.noise must be finite [rad | m]; got nan"),
+        (["short.toml", "--noise", "position=nan"], "noise must be finite [rad | m]; got nan"),
         (
             ["short.toml", "--laws", "PD", "--reference", "PD", "--tolerance", "-0.05"],
             "tolerance must be > 0; got -0.05",

@@ -572,7 +572,7 @@ def test_limits_in_words_and_in_a_table(tmp_path: Path) -> None:
     table = limits('{ of = "arm with speed", v_gain = 30, blend = 0.2 }')
     np.testing.assert_array_equal(table.tau, panda.effort)
     assert (table.v_gain, table.blend, table.tau_dot) == (30.0, 0.2, None)
-    assert limits("{ blend = 0.1 }").given() == {"blend"}
+    assert (limits("{ blend = 0.1 }").blend, limits("{ blend = 0.1 }").tau) == (0.1, None)
 
 
 def test_a_law_that_holds_a_law_and_one_that_is_added(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

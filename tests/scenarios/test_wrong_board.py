@@ -92,7 +92,7 @@ def test_the_tips_of_a_scenario_and_its_press_are_read() -> None:
     ("old", "new", "text"),
     [
         ("press = 10.0", "press = -1.0", "press must be >= 0 [N], the force into the surface; got -1"),
-        ("press = 10.0", "", "kind gives a TaskMotion, and the law 'hybrid' follows a HybridMotion"),
+        ("press = 10.0", "", "the law follows HybridMotion of a TaskMotion"),
         (
             "stiffness = 1000",
             "stiffness = 0",

@@ -683,7 +683,10 @@ def _eigenvalues(A: Float64Array) -> Complex:
     if len(A) != 2:
         return np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
     (a, b), (c, d) = ([Fraction(x) for x in row] for row in A.tolist())
-    half, square = float((a + d) / 2), float((a - d) ** 2 / 4 + b * c)
+    try:
+        half, square = float((a + d) / 2), float((a - d) ** 2 / 4 + b * c)
+    except OverflowError:  # a square beyond the largest float
+        return np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
     if abs(square) <= CRITICAL * max(half * half, float(abs(b * c))):
         return np.array([half, half], dtype=np.complex128)
     if square < 0.0:

@@ -211,7 +211,10 @@ class Scenario:
 def built_in_scenarios() -> dict[str, Path]:
     """The scenarios that come with taut, by name."""
     folder = Path(str(resources.files("taut.scenarios"))) / "files"
-    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+    try:
+        return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+    except OSError as wrong:
+        raise FileError(f"folder '{folder}' cannot be read: {wrong.strerror or wrong}") from wrong
 
 
 def scenario_file(name: str) -> Path:
@@ -298,8 +301,8 @@ def _cases_of(root: Table) -> dict[str, Table]:
     table = root.table("cases")
     if not 0 < len(table.values) <= MAX_CASES or not all(name.strip() for name in table.values):
         raise table.error(
-            f'needs 1 to {MAX_CASES} cases, each with a name: [cases."G = 100".plant.gears] with the keys that it '
-            "replaces"
+            f"needs 1 to {MAX_CASES} cases, each with a name; got {len(table.values)}; write "
+            '[cases."G = 100".plant.gears] with the keys that it replaces'
         )
     whole, laws = root.without("cases"), root.table("laws").values
     cases = {}

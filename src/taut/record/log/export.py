@@ -44,6 +44,7 @@ def _columns(run: Run) -> dict[str, tuple[list[str], tuple[str, ...]]]:
         "tau_meas": run.effort_units,
         "command": run.command_units,
         "F_ext": WRENCH,
+        "a_tip": ("m/s^2",) * 3,
         "p": ("m",) * 3,
         "twist": ("m/s",) * 3 + ("rad/s",) * 3,
         "acceleration": ("m/s^2",) * 3 + ("rad/s^2",) * 3,

@@ -154,7 +154,7 @@ class MujocoPlant(PlantInMujoco):
         environment: Environment | None = None,
     ) -> None:
         adds = Adds.of(adds)
-        self.given = {name: value for name, value in locals().items() if name not in ("self", "arm")}
+        self.given = {name: value for name, value in locals().items() if name not in ("self", "arm", "__class__")}
         for name, value in (("friction", friction), ("limits", limits)):
             if value not in ("arm", None):
                 raise UsageError(f"{name} must be 'arm' or None; got {value!r}", name=name)
