@@ -158,8 +158,8 @@ def test_the_core_declares_what_it_imports() -> None:
 LIMITS = {  # the house as it is; a change that needs more says why in the commit that raises a number
     "lines": (64_500, house.lines),
     "lines of code": (42_800, house.code_lines),
-    "modules": (281, lambda: len(house.modules())),
-    "modules in one folder": (17, house.largest_folder),
+    "modules": (280, lambda: len(house.modules())),
+    "modules in one folder": (16, house.largest_folder),
     "modules with one importer": (32, lambda: len(house.slices())),
     "names in taut": (75, lambda: len(taut.__all__)),
     "modules loaded to compile a PID": (63, lambda: len(house.loaded_for(PID))),

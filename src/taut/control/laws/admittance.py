@@ -25,9 +25,9 @@ from taut.control.laws.task_space import (
     modal_damping,
     pulled,
     task_gain,
+    tool_loop,
     wrench_at,
 )
-from taut.control.laws.tool_loop import tool_loop
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import left_jacobian_inverse, rotated, rotation_exp, rotation_log

@@ -16,8 +16,7 @@ from taut.control.gains import Gain, GainValue
 from taut.control.integral import Integral, check_force_pole, damping_force
 from taut.control.law import Law, MemoryView
 from taut.control.laws.null_space import Posture, check_null, with_null_space
-from taut.control.laws.task_space import bounded_inertia, check_sensor, task_gain, wrench_at
-from taut.control.laws.tool_loop import tool_loop
+from taut.control.laws.task_space import bounded_inertia, check_sensor, task_gain, tool_loop, wrench_at
 from taut.control.trajectories.force_reference import HybridMotion, TaskForce
 from taut.control.trajectories.task_reference import FRAMES, Axes
 from taut.maths import dynamics as dyn

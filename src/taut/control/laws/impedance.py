@@ -32,9 +32,9 @@ from taut.control.laws.task_space import (
     eased,
     modal_damping,
     task_gain,
+    tool_loop,
     within_speed,
 )
-from taut.control.laws.tool_loop import tool_loop
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.snapshot import Snapshot
 from taut.maths.task_inertia import TaskInertia

@@ -18,8 +18,7 @@ from taut.control.integral import Integral
 from taut.control.law import Law, MemoryView
 from taut.control.laws.null_space import Posture, check_free, check_null, with_null_space
 from taut.control.laws.task_error import ERRORS, Coordinates, ErrorKind, TaskError, task_error
-from taut.control.laws.task_space import TaskSpace, bound_of_error, eased, task_gain
-from taut.control.laws.tool_loop import tool_loop
+from taut.control.laws.task_space import TaskSpace, bound_of_error, eased, task_gain, tool_loop
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.singularity import ResolvedMotion, resolve
 from taut.maths.snapshot import Snapshot

@@ -7,7 +7,7 @@ or of the tool; with another error than "decoupled", in the coordinates of that 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Literal, Self
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from taut.base.errors import MatchError, RangeError, count_of
 from taut.base.types import Array, Float64Array, Matrix, Rotation, Vector, Vector3, Wrench
+from taut.control.closed_loop import ClosedLoop, PlacedGains
 from taut.control.command import Terms
 from taut.control.gains import Gain, GainValue
 from taut.control.law import Law
@@ -51,6 +52,7 @@ __all__ = [
     "within_speed",
     "wrench_at",
     "wrench_moved",
+    "tool_loop",
 ]
 
 GainFrame = Literal["world", "task", "tool"]
@@ -426,3 +428,26 @@ def check_directions(x: Snapshot, tool: str | None, J: Matrix) -> None:
             "coordinates=taut.Coordinates.position()",
             name="tool",
         )
+
+
+# -------------------------------------------------------------------- its closed loop
+
+AXES: Final = ("x", "y", "z", "about x", "about y", "about z")
+UNITS: Final = ("m", "m", "m", "rad", "rad", "rad")
+
+
+def tool_loop(law: Law, x: Snapshot, gains: Callable[[PlacedGains], Law], **options: Any) -> ClosedLoop:
+    """That of a law with a `tool`, in the axes of its gains.
+
+    Args:
+        law: The law; `error`, `frame` and `coordinates` count where it has them.
+        x: The arm at rest.
+        gains: The law with other gains.
+        **options: Fields of `ClosedLoop`.
+    """
+    space = TaskSpace.of(law)
+    at = space.at(x, TaskMotion.at_rest(x, space.tool))
+    J = np.asarray(at.inwards(at.error.J), dtype=np.float64)
+    six = len(J) == len(AXES)
+    names, units = (AXES, UNITS) if six else (tuple(f"y{i}" for i in range(len(J))), ("m",) * len(J))
+    return ClosedLoop(x=x, J=J, names=names, units=units, gains=gains, **options)
