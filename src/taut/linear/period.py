@@ -59,7 +59,7 @@ __all__ = [
 ROTATION: Final = "R"  # the last name in the path of a rotation
 GENERATORS: Final = np.stack([np.asarray(tm.skew(e), dtype=np.float64) for e in np.eye(3)])  # rotations about axes
 RESOLUTION: Final = ".resolution"  # the end of the path of a quantisation step, which has no derivative
-STEP: Final = 1e-6  # [-] of a state's size, of central differences
+STEP: Final = 1e-5  # [-] of a state's size, of central differences: near the cube root of rounding
 BESIDE: Final = 1e-7  # [-] of a state's size: distance of a derivative beside a point that has none
 OUTPUTS: Final = ("q", "v", "tip.p", "tip.R", "tip.twist", "command")
 CLOCK: Final = "plant.t"
@@ -137,7 +137,7 @@ class Period(PeriodMap):
         RangeError: The loop cannot start there.
     """
 
-    tolerance, rest = STEP, 1e-11
+    tolerance, rest = 1e-6, 1e-11
 
     def __init__(self, loop: Loop, q: Float64Array, changes: Mapping[str, Any] = EMPTY) -> None:
         self.side, self.dt, self.arm = loop.side, loop.dt, loop.plant.arm
