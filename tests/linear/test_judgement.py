@@ -155,6 +155,33 @@ class TestAgreement:
             assert isinstance(found, Judgement)
             assert found.stable
 
+    def test_one_joint_in_its_backlash_does_not_hide_another_that_grows(self) -> None:
+        """A joint without load has no derivative in its gap; the wrist grows all the same, until the run diverges."""
+        arm = taut.load_arm("panda").with_gears(ratio=[100.0] * 4 + [50.0] * 3, motor_inertia=2e-5)
+        drives = taut.drives.Actuation(
+            transmission=taut.drives.Transmission(stiffness=5e3, damping=1.0, backlash=0.002, efficiency=0.9)
+        )
+        found, loop = verdict_of(LAWS.PID(kp=60.0, kd=8.0), arm, actuation=drives, substeps=10)
+        assert isinstance(found, Judgement)
+        assert not found.stable
+        assert found.radius == pytest.approx(1.0226, abs=1e-3)
+        with pytest.warns(taut.StabilityWarning):
+            run = taut.run(taut.compile(LAWS.PID(kp=60.0, kd=8.0), arm), loop.plant, taut.hold(), duration=2.5)
+        assert "diverged" in run.outcome.message
+
+    def test_ripple_is_left_out(self) -> None:
+        """At every other equilibrium along a turn of the motor its slope is above kp; motion passes them."""
+        arm = taut.load_arm("panda").with_gears(ratio=100.0, motor_inertia=2e-5)
+        law = LAWS.PID(kp=60.0, kd=8.0)
+        plain, _ = verdict_of(law, arm)
+        rippled, _ = verdict_of(
+            law, arm, actuation=taut.drives.Actuation(ripple=taut.drives.Ripple(amplitude=0.05, periods=6))
+        )
+        assert isinstance(plain, Judgement)
+        assert isinstance(rippled, Judgement)
+        assert rippled.stable
+        assert rippled.radius == pytest.approx(plain.radius, rel=1e-6)
+
     def test_steps_of_sensors_and_amplifiers_are_left_out(self) -> None:
         arm = without_friction("panda")
         encoder = taut.sensors.Encoder(resolution=1e-4)

@@ -51,6 +51,7 @@ HUGE: Final = 1e12  # a limit that is never reached
 DRY: Final = ("coulomb", "static", "load_motor", "load_external", "load_motor_static", "load_external_static")
 VISCOUS: Final = "plant.friction.viscous"
 EFFICIENCY: Final = "actuation.transmission.efficiency"
+RIPPLE: Final = "actuation.ripple.amplitude"
 AXES: Final = tuple(f"{kind} {axis}" for kind in ("translation", "rotation") for axis in "xyz")
 
 Changes = Mapping[str, Any]
@@ -59,7 +60,9 @@ Changes = Mapping[str, Any]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Judgement(Result):
-    """Stability of a sampled loop about its equilibrium next to a start pose, without limits and dry friction.
+    """Stability of a sampled loop about its equilibrium next to a start pose, without limits, dry friction and ripple.
+
+    A motor's ripple makes many equilibria close to one another, every other one of them unstable: motion passes them.
 
     Args:
         system: The linear model from tick to tick, of the states on which the joints' motion depends.
@@ -246,9 +249,9 @@ def uncertain_eigenvalues(A: Float64Array, error: Float64Array | float = 0.0) ->
     scale = balancing(A)
     A, error = (X * scale / scale[:, np.newaxis] for X in (A, error * np.ones_like(A)))
     z, right = np.linalg.eig(A)
-    noise = np.finfo(float).eps / STEP * max(1.0, float(np.abs(A).max())) + np.linalg.norm(error, 2)
-    condition = np.linalg.norm(np.linalg.pinv(right), axis=1)  # of each eigenvalue
-    return z.astype(np.complex128), np.minimum(ROUNDING + noise * condition, np.sqrt(noise))
+    error = error + np.finfo(float).eps / STEP * max(1.0, float(np.abs(A).max()))
+    first = np.sum(np.abs(np.linalg.pinv(right)) * (error @ np.abs(right)).T, axis=1)  # |y| |dA| |x| of each
+    return z.astype(np.complex128), np.minimum(ROUNDING + first, np.sqrt(np.linalg.norm(error, 2)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -366,8 +369,10 @@ def _judged(period: Period, plant: str, limits: tuple[str, ...] | None = None) -
 
 
 def without_dry_friction(side: LawSide, values: Changes) -> dict[str, Any]:
-    """Parameters that leave limits and dry friction out of a loop, those of its compensation included."""
+    """Parameters that leave limits, dry friction, that of its compensation too, and ripple out of a loop."""
     out = {path: np.full_like(values[path], path == EFFICIENCY) for path in values if _is_dry(path)}
+    if RIPPLE in values:
+        out[RIPPLE] = np.zeros_like(values[RIPPLE])
     out |= {f"limits.{name}": HUGE for name in ("tau", "tau_dot", "v") if f"limits.{name}" in values}
     for path, law in all_laws(side.law, "law"):
         if isinstance(law, FrictionCompensation):
