@@ -23,7 +23,7 @@ from taut.control.sensing.sensing import Sensing
 from taut.control.trajectories.reference import Reference
 from taut.controller import Controller, compile
 from taut.loop import Loop
-from taut.plant.sensors.sensors import Sensors
+from taut.plant.sensors import Sensors
 from taut.record.metrics import METRICS
 from taut.record.plots.comparison import compare as compare_runs
 from taut.record.run import Run

@@ -10,7 +10,7 @@ from taut.arm.description import Arm
 from taut.base.errors import unknown_name
 from taut.base.types import ArrayLike, Float64Array
 from taut.loop import AnyPlant
-from taut.plant.sensors.sensors import Sensors
+from taut.plant.sensors import Sensors
 
 __all__ = ["HostPlant", "PlantBase", "RealArm", "VariedPlant"]
 

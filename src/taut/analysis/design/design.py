@@ -31,7 +31,7 @@ from taut.linear.period import finite_derivative, loop_map
 from taut.loop import DT, Loop
 from taut.maths.adds import Adds
 from taut.maths.snapshot import Snapshot, snapshot
-from taut.plant.drives.actuation import Actuation
+from taut.plant.actuation import Actuation
 from taut.plant.environments.hands import Push
 from taut.plant.environments.springs import Spring
 from taut.plant.rigid import RigidPlant

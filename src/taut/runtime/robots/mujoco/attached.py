@@ -11,8 +11,8 @@ import numpy as np
 
 from taut.base.errors import MatchError, UsageError
 from taut.base.types import Float64Array
-from taut.plant.drives.actuation import Actuation
-from taut.plant.sensors.sensors import Sensors
+from taut.plant.actuation import Actuation
+from taut.plant.sensors import Sensors
 from taut.record.film.surroundings import POSES, Around
 from taut.runtime.host import PlantBase
 from taut.runtime.robots.mujoco.rig import Guard, Health, Rig, Wrench
