@@ -19,7 +19,7 @@ from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike
 from taut.control.law import Law
 from taut.control.limits import Limits
-from taut.control.sensing.sensing import Sensing
+from taut.control.sensing import Sensing
 from taut.control.trajectories.reference import Reference
 from taut.controller import Controller, compile
 from taut.loop import Loop

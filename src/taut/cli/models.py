@@ -25,7 +25,7 @@ from taut.control.describe import held_laws, law_classes, statements, summary
 from taut.control.gains import Gain
 from taut.control.law import Law
 from taut.control.lawside import LawSide
-from taut.control.sensing.sensing import Sensing
+from taut.control.sensing import Sensing
 from taut.control.trajectories.force_reference import HybridMotion
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.adds import Adds
