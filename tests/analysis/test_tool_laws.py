@@ -10,7 +10,7 @@ import pytest
 
 import taut
 from taut.base.types import Float64Array
-from taut.control.describe import law_classes
+from taut.control.combine import law_classes
 from taut.trace import math as tm
 
 laws, Plant = taut.laws, taut.RigidPlant

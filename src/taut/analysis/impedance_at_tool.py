@@ -16,8 +16,7 @@ from taut.base.paths import subtree
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.loop import StepLoop
-from taut.control.combine import Sum, bare
-from taut.control.describe import title
+from taut.control.combine import Sum, bare, title
 from taut.control.gains import GainValue
 from taut.control.law import Law
 from taut.control.laws.apparent import felt_impedance

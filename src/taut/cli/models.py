@@ -18,16 +18,17 @@ import numpy as np
 from taut import laws
 from taut.arm.description import Arm, Friction
 from taut.base.errors import ModelError
-from taut.base.fields import REQUIRED
+from taut.base.fields import REQUIRED, Part
 from taut.base.result import Table
 from taut.cli.command import DONE, WRONG, Answer, Command, Say
-from taut.control.describe import held_laws, law_classes, statements, summary
+from taut.control.combine import law_classes
 from taut.control.gains import Gain
 from taut.control.law import Law
 from taut.control.lawside import LawSide
 from taut.control.sensing import Sensing
 from taut.control.trajectories.force_reference import HybridMotion
 from taut.control.trajectories.task_reference import TaskMotion
+from taut.controller.explain import statements, summary
 from taut.maths.adds import Adds
 from taut.maths.constraints.constraint import Constraint
 
@@ -91,7 +92,7 @@ OF_OTHERS: Final = (
 
 def _row(cls: type[Law]) -> LawRow:
     given = {"constraint": Constraint(lambda T: T.p[2])} if "constraint" in cls.declared else {}
-    law = cls(**_numbers(cls), **given, **{name: _held(cls) for name in held_laws(cls)})
+    law = cls(**_numbers(cls), **given, **_held(cls))
     side = LawSide(law=law, arm=_six_axes(), rate=1000.0, sensing=Sensing(), limits=None, adds=Adds())
     return LawRow(
         name=cls.__name__,
@@ -115,10 +116,12 @@ def _numbers(cls: type[Law]) -> dict[str, Any]:
     return numbers
 
 
-def _held(cls: type[Law]) -> Law:
-    """A law for one that holds another."""
+def _held(cls: type[Law]) -> dict[str, Law]:
+    """A law for each field of one that holds others."""
     of_task = cls.reference in (TaskMotion, HybridMotion) and cls is not laws.ViaJointSpace
-    return laws.TaskComputedTorque(kp=1.0, kd=1.0) if of_task else laws.PID(kp=1.0)
+    inner: Law = laws.TaskComputedTorque(kp=1.0, kd=1.0) if of_task else laws.PID(kp=1.0)
+    parts = {name: field for name, field in cls.declared.items() if isinstance(field, Part) and not field.optional}
+    return {name: inner for name, field in parts.items() if any(issubclass(kind, Law) for kind in field.of)}
 
 
 @functools.cache

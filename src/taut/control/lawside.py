@@ -18,8 +18,8 @@ from taut.base.checks import finite_array, in_compiled_shape
 from taut.base.errors import MatchError, NumericalError, RangeError, ShapeError, UsageError, unknown_name
 from taut.base.paths import flatten, subtree, unflatten
 from taut.base.types import Array, ArrayLike, Float64Array, Vector
+from taut.control.combine import all_laws, title
 from taut.control.command import Command, Terms, Torque
-from taut.control.describe import all_laws, title
 from taut.control.law import Law, as_array, call, initial_memory
 from taut.control.limits import Limits, anew, fresh_blend, limited
 from taut.control.sensing import Sensing
