@@ -24,9 +24,7 @@ from taut.control.laws.friction import FrictionCompensation
 from taut.control.laws.impedance import Stiffness
 from taut.control.laws.joint import PID, ComputedTorque, FeedForward, GravityCompensation, GravityPID
 from taut.control.laws.task import TaskComputedTorque
-from taut.control.laws.task_space import Compliance
 from taut.control.laws.via_joint_space import ViaJointSpace
-from taut.control.trajectories.task_reference import TaskMotion
 from taut.linear.equilibrium import WITHIN
 from taut.linear.judgement import uncertain_eigenvalues
 from taut.linear.linear_system import LinearSystem
@@ -332,7 +330,7 @@ def _specified_admittance(law: Law, x: Snapshot, reach: Float64Array) -> Admitta
         if isinstance(law, Stiffness):
             if law.error != "decoupled" or callable(law.K):
                 return None
-            axes = Compliance.of(law.error, law.frame, x, TaskMotion.at_rest(x, law.tool), law.tool, None)
+            axes = law.space.at(x)
             kp = J.T @ np.asarray(axes.matrix_outwards(law.K.matrix(6)), dtype=np.float64) @ J
         elif isinstance(law, ComputedTorque):
             kp, kd, ki = M @ kp, M @ kd, M @ ki
