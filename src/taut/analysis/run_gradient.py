@@ -20,7 +20,8 @@ from taut.loop import DT, Loop
 from taut.maths import dynamics as dyn
 from taut.maths.model import model_of
 from taut.maths.spatial import rotation_log
-from taut.runtime.fused import FusedRun
+from taut.runtime.events import Schedule
+from taut.runtime.ongoing import FusedRun
 from taut.trace import math as tm
 
 __all__ = ["COSTS", "Cost", "RunGradient", "RunSlopes", "Tick"]
@@ -222,7 +223,7 @@ class RunGradient:
             UsageError: The state of the loop at the start depends on a parameter.
         """
         loop = self._loop
-        fused = FusedRun(loop, q, v, seed, ())
+        fused = FusedRun(loop, q, v, seed, Schedule(loop.side, loop.plant, loop.parameters, (), loop.ticks))
         kept, outcome = fused.go(lambda _: None, None)
         if not outcome.ok:
             raise RangeError(outcome.message, name="cost")
