@@ -130,7 +130,7 @@ def eq_10_47() -> Shown:
     legend(ax)
 
     yield figure
-    yield "Numbers of equation 10.46. taut.analysis.tool_impedance has both: the linearised loop, and a sine sweep."
+    yield "Numbers of equation 10.46. By the linearised loop, of taut.analysis.tool_impedance."
 
 
 @entry("eq-10.48", "the behaviour that is asked of an arm")
