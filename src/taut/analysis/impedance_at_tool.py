@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -124,7 +124,7 @@ class ToolImpedance(Result):
             )
         w = np.atleast_1d(finite_array("omega", omega, unit="rad/s"))
         require_positive("omega", w, unit="rad/s")
-        return _inverse(self.specified.admittance(1j * w, self.direction))
+        return _inverse(self.specified.admittance(w, self.direction))
 
     def content(self) -> Content:
         """Size of the impedance over frequency, and its Bode diagram."""
@@ -153,10 +153,12 @@ class ToolImpedance(Result):
         prepared(above, "impedance at the tool, Z = F / X", f"|Z| [{self.unit}]")
         prepared(below, "", "phase of Z [deg]", "frequency [Hz]")
         omega = HIGHEST * np.pi / self.lin.period * np.logspace(-DECADES, 0.0, CURVE_POINTS)
-        curves = {"predicted, of the sampled loop": (self.Z(omega), colour(0), "-")}
+        curves: list[tuple[str, Complex, str, Any]] = [
+            ("predicted, of the sampled loop", self.Z(omega), colour(0), "-")
+        ]
         if self.specified is not None:
-            curves["specified"] = (self.specified_Z(omega), INK, DASHED)
-        for name, (Z, ink, style) in curves.items():
+            curves.append(("specified", self.specified_Z(omega), INK, DASHED))
+        for name, Z, ink, style in curves:
             above.loglog(omega / HERTZ, np.abs(Z), linewidth=1.4, label=name, color=ink, linestyle=style)
             phase = np.degrees(np.unwrap(np.angle(Z)))
             below.semilogx(omega / HERTZ, phase, linewidth=1.4, color=ink, linestyle=style)
@@ -242,9 +244,9 @@ class _ClosedForm:
     stiffness: Float64Array
     integral: Float64Array | float = 0.0
 
-    def admittance(self, s: Complex, direction: Float64Array) -> Complex:
-        """(k,) the response X / F along a direction at s (k,) [1/s]."""
-        s = s[:, np.newaxis, np.newaxis]
+    def admittance(self, omega: Float64Array, direction: Float64Array) -> Complex:
+        """(k,) the response X / F along a direction at (k,) frequencies [rad/s]."""
+        s = 1j * omega[:, np.newaxis, np.newaxis]
         polynomial = self.inertia * s * s + self.damping * s + self.stiffness + self.integral / s
         way = self.outwards.T @ direction
         return np.asarray(np.linalg.solve(polynomial, way[:, np.newaxis].astype(complex))[:, :, 0] @ way)

@@ -255,7 +255,7 @@ class RunGradient:
 
         start = started(numbers)
         for path in self._paths:  # the derivative of the state at the start is not known
-            probe = numbers[path] * (1.0 + PROBE) + PROBE * np.abs(directions[path]).max(axis=0)
+            probe = np.asarray(numbers[path]) * (1.0 + PROBE) + PROBE * np.abs(directions[path]).max(axis=0)
             other = started({**numbers, path: probe})
             if any(not np.array_equal(value, other[name]) for name, value in start.items()):
                 raise UsageError(
