@@ -576,14 +576,12 @@ def test_a_diagnosis_is_text_data_and_figures() -> None:
     assert values["beyond the declared"] == (finding.evidence["beyond the declared"].value, "kg")
 
 
-def test_the_command_reads_a_log_and_draws_what_it_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_reads_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = heavy().save(tmp_path / "run.mcap")
-    assert main(["doctor", str(log), "--json", "--out", str(tmp_path / "found")]) == 0
+    assert main(["doctor", str(log), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["tables"]["findings"][0]["finding"] == "wrong payload"
     assert not found["healthy"]
-    assert [Path(path).name for path in found["pictures"]] == ["1_wrong_payload.png"]
-    assert (tmp_path / "found" / "1_wrong_payload.png").stat().st_size > 1000
     short = heavy().between(0.0, 0.1).save(tmp_path / "short.mcap")
     assert main(["doctor", str(short)]) == 2
     assert "is no whole run: 101 ticks" in capsys.readouterr().err
