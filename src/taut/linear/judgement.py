@@ -60,7 +60,7 @@ Changes = Mapping[str, Any]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Judgement(Result):
-    """Stability of a sampled loop about its equilibrium near a start pose, without limits, dry friction and ripple.
+    """Stability of a sampled loop about its equilibrium next to a start pose; no limits, dry friction or ripple.
 
     A motor's ripple makes many equilibria close to one another, every other one of them unstable: motion passes them.
 

@@ -179,12 +179,11 @@ def _known(ref: Reference) -> Iterator[tuple[float, Sample | None]]:
         yield 0.0, ref.sample if isinstance(ref, Hold) else ref
         return
     at, length = getattr(ref, "at", None), getattr(ref, "duration", None)
+    times = np.zeros(1)
     if isinstance(ref, Chunk):
-        times: Sequence[float] = ref.times
+        times = np.asarray(ref.times)
     elif isinstance(length, (int, float)) and np.isfinite(length):
         times = np.linspace(0.0, float(length), REFERENCE_INSTANTS)
-    else:
-        times = (0.0,)
     if at is not None:
         yield from ((float(t), at(float(t))) for t in times)
 
