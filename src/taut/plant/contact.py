@@ -14,7 +14,7 @@ from taut.base.errors import RangeError, UsageError
 from taut.base.fields import Declared, Field, Part, Parts
 from taut.base.paths import subtree
 from taut.base.types import Float64Array, Vector
-from taut.control.describe import all_laws
+from taut.control.combine import all_laws
 from taut.control.laws.constraints import check_constraint
 from taut.control.lawside import LawSide
 from taut.maths.constraints.constraint import Constraint

@@ -22,7 +22,7 @@ from taut.base.types import ArrayLike, Float64Array
 from taut.control.closed_loop import ClosedLoop
 from taut.control.gains import Gain
 from taut.control.law import Law
-from taut.control.sensing.sensing import Sensing
+from taut.control.sensing import Sensing
 from taut.controller import Controller, compile
 from taut.linear.judgement import judge
 from taut.linear.linear_system import LinearSystem
