@@ -239,7 +239,7 @@ SOMEWHERE: Final = Pose([0.4, -0.3, 0.5], rpy=[0.3, -0.4, 0.5])
 
 
 def check_coordinates(law: Declared, kind: ErrorKind, coordinates: Coordinates | None) -> None:
-    """Coordinates go with the error of that name, and give 1 to 6 numbers. Raises Refusal."""
+    """Coordinates go with the error of that name, and give 1 to 6 numbers. Raises TautError."""
     if (kind == "coordinates") != (coordinates is not None):
         law.refuse("coordinates", "is for error 'coordinates', which needs it; give both or neither")
     if coordinates is None:

@@ -92,7 +92,7 @@ class TaskSpace:
         return cls(**{name: own[name] for name in names if name in own})
 
     def check(self, law: Law) -> None:
-        """The relations between these arguments. Raises Refusal."""
+        """The relations between these arguments. Raises TautError."""
         check_coordinates(law, self.error, self.coordinates)
         if self.frame != "world" and self.error != "decoupled":
             law.refuse("frame", f"is for error 'decoupled'; '{self.error}' has axes of its own; leave frame out")
@@ -394,7 +394,7 @@ def _asked(law: Law) -> Asked | None:
 
 
 def check_damping(law: Law, K: GainValue, B: GainValue | None, zeta: GainValue | None, D: GainValue | None) -> None:
-    """Exactly one of B and zeta; zeta needs a stiffness to oscillate on; D is divided by. Raises Refusal."""
+    """Exactly one of B and zeta; zeta needs a stiffness to oscillate on; D is divided by. Raises TautError."""
     if (B is None) == (zeta is None):
         law.refuse("zeta", "designs B from K and the inertia; give exactly one of B and zeta")
     if zeta is not None and smallest(K) <= 0.0:

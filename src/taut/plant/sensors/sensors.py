@@ -10,7 +10,7 @@ import numpy as np
 
 from taut.arm.description import Arm
 from taut.base.errors import ShapeError, UsageError
-from taut.base.fields import Declared, Part, Refusal
+from taut.base.fields import Declared, Part
 from taut.base.paths import subtree
 from taut.maths.model import Model
 from taut.maths.snapshot import measurement_shapes
@@ -44,7 +44,7 @@ class OneSensor(Part[Any]):
             return value
         at_motor = self.name.startswith("motor")
         if at_motor and value.side == "link":
-            raise Refusal(UsageError, self.name, "is at the motor; got side='link'; leave side out")
+            self.refuse("is at the motor; got side='link'; leave side out", value)
         return dataclasses.replace(value, side="motor") if at_motor and value.side is None else value
 
 
