@@ -94,14 +94,16 @@ class Declaration(Generic[T]):
 
     def taken(self, value: Any, owner: Any = None) -> Any:
         """A given value, converted and checked, as it is stored. Raises TautError."""
-        if value is None and self.optional:
-            return None
-        if self.convert is not None:
-            try:
-                value = self.convert(value)
-            except TautError as cause:
-                self.refuse(str(cause).removeprefix(self.name).lstrip(), value, type(cause))
-        return self.stored(self.checked(value, owner))
+        return None if value is None and self.optional else self.stored(self.checked(self.converted(value), owner))
+
+    def converted(self, value: Any) -> Any:
+        """What `convert` makes of a given value. Raises TautError."""
+        if self.convert is None:
+            return value
+        try:
+            return self.convert(value)
+        except TautError as cause:
+            self.refuse(str(cause).removeprefix(self.name).lstrip(), value, type(cause))
 
 
 class Field(Declaration[Any]):
@@ -296,7 +298,7 @@ class Part(Declaration[T]):
 
     def rule(self) -> str:
         """The rule in words."""
-        return " or ".join(IN_WORDS.get(kind, f"a {kind.__name__}") for kind in self.of)
+        return " or ".join(IN_WORDS.get(kind, f"{_article(kind.__name__)} {kind.__name__}") for kind in self.of)
 
     def checked(self, value: Any, owner: Any = None, joints: Joints = None) -> Any:  # noqa: ARG002
         wrong = isinstance(value, bool) and bool not in self.of  # a flag is no whole number
@@ -322,3 +324,7 @@ class Parts(Part[T]):
         if not isinstance(many, (list, tuple)):
             self.refuse(f"must be several of {self.rule()}; got {value!r}", value)
         return tuple(super(Parts, self).checked(one, owner, joints) for one in many)
+
+
+def _article(word: str) -> str:
+    return "an" if word[0] in "AEIOU" else "a"

@@ -253,7 +253,7 @@ class Declared:
         """
         owner, field = self.find(path)
         try:
-            checked: Float64Array = field.checked(value, owner, joints)
+            checked: Float64Array = field.checked(field.converted(value), owner, joints)
         except TautError as cause:
             raise cause.about(field.name, name or path) from None
         return checked

@@ -19,7 +19,7 @@ from taut.base.checks import in_compiled_shape, read_only
 from taut.base.fields import Declared, Field
 from taut.base.types import ArrayLike, Float64Array
 from taut.maths.adds import Adds
-from taut.plant.drives.drivetrain import Drivetrain
+from taut.plant.drivetrain import Drivetrain
 from taut.plant.parts import PlantParts
 from taut.runtime.robots.mujoco.rig import Guard, Rig, index
 from taut.runtime.robots.mujoco.scene import Scene, attach_scene, refused
