@@ -19,9 +19,9 @@ import rivals
 import task_rivals
 from rich.console import Console
 from rich.table import Table
+from timing import BareLoop, empty_cache, interleaved
 
 import taut
-from taut.cli.bench import BareLoop, empty_cache, interleaved
 from taut.maths.model import model_of
 
 TICKS = 2000

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from taut.control.laws.task_error import Coordinates as Coordinates
     from taut.control.laws.via_joint_space import via_joint_space as via_joint_space
     from taut.control.limits import Limits as Limits
-    from taut.control.sensing.sensing import Sensing as Sensing
+    from taut.control.sensing import Sensing as Sensing
     from taut.control.side_by_side import SideBySide as SideBySide
     from taut.control.tasks.phase import Phase as Phase
     from taut.control.trajectories.compound import together as together

@@ -164,7 +164,7 @@ def test_the_page_prints_the_table_of_thresholds() -> None:
     ]
     for name, each in of:
         assert f"| {name} | {each.name} | {each.value:g} {each.unit} | {each.reason} |" in page
-    assert len(of) <= 32
+    assert len(of) <= 26
     assert len({each.name for _, each in of}) == len(of)
 
 
@@ -256,7 +256,6 @@ def test_a_payload_is_fitted_beyond_the_one_that_was_declared() -> None:
     at_rest = carried("panda", 2.0, [0.03, 0.0, 0.1], 4.0).between(3.0, 4.0)  # gravity shows no centre along itself
     (found,) = taut.doctor(at_rest).findings
     assert found.evidence["standard error of the centre"].value > 0.05
-    assert "its centre of mass is not known from this run" in found.remedy
 
 
 def test_a_load_and_friction_are_two_faults() -> None:
@@ -423,22 +422,6 @@ def test_winding_up_is_found_with_the_saturation_that_it_causes() -> None:
     assert [(each.name, each.follows) for each in found] == [("wind-up", ()), ("saturation", ("wind-up",))]
 
 
-def test_torques_beyond_the_limits_of_an_arm_are_found() -> None:
-    arm = taut.load_arm("panda")
-    T = taut.snapshot(arm, arm.home).T()
-    law = L.Impedance(K=(50_000.0, 300.0), zeta=0.7)
-    plant = taut.RigidPlant(arm)
-    goal = taut.TaskMotion(pose=taut.Pose(T.p + np.array([0.1, 0.0, 0.0]), R=T.R))
-    run = taut.run(taut.compile(law, arm), plant, goal, duration=1.0)
-    jump, beyond = taut.doctor(run).findings
-    assert (jump.name, beyond.name) == ("torque jump at the start", "effort limit exceeded")
-    assert beyond.follows == ("torque jump at the start",)
-    i = arm.joint_names.index(str(beyond.joint))
-    assert beyond.evidence["largest torque"].value == np.abs(run.tau[:, i]).max() > 50.0 * arm.effort[i]
-    limited = taut.run(taut.compile(law, arm, limits=taut.Limits.of(arm)), plant, goal, duration=1.0)
-    assert "effort limit exceeded" not in [each.name for each in taut.doctor(limited).findings]
-
-
 def pressed(plant: Callable[[taut.Arm, taut.Pose], Any], stroke: list[float], duration: float) -> taut.Run:
     """A Panda that presses with 8 N along a stroke on a surface that its law states to be level."""
     arm = runs.arm_of("panda")
@@ -593,14 +576,12 @@ def test_a_diagnosis_is_text_data_and_figures() -> None:
     assert values["beyond the declared"] == (finding.evidence["beyond the declared"].value, "kg")
 
 
-def test_the_command_reads_a_log_and_draws_what_it_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_reads_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = heavy().save(tmp_path / "run.mcap")
-    assert main(["doctor", str(log), "--json", "--out", str(tmp_path / "found")]) == 0
+    assert main(["doctor", str(log), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["tables"]["findings"][0]["finding"] == "wrong payload"
     assert not found["healthy"]
-    assert [Path(path).name for path in found["pictures"]] == ["1_wrong_payload.png"]
-    assert (tmp_path / "found" / "1_wrong_payload.png").stat().st_size > 1000
     short = heavy().between(0.0, 0.1).save(tmp_path / "short.mcap")
     assert main(["doctor", str(short)]) == 2
     assert "is no whole run: 101 ticks" in capsys.readouterr().err

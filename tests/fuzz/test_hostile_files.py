@@ -74,7 +74,7 @@ def test_a_log_commands_no_terminal(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert len(again) == len(run)
     assert all(name.isprintable() for name in (*again.joint_names, *again.terms, again.outcome.message))
     main(["doctor", str(log)])
-    main(["report", str(log), "-o", str(tmp_path / "report.html"), "--title", HIDDEN])
+    main(["report", str(log), "--out", str(tmp_path / "report.html")])
     said = capsys.readouterr()
     assert (said.out + said.err).replace("\n", "").isprintable()
 

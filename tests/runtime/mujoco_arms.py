@@ -112,10 +112,6 @@ MOTORS = """
     <motor name="b" joint="left_elbow" gear="-2"/>
     <general name="a" joint="left_shoulder" gear="5" gainprm="3"/>
 """
-SERVOS = """
-    <position name="b" joint="left_elbow" gear="-2" kp="50" kv="3"/>
-    <velocity name="a" joint="left_shoulder" gear="5" kv="30"/>
-"""
 
 
 def pair(folder: Path) -> Arm:

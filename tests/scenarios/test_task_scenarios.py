@@ -11,7 +11,6 @@ import pytest
 
 import taut
 from taut.cli.main import main
-from taut.cli.models import law_rows
 from taut.scenarios.scenario import load_scenario
 
 URDF_HEAD = '<robot name="six"><link name="base"/>'
@@ -280,10 +279,3 @@ def test_columns_of_the_tool_stand_in_the_table_and_a_plot_compares_the_task(
     assert "task peak" in told
     assert "smallest singular" in told
     assert (tmp_path / "out" / "plot.png").stat().st_size > 10_000
-
-
-def test_the_laws_say_what_they_follow() -> None:
-    follows = {row.name: row.reference for row in law_rows()}
-    assert follows["PID"] == "JointMotion"
-    assert follows["TaskComputedTorque"] == follows["Impedance"] == "TaskMotion"
-    assert follows["Posture"] == "none"

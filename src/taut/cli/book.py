@@ -18,18 +18,6 @@ if TYPE_CHECKING:
 __all__ = ["BOOK"]
 
 LINE_LETTERS: Final = 120  # letters of a line in a file or a pipe
-EXAMPLES: Final = f"""examples:
-  taut book
-  taut book fig-10.6 eq-10.14 --out results
-
-A row that is farther from what is expected than it may be is marked (!), and the exit status is 1.
-
-{STATUS}"""
-
-
-def _arguments(command: argparse.ArgumentParser) -> None:
-    command.add_argument("ids", nargs="*", metavar="ID", help="eq-10.6, fig-10.6, sec-10.2.1.5; all if left out")
-    command.add_argument("--out", type=Path, metavar="DIR", help="folder for pictures and tables (default: out/book)")
 
 
 def _book(arguments: argparse.Namespace, say: Say) -> Answer:
@@ -72,7 +60,16 @@ def _table(pages: Sequence[Page]) -> str:
 BOOK: Final = Command(
     name="book",
     help="Compute the chapter's equations and figures, beside what they should be.",
-    arguments=_arguments,
     run=_book,
-    more=EXAMPLES,
+    arguments={
+        "ids": {"nargs": "*", "metavar": "ID", "help": "eq-10.6, fig-10.6, sec-10.2.1.5; all if left out"},
+        "--out": {"type": Path, "metavar": "DIR", "help": "folder for pictures and tables (default: out/book)"},
+    },
+    more=f"""examples:
+  taut book
+  taut book fig-10.6 eq-10.14 --out results
+
+A row that is farther from what is expected than it may be is marked (!), and the exit status is 1.
+
+{STATUS}""",
 )

@@ -1,21 +1,32 @@
-"""A command: its name and help, what it takes, and the function that runs it."""
+"""A command: its name, its help, the arguments that it declares and the function that runs it."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, Final
+import contextlib
+import importlib.util
+import json
+import re
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
 
-__all__ = ["DONE", "ENGINES", "FAILED", "STATUS", "WRONG", "Answer", "Command", "Say"]
+from taut.base.checks import readable_file
+from taut.base.errors import FileError, TautError, UsageError, unknown_name
+
+if TYPE_CHECKING:
+    from taut.control.law import Law
+
+__all__ = ["DONE", "FAILED", "GAIN", "STATUS", "WRONG", "Answer", "ByName", "Command", "Say", "load_law", "numbers"]
 
 DONE, FAILED, WRONG = 0, 1, 2
-ENGINES: Final = ("auto", "native", "float")
 STATUS: Final = """exit status:
   0  done
   1  the run failed, or missed a pass figure
   2  the request was wrong
 """
+NOT_FINITE: Final = re.compile(r"\s*[+-]?(nan|inf|infinity)\s*", re.IGNORECASE)
 Say = Callable[[str], None]
 
 
@@ -36,13 +47,106 @@ class Command:
     Args:
         name: Its word.
         help: One sentence.
-        arguments: Adds what it takes to a parser.
         run: Runs it; the second argument takes lines of progress.
+        arguments: What it takes, each as `add_argument` of argparse does.
         more: What stands below its help: examples and exit statuses.
     """
 
     name: str
     help: str
     run: Callable[[argparse.Namespace, Say], Answer]
-    arguments: Callable[[argparse.ArgumentParser], None] | None = None
+    arguments: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     more: str = STATUS
+
+
+# -------------------------------------------------------------------- values
+
+
+class ByName(argparse.Action):
+    """NAME=VALUE, once for each name; a value is a number or an array as JSON writes them, or a word."""
+
+    def __call__(self, parser: object, namespace: argparse.Namespace, values: Any, option: object = None) -> None:  # noqa: ARG002
+        found = dict(getattr(namespace, self.dest) or {})
+        for text in [values] if isinstance(values, str) else values:
+            head, equals, rest = text.partition("=")
+            name, value = head.strip(), _value(rest)
+            if not equals or not name or isinstance(value, (dict, type(None))):
+                raise argparse.ArgumentError(self, f"takes NAME=VALUE such as kp=100 or kp=[100,50]; got {text!r}")
+            if name in found:
+                raise argparse.ArgumentError(self, f"must be given once for each name; got {name!r} twice")
+            found[name] = value
+        setattr(namespace, self.dest, found)
+
+
+def _value(text: str) -> Any:
+    """A number or an array, else the text: no JSON, or a number with thousands of digits.
+
+    NaN and infinity are numbers however they are written: what takes them says by its own name that it does not.
+    """
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        return float(text) if NOT_FINITE.fullmatch(text) else text
+
+
+def numbers(text: str) -> float | list[float]:
+    """A number, or numbers with commas between them, in brackets or not."""
+    inside = text.strip().removeprefix("[").removesuffix("]")
+    try:
+        flat = [float(value) for value in inside.split(",")]
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"must be a number, or numbers with commas between them, such as 800,30; got {text!r}"
+        ) from None
+    return flat[0] if len(flat) == 1 else flat
+
+
+# -------------------------------------------------------------------- a law of the user's own
+
+GAIN: Final[Mapping[str, Any]] = {
+    "action": ByName,
+    "metavar": "NAME=VALUE",
+    "help": "a gain of your own law, such as kp=100 or kp=[100,50]; once for each gain",
+}
+
+
+def load_law(place: str, gains: Mapping[str, Any] | None) -> Law:
+    """The law of `FILE.py:CLASS`, made with these gains.
+
+    Raises:
+        UsageError: No such form.
+        FileError: The file cannot be read, fails when it is imported, or makes no law of these gains.
+        UnknownNameError: The file has no such law.
+    """
+    from taut.control.law import Law
+
+    path, colon, name = place.rpartition(":")
+    if not colon or not path.endswith(".py") or not name.isidentifier():
+        raise UsageError(f"--law takes FILE.py:CLASS; got {place!r}", name="law")
+    file = readable_file("law file", path)
+    module_name = f"taut_user_{file.stem}"
+    spec = importlib.util.spec_from_file_location(module_name, file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[module_name] = module  # so that units can be read from the class's source
+    with _blamed(f"law file '{file}' fails", str(file)):
+        spec.loader.exec_module(module)
+    found = {key: value for key, value in vars(module).items() if isinstance(value, type) and issubclass(value, Law)}
+    own = {key: value for key, value in found.items() if value.__module__ == module_name}
+    if name not in own:
+        raise unknown_name(f"law file '{file}'", "law", name, own)
+    with _blamed(f"law '{name}' of '{file}' cannot be made", str(file)):
+        return own[name](**(gains or {}))
+
+
+@contextlib.contextmanager
+def _blamed(what: str, file: str) -> Iterator[None]:
+    """What a user's code raises, were it the end of the process, becomes a sentence; only Ctrl-C stays what it is."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise
+    except BaseException as cause:
+        words = cause if isinstance(cause, TautError) else f"{type(cause).__name__}: {cause}"
+        raise FileError(f"{what}: {' '.join(str(words).split()).rstrip(':')}", name=file) from cause

@@ -12,6 +12,7 @@ except ValueError:  # in another thread than the main one, which gets no signals
 import argparse
 import json
 import os
+import re
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -20,23 +21,24 @@ from pathlib import Path
 from typing import Any, Final, NoReturn, TextIO, cast
 
 from taut.base.errors import TautError, UsageError, printable
-from taut.cli import bench, book, compare, design, doctor, models, run
+from taut.cli import book, compare, design, models, run
 from taut.cli.command import FAILED, STATUS, WRONG, Command
-from taut.cli.values import with_negative_values
 
 __all__ = ["main"]
+
+NEGATIVE: Final = re.compile(r"-(\d|\.\d|inf|nan)", re.IGNORECASE)  # a value, where argparse expects an option
 
 COMMANDS: Final[tuple[Command, ...]] = (
     run.RUN,
     compare.COMPARE,
-    doctor.REPORT,
+    run.REPORT,
     run.SCENARIOS,
     models.ARMS,
     models.LAWS,
     models.CHECK,
-    doctor.DOCTOR,
+    run.DOCTOR,
     design.DESIGN,
-    bench.BENCH,
+    models.BENCH,
     book.BOOK,
 )
 
@@ -73,8 +75,9 @@ def _parser() -> argparse.ArgumentParser:
         )
         command.set_defaults(command=each)
         command.add_argument("--json", action="store_true", help="print the result as JSON")
-        if each.arguments is not None:
-            each.arguments(command)
+        for name, argument in each.arguments.items():
+            command.add_argument(name, **argument)
+        command._negative_number_matcher = NEGATIVE
     return parser
 
 
@@ -104,9 +107,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 class _Output:
-    """Standard output. Where it cannot be written the command goes on to its end: its files and its status count.
+    """Standard output on which nothing that came from a file can command a terminal.
 
-    A reader of a pipe that went away has seen what it wanted; anything else is in `refusal` to be reported.
+    Where it cannot be written the command goes on to its end: its files and its status count. A reader of a pipe that
+    went away has seen what it wanted; anything else is in `refusal` to be reported.
     """
 
     def __init__(self, file: TextIO) -> None:
@@ -114,14 +118,14 @@ class _Output:
         self.refusal: OSError | None = None
 
     def write(self, text: str) -> int:
-        self._try(lambda: self._file.write(text))
+        self._try(lambda: self._file.write(printable(text, lines=True)))
         return len(text)
 
     def flush(self) -> None:
         self._try(self._file.flush)
 
     def _try(self, action: Callable[[], object]) -> None:
-        if self.refusal is not None:
+        if self.refusal is not None or self._file is None:
             return
         try:
             action()
@@ -137,13 +141,12 @@ class _Output:
 def _status(words: list[str]) -> int:
     """Run the command line: the exit status."""
     try:
-        arguments = _parser().parse_args(with_negative_values(words))
+        arguments = _parser().parse_args(words)
         arguments.words = words
         with warnings.catch_warnings():
             warnings.showwarning = _show_warning
             _ignore_matplotlibrc()
-            with redirect_stdout(cast("TextIO", _Plain(sys.stdout)) if sys.stdout else sys.stdout):
-                return _answered(arguments)
+            return _answered(arguments)
     except TautError as wrong:
         _tell(str(wrong))
         return WRONG
@@ -171,19 +174,6 @@ def _answered(arguments: argparse.Namespace) -> int:
     for remark in answer.remarks:
         _tell(remark)
     return int(answer.status)
-
-
-class _Plain:
-    """A stream on which nothing that came from a file can command a terminal: everything is written as it reads."""
-
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
-
-    def write(self, text: str) -> int:
-        return self._stream.write(printable(text, lines=True))
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
 
 
 def _tell(text: str) -> None:

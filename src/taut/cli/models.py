@@ -1,140 +1,22 @@
-"""The commands `taut arms`, `taut laws` and `taut check`, which list and check models."""
+"""The commands about models: arms, laws, check, bench."""
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
-import functools
 import re
 import shutil
 import textwrap
-from collections.abc import Sequence
+import time
+import timeit
 from contextlib import suppress
-from dataclasses import dataclass, fields
 from typing import Any, Final
 
-import numpy as np
-
-from taut import laws
-from taut.arm.description import Arm, Friction
-from taut.base.errors import ModelError
-from taut.base.fields import REQUIRED
+from taut.base.errors import ModelError, count_of
 from taut.base.result import Table
 from taut.cli.command import DONE, WRONG, Answer, Command, Say
-from taut.control.describe import held_laws, law_classes, statements, summary
-from taut.control.gains import Gain
-from taut.control.law import Law
-from taut.control.lawside import LawSide
-from taut.control.sensing.sensing import Sensing
-from taut.control.trajectories.force_reference import HybridMotion
-from taut.control.trajectories.task_reference import TaskMotion
-from taut.maths.adds import Adds
-from taut.maths.constraints.constraint import Constraint
 
-__all__ = ["ARMS", "CHECK", "LAWS", "law_rows"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class LawRow:
-    """One law."""
-
-    name: str
-    summary: str
-    law: list[str]
-    closed_loop: list[str]
-    gains: dict[str, str]  # with units
-    command: str
-    reference: str
-    needs: tuple[str, ...]
-
-    def json(self) -> dict[str, Any]:
-        """As plain values."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
-
-    def text(self, width: int) -> str:
-        """For people: the equation, then what is said of it as running text, in lines of at most `width` letters."""
-        parts = {
-            "law": _equation_first(self.law),
-            "closed loop": _equation_first(self.closed_loop),
-            "gains": [", ".join(f"{name} [{unit}]" if unit else name for name, unit in self.gains.items()) or "none"],
-            "follows": [f"{self.reference}; gives a {self.command}; needs {', '.join(self.needs)}"],
-        }
-        lines = textwrap.wrap(f"{self.name}: {self.summary}", width)
-        for head, paragraphs in parts.items():
-            for i, paragraph in enumerate(paragraphs):
-                start = f"  {'' if i else head:11}  "
-                lines += textwrap.wrap(
-                    paragraph, width, initial_indent=start, subsequent_indent=" " * len(start), break_on_hyphens=False
-                )
-        return "\n".join(lines)
-
-
-def _equation_first(lines: Sequence[str]) -> list[str]:
-    """The lines of a docstring as paragraphs: the equation with its source in brackets, then the rest."""
-    texts = [re.sub(r"   (.+)$", r" (\1)", line) for line in lines]
-    return [texts[0], *(["; ".join(texts[1:])] if texts[1:] else [])]
-
-
-def law_rows() -> list[LawRow]:
-    """Every law of taut.laws that stands on its own."""
-    return [_row(cls) for name, cls in law_classes(laws).items() if name not in OF_OTHERS]
-
-
-OF_OTHERS: Final = (
-    "Sum",
-    "SideBySide",
-    "NormalEstimate",
-    "EnergyTank",
-    "LossOfContact",
-)  # which are made of other laws
-
-
-def _row(cls: type[Law]) -> LawRow:
-    given = {"constraint": Constraint(lambda T: T.p[2])} if "constraint" in cls.declared else {}
-    law = cls(**_numbers(cls), **given, **{name: _held(cls) for name in held_laws(cls)})
-    side = LawSide(law=law, arm=_six_axes(), rate=1000.0, sensing=Sensing(), limits=None, adds=Adds())
-    return LawRow(
-        name=cls.__name__,
-        summary=summary(cls),
-        law=statements(cls, "Law"),
-        closed_loop=statements(cls, "Closed loop"),
-        gains={name: field.unit for name, field in cls.declared.items() if isinstance(field, Gain)},
-        command=side.probe.kind,
-        reference="none" if law.ignores_reference else law.reference.__name__,
-        needs=("q", *side.needs),
-    )
-
-
-def _numbers(cls: type[Law]) -> dict[str, Any]:
-    """Ones for every gain that a law must have; of damping and damping ratio, the damping."""
-    numbers: dict[str, Any] = {}
-    for name, field in cls.declared.items():
-        if isinstance(field, Gain) and (field.default is REQUIRED or name == "B"):
-            scalar = field.shape == "scalar" or "scalar" in field.accepts
-            numbers[name] = 1.0 if scalar else (1.0, 1.0, 1.0) if field.shape == 3 else (1.0, 1.0)
-    return numbers
-
-
-def _held(cls: type[Law]) -> Law:
-    """A law for one that holds another."""
-    of_task = cls.reference in (TaskMotion, HybridMotion) and cls is not laws.ViaJointSpace
-    return laws.TaskComputedTorque(kp=1.0, kd=1.0) if of_task else laws.PID(kp=1.0)
-
-
-@functools.cache
-def _six_axes() -> Arm:
-    """An arm of six joints, with friction and nowhere near a singularity, to try a law on."""
-    axes = np.array([[0, 0, 1], [0, 1, 0], [0, 1, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=np.float64)
-    places = np.array([[0, 0, 0], [0, 0, 0.4], [0.4, 0, 0.6], [0.5, 0, 0.5], [0.6, 0, 0.4], [0.7, 0.1, 0.4]])
-    screws = np.vstack([axes.T, -np.cross(axes, places).T])
-    steps = np.diff(np.vstack([np.zeros(3), places, places[-1:]]), axis=0)
-    links = [np.vstack([np.column_stack([np.eye(3), step]), [0.0, 0.0, 0.0, 1.0]]) for step in steps]
-    inertia = np.diag([0.1, 0.1, 0.1, 1.0, 1.0, 1.0])
-    arm = Arm.from_screws(links, [inertia] * 6, screws, np.array([0.0, 0.0, -9.81]))
-    return arm.with_friction(Friction(viscous=1.0))
-
-
-# -------------------------------------------------------------------- commands
+__all__ = ["ARMS", "BENCH", "CHECK", "LAWS"]
 
 
 def _arms(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
@@ -149,9 +31,48 @@ def _arms(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
     return Answer(text=str(table), data=[dataclasses.asdict(row) for row in rows])
 
 
+ARMS: Final = Command(name="arms", help="List the arms that taut knows by name.", run=_arms)
+
+
 def _laws(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
-    rows, width = law_rows(), shutil.get_terminal_size((140, 0)).columns
-    return Answer(text="\n\n".join(row.text(width) for row in rows), data=[row.json() for row in rows])
+    from taut import laws
+    from taut.control.combine import Sum, Wrapper, law_classes
+    from taut.control.gains import Gain
+    from taut.control.side_by_side import SideBySide
+    from taut.controller.explain import statements, summary
+
+    rows = [
+        {
+            "name": name,
+            "summary": summary(cls),
+            "law": statements(cls, "Law"),
+            "closed_loop": statements(cls, "Closed loop"),
+            "gains": {gain: field.unit for gain, field in cls.declared.items() if isinstance(field, Gain)},
+            "reference": "none" if cls.ignores_reference else cls.reference.__name__,
+        }
+        for name, cls in law_classes(laws).items()
+        if not issubclass(cls, (Sum, SideBySide, Wrapper))  # which are made of other laws
+    ]
+    width = shutil.get_terminal_size((140, 0)).columns
+    return Answer(text="\n\n".join(_law_text(row, width) for row in rows), data=rows)
+
+
+def _law_text(row: dict[str, Any], width: int) -> str:
+    """A law for people, in lines of at most `width` letters."""
+    gains = ", ".join(f"{name} [{unit}]" if unit else name for name, unit in row["gains"].items())
+    parts = {"law": "; ".join(row["law"]), "closed loop": "; ".join(row["closed_loop"])}
+    parts |= {"gains": gains or "none", "follows": row["reference"]}
+    lines = textwrap.wrap(f"{row['name']}: {row['summary']}", width)
+    for head, text in parts.items():
+        one = re.sub(r" {3}([^;]+)", r" (\1)", text)  # the source of an equation
+        indents = f"  {head:11}  ", " " * 15
+        lines += textwrap.wrap(
+            one, width, initial_indent=indents[0], subsequent_indent=indents[1], break_on_hyphens=False
+        )
+    return "\n".join(lines)
+
+
+LAWS: Final = Command(name="laws", help="List the laws with their equations, gains and references.", run=_laws)
 
 
 def _check(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
@@ -165,15 +86,44 @@ def _check(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
     return Answer(text=report.text(), data=report.json(), status=DONE if report.ok else WRONG)
 
 
-def _check_arguments(command: argparse.ArgumentParser) -> None:
-    command.add_argument("model", metavar="MODEL", help="a name, a .urdf or an MJCF .xml file")
-
-
-ARMS: Final = Command(name="arms", help="List the arms that taut knows by name.", run=_arms)
-LAWS: Final = Command(name="laws", help="List the laws with their equations and what they need measured.", run=_laws)
 CHECK: Final = Command(
     name="check",
     help="Read a robot model and report what is in it and everything that is wrong with it.",
-    arguments=_check_arguments,
     run=_check,
+    arguments={"model": {"metavar": "MODEL", "help": "a name, a .urdf or an MJCF .xml file"}},
+)
+
+BENCH_DURATION: Final = 2.0  # [s] of the run that is timed
+
+
+def _bench(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
+    import taut
+
+    arm = taut.load_arm(arguments.arm)
+    law = taut.laws.ComputedTorque(kp=100.0, kd=20.0, ki=10.0)
+    start = time.perf_counter()
+    ctrl = taut.compile(law, arm)
+    compiled = time.perf_counter() - start
+    q, v, ref = arm.home, 0.0 * arm.home, taut.JointMotion(q=arm.home + 0.01)
+    plant = taut.RigidPlant(arm, friction=None)
+    steps, _ = (timer := timeit.Timer(lambda: ctrl.step(q, v, ref))).autorange()
+    step = min(timer.repeat(5, steps)) / steps
+    run = min(timeit.repeat(lambda: taut.run(ctrl, plant, ref, duration=BENCH_DURATION), number=1, repeat=5))
+    rows = {
+        "arm": f"{arm.name}, {count_of(arm.n, 'joint')}; computed torque, 1 kHz",
+        "operations in a tick": f"{ctrl.operations}",
+        "compile, or its cache": f"{1e3 * compiled:.0f} ms",
+        "ctrl.step": f"{1e6 * step:.2f} us",
+        "recorded run": f"{BENCH_DURATION / run:.0f} times real time",
+    }
+    return Answer(text="\n".join(f"{what:22} {figure}" for what, figure in rows.items()), data=rows)
+
+
+BENCH: Final = Command(
+    name="bench",
+    help="Measure what a compile, a step and a run cost on this machine.",
+    run=_bench,
+    arguments={
+        "arm": {"nargs": "?", "default": "planar3", "metavar": "ARM", "help": "name or file (default: planar3)"}
+    },
 )

@@ -1,4 +1,4 @@
-"""The commands `taut run` and `taut scenarios`."""
+"""The commands that run scenarios and read recorded runs: run, scenarios, doctor, report."""
 
 from __future__ import annotations
 
@@ -8,50 +8,9 @@ from typing import Final
 
 from taut.base.errors import UsageError
 from taut.base.result import Table
-from taut.cli.command import DONE, ENGINES, FAILED, STATUS, Answer, Command, Say
-from taut.cli.values import load_law, named_values
+from taut.cli.command import DONE, FAILED, GAIN, STATUS, WRONG, Answer, ByName, Command, Say, load_law
 
-__all__ = ["RUN", "SCENARIOS"]
-
-EXAMPLES: Final = f"""examples:
-  taut run one_joint_pid
-  taut run my_scenario.toml --out results
-  taut run one_joint_pid --set laws.PD.kp=5 --set run.duration=2
-  taut run one_joint_pid --law my_law.py:Spring --gain k=2.0
-
-The metrics are printed as a table; below it stands each file that was made.
-
-{STATUS}"""
-
-
-def _run_arguments(command: argparse.ArgumentParser) -> None:
-    command.add_argument("scenario", metavar="SCENARIO", help="a name that `taut scenarios` lists, or a path")
-    command.add_argument("--out", type=Path, metavar="DIR", help="folder for the files (default: out/SCENARIO)")
-    command.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="another value of a key, by its path in the file, or of a parameter: law.kp=5; once for each",
-    )
-    command.add_argument(
-        "--law",
-        metavar="FILE.py:CLASS",
-        help="a law of your own instead of the scenario's laws, whose pass figures then do not count",
-    )
-    command.add_argument(
-        "--gain",
-        action="append",
-        default=[],
-        metavar="NAME=VALUE",
-        help="a gain of that law, such as kp=100 or kp=[100,50]; once for each gain",
-    )
-    command.add_argument(
-        "--engine",
-        choices=ENGINES,
-        default="auto",
-        help="native: machine code; float: plain Python, slow; auto: the first that is there (default)",
-    )
+__all__ = ["DOCTOR", "REPORT", "RUN", "SCENARIOS"]
 
 
 def _run(arguments: argparse.Namespace, say: Say) -> Answer:
@@ -61,41 +20,126 @@ def _run(arguments: argparse.Namespace, say: Say) -> Answer:
     if arguments.gain and arguments.law is None:
         raise UsageError("--gain is for a law of your own: --law FILE.py:CLASS --gain kp=100")
     own = None if arguments.law is None else {arguments.law: load_law(arguments.law, arguments.gain)}
-    values = named_values(arguments.set, "--set", "law.kp=5", of="path", words=True)
-    scenario = load_scenario(arguments.scenario, own, values=values)
+    scenario = load_scenario(arguments.scenario, own, values=arguments.set)
     folder = arguments.out or Path("out") / scenario.name
     result = run_scenario(scenario, folder, say=say, engine=arguments.engine)
     return Answer(text=str(result), data=result.json(), status=DONE if result.ok else FAILED)
 
 
-def _scenarios_arguments(command: argparse.ArgumentParser) -> None:
-    command.add_argument("name", nargs="?", metavar="NAME", help="print the file of this one")
+RUN: Final = Command(
+    name="run",
+    help="Run a scenario: a built-in one by its name, or a .toml file.",
+    run=_run,
+    arguments={
+        "scenario": {"metavar": "SCENARIO", "help": "a name that `taut scenarios` lists, or a path"},
+        "--out": {"type": Path, "metavar": "DIR", "help": "folder for the files (default: out/SCENARIO)"},
+        "--set": {
+            "action": ByName,
+            "metavar": "NAME=VALUE",
+            "help": "another value of a key, by its path in the file, or of a parameter: law.kp=5; once for each",
+        },
+        "--law": {
+            "metavar": "FILE.py:CLASS",
+            "help": "a law of your own instead of the scenario's laws, whose pass figures then do not count",
+        },
+        "--gain": GAIN,
+        "--engine": {
+            "choices": ("auto", "native", "float"),
+            "default": "auto",
+            "help": "native: machine code; float: plain Python, slow; auto: the first that is there (default)",
+        },
+    },
+    more=f"""examples:
+  taut run one_joint_pid
+  taut run my_scenario.toml --out results
+  taut run one_joint_pid --set laws.PD.kp=5 --set run.duration=2
+  taut run one_joint_pid --law my_law.py:Spring --gain k=2.0
+
+The metrics are printed as a table; below it stands each file that was made.
+
+{STATUS}""",
+)
 
 
 def _scenarios(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
     from taut.scenarios.reading import read_toml
     from taut.scenarios.scenario import built_in_scenarios, scenario_file
 
+    known = built_in_scenarios() if arguments.name is None else {"": scenario_file(arguments.name)}
+    rows = [
+        {"name": path.stem, "title": read_toml(path).text("title", path.stem), "file": str(path)}
+        for path in known.values()
+    ]
     if arguments.name is not None:
-        path = scenario_file(arguments.name)
-        title = read_toml(path).text("title", path.stem)
-        text = path.read_text(encoding="utf-8-sig")
-        return Answer(text=text.rstrip(), data={"name": path.stem, "title": title, "file": str(path), "text": text})
-    rows = [(name, read_toml(path).text("title", name), str(path)) for name, path in built_in_scenarios().items()]
-    table = Table(title="taut run SCENARIO", columns=("scenario", "what it shows"), rows=[row[:2] for row in rows])
-    return Answer(text=str(table), data=[dict(zip(("name", "title", "file"), row, strict=True)) for row in rows])
+        text = known[""].read_text(encoding="utf-8-sig")
+        return Answer(text=text.rstrip(), data={**rows[0], "text": text})
+    columns = ("scenario", "what it shows")
+    table = Table(title="taut run SCENARIO", columns=columns, rows=[(row["name"], row["title"]) for row in rows])
+    return Answer(text=str(table), data=rows)
 
 
-RUN: Final = Command(
-    name="run",
-    help="Run a scenario: a built-in one by its name, or a .toml file.",
-    arguments=_run_arguments,
-    run=_run,
-    more=EXAMPLES,
-)
 SCENARIOS: Final = Command(
     name="scenarios",
     help="List the built-in scenarios, or print the file of one.",
-    arguments=_scenarios_arguments,
     run=_scenarios,
+    arguments={"name": {"nargs": "?", "metavar": "NAME", "help": "print the file of this one"}},
+)
+
+
+def _doctor(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
+    from taut.analysis.diagnosis.diagnosis import doctor
+    from taut.record.log.reading import load_run
+
+    diagnosis = doctor(load_run(arguments.run))
+    return Answer(
+        text=str(diagnosis),
+        data={"run": arguments.run, "healthy": diagnosis.healthy, **diagnosis.json()},
+        status=WRONG if diagnosis.problems else DONE,
+        remarks=[f"'{arguments.run}' is no whole run: {problem}" for problem in diagnosis.problems],
+    )
+
+
+DOCTOR: Final = Command(
+    name="doctor",
+    help="Find what went wrong in a recorded run: oscillation, stiction, saturation, ...",
+    run=_doctor,
+    arguments={"run": {"metavar": "RUN.mcap", "help": "a log that taut run or run.save wrote"}},
+    more="""exit status:
+  0  done, whatever was found
+  2  the request was wrong: not a log, or a log too short or incomplete (a partial diagnosis is printed)
+""",
+)
+
+
+def _report(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
+    from taut.record.log.files import checked_target
+    from taut.record.log.reading import load_run
+    from taut.record.report import report
+    from taut.record.run_report import faults_of
+
+    checked_target("report", arguments.out, (".html", ".htm"))
+    run = load_run(arguments.run)
+    report(run, arguments.out)
+    faults = faults_of(run)
+    return Answer(
+        text=f"report   {arguments.out}",
+        data={"report": str(arguments.out), "outcome": run.outcome.json()},
+        status=WRONG if faults else DONE,
+        remarks=[f"'{arguments.run}' is no whole run, and the report is of what there is: {each}" for each in faults],
+    )
+
+
+REPORT: Final = Command(
+    name="report",
+    help="Write a report of a recorded run: one HTML file with everything in it.",
+    run=_report,
+    arguments={
+        **DOCTOR.arguments,
+        "--out": {
+            "type": Path,
+            "default": Path("report.html"),
+            "metavar": "FILE.html",
+            "help": "(default: report.html)",
+        },
+    },
 )

@@ -12,7 +12,7 @@ from taut.codegen.engine import EngineChoice, chosen_engine
 from taut.control.law import Law
 from taut.control.lawside import LawSide
 from taut.control.limits import Limits
-from taut.control.sensing.sensing import Sensing
+from taut.control.sensing import Sensing
 from taut.controller.controller import Controller
 from taut.maths.adds import Adds
 

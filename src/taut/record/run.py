@@ -23,7 +23,6 @@ from taut.record.info import RunInfo
 from taut.record.outcome import Outcome
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
     from taut.base.result import Content
@@ -300,16 +299,6 @@ class Run:
 
         return columns_of(self)
 
-    def to_pandas(self) -> pd.DataFrame:
-        """A table with one row per tick, the time as index, and one column per number: q.elbow, terms.P.elbow, ...
-
-        Raises:
-            MissingExtraError: pandas is not installed.
-        """
-        from taut.record.log.export import to_pandas
-
-        return to_pandas(self)
-
     def to_csv(self, path: str | os.PathLike[str], *, progress: bool | None = None) -> Path:
         """Write a table (.csv): a header with names and units, then one line per tick that reads back exactly.
 
@@ -320,12 +309,6 @@ class Run:
         from taut.record.log.export import to_csv
 
         return to_csv(self, path, progress=progress)
-
-    def to_mat(self, path: str | os.PathLike[str]) -> Path:
-        """Write a MATLAB file (.mat) with the struct `run`: t, q, ..., terms.P, reference.q, joint_names, units."""
-        from taut.record.log.export import to_mat
-
-        return to_mat(self, path)
 
     def save(self, path: str | os.PathLike[str], *, progress: bool | None = None) -> Path:
         """Write a log (.mcap) that common viewers open and `taut.load_run` reads back exactly.

@@ -60,7 +60,7 @@ PARAMETERS: Final = {
 # -------------------------------------------------------------------- files
 
 
-def read_toml(path: Path, label: str = "") -> Table:
+def read_toml(path: str | Path, label: str = "") -> Table:
     """The root table of a file.
 
     Args:

@@ -158,8 +158,8 @@ def find_oscillation(run: ExaminedRun) -> Oscillation | None:
     done = sum(abs(x) for x in work.values()) or 1.0
     term = max(work, key=lambda name: work[name])
     fed = work[term] / done
-    if (term in EXCITATION and fed > limit["work"]) or (
-        line is not None and line.zeta < -0.01 and fed <= limit["work"]
+    if (term in EXCITATION and fed > limit["part"]) or (
+        line is not None and line.zeta < -0.01 and fed <= limit["part"]
     ):
         return None  # excited from outside; or nothing could make it grow
     gives = slow and line is not None and abs(line.zeta) < 0.01 and taken > 0.01 * done and not _explained(run, i)
@@ -169,10 +169,10 @@ def find_oscillation(run: ExaminedRun) -> Oscillation | None:
         evidence = {"third harmonic": (100.0 * third, "%"), "work taken out": (100.0 * taken / done, "%")}
         return dataclasses.replace(found, kind=kind, term="transmission", evidence=evidence)
     limits = (*LIMIT_TERMS, "torque")
-    if work["delay"] > limit["work"] * done:  # what a limit takes then acts late too
+    if work["delay"] > limit["part"] * done:  # what a limit takes then acts late too
         term = max((name for name in work if name not in limits), key=lambda name: work[name])
     fed = work[term] / done
-    if fed < limit["work"] or (term == "P" and line is not None and line.omega * run.dt < limit["frequency"]):
+    if fed < limit["part"] or (term == "P" and line is not None and line.omega * run.dt < limit["frequency"]):
         term, fed = "D", 0.0  # nothing feeds it: it lacks damping
     more = {"of the work on it": (100.0 * max(fed, 0.0), "%")}
     if term == "delay" and line is not None:
@@ -202,7 +202,7 @@ def _strongest(run: ExaminedRun) -> Oscillation | None:
                 continue
             moved = fit_sinusoid(run.run.q[window, i], run.dt, 0.5 * line.omega)
             amplitude = 0.0 if moved is None else moved.amplitude * math.sqrt(max(moved.fraction, 0.0))
-            if max(line.amplitude, line.last) < limit["oscillating torque"] and amplitude < run.tolerance[i]:
+            if max(line.amplitude, line.last) < limit["torque change"] and amplitude < run.tolerance[i]:
                 continue
             fraction = min(1.0, of_run * line.fraction * float(variance[i]) / (float(variance.sum()) or 1.0))
             if best is None or fraction > best.fraction:

@@ -1,245 +1,75 @@
-"""AttachedPlant: an arm inside a MuJoCo simulation of the user's own, and the actuators of that."""
+"""AttachedPlant: an arm found inside a MuJoCo simulation of the user's, compared with the Arm, and driven there."""
 
 from __future__ import annotations
 
-import math
-import warnings
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from taut.base.errors import MatchError, UsageError
+from taut.arm.description import Arm
+from taut.base.errors import MatchError, RangeError, UsageError, unknown_name
 from taut.base.types import Float64Array
-from taut.plant.drives.actuation import Actuation
-from taut.plant.sensors.sensors import Sensors
-from taut.record.film.surroundings import POSES, Around
-from taut.runtime.host import PlantBase
-from taut.runtime.robots.mujoco.rig import Guard, Health, Rig, Wrench
+from taut.maths import dynamics as dyn
+from taut.maths.adds import Adds
+from taut.maths.model import PayloadValues, model_of
+from taut.plant.actuation import Actuation
+from taut.plant.sensors import Sensors
+from taut.runtime.robots.mujoco.rig import PlantInMujoco, Rig, index, whole_steps
 from taut.runtime.robots.mujoco.scene import SceneView
+from taut.trace.pose import Pose
 
 if TYPE_CHECKING:
     import mujoco
 
-__all__ = ["Actuator", "AttachedPlant", "PlantInMujoco", "UserDrives", "whole_steps"]
+__all__ = ["AttachedPlant", "attached"]
 
-CUT: Final = 1e-9  # relative to the command: less than this is rounding
-
-
-@dataclass(frozen=True, kw_only=True)
-class Actuator:
-    """An actuator of the user's on one of the arm's joints: torque = gear (gain ctrl + bias).
-
-    gain and bias are each affine in the actuator's length gear q and its velocity gear v.
-    """
-
-    name: str
-    number: int  # in the model
-    joint: int  # index in the arm
-    ctrl: int  # address of its control
-    out: int  # address of its force
-    gear: float
-    gain: tuple[float, float, float]  # constant, per length, per velocity
-    bias: tuple[float, float, float]
-    rotor: float  # inertia that it adds to the joint [kg m^2 | kg]
-
-    @property
-    def is_motor(self) -> bool:
-        """Whether its force is proportional to its control alone."""
-        return not any(self.gain[1:]) and not any(self.bias)
-
-
-class UserDrives:
-    """The actuators of the user's model; joints without one get their torque through qfrc_applied.
-
-    Controls and applied forces are the user's: they have the run's values during the steps of a period only, so that
-    nothing goes on pushing the arm after a run, however it ends.
-    """
-
-    def __init__(self, rig: Rig, actuators: list[Actuator]) -> None:
-        data = rig.data
-        self._model, self._actuators = rig.model, tuple(actuators)
-        self._ctrl: Float64Array = data.ctrl
-        self._force: Float64Array = data.actuator_force
-        self._applied: Float64Array = data.qfrc_applied
-        self._qpos: Float64Array = data.qpos
-        self._qvel: Float64Array = data.qvel
-        self._n = rig.arm.n
-        self._joints = np.array([a.joint for a in actuators], dtype=np.intp)
-        self._at = np.array([a.ctrl for a in actuators], dtype=np.intp)
-        self._out = np.array([a.out for a in actuators], dtype=np.intp)
-        self._gear = np.array([a.gear for a in actuators], dtype=np.float64)
-        self._gain = np.array([a.gain for a in actuators], dtype=np.float64).reshape(-1, 3).T
-        self._bias = np.array([a.bias for a in actuators], dtype=np.float64).reshape(-1, 3).T
-        self._q = np.array([int(rig.model.jnt_qposadr[rig.joints[a.joint]]) for a in actuators], dtype=np.intp)
-        self._v = np.array([rig.dofs[a.joint] for a in actuators], dtype=np.intp)
-        self._free = np.setdiff1d(np.arange(self._n), self._joints)  # joints without an actuator
-        self._free_dofs = np.array(rig.dofs, dtype=np.intp)[self._free]
-        self.per_step = not all(a.is_motor for a in actuators)
-        limits = [_joint_limit(rig.model, rig.joints[a.joint]) for a in actuators]
-        self._limits = np.array(limits, dtype=np.float64).reshape(-1, 2).T
-        self.take()
-
-    def write(self, tau: Float64Array) -> None:
-        """(n,) torques for the next step; before every one of MuJoCo's where `per_step`."""
-        if self._free.size:
-            self._applied[self._free_dofs] = tau[self._free]
-        force = tau[self._joints] / self._gear
-        if not self.per_step:
-            self._ctrl[self._at] = force / self._gain[0]
-            return
-        length, speed = self._gear * self._qpos[self._q], self._gear * self._qvel[self._v]
-        gain, bias = (c[0] + c[1] * length + c[2] * speed for c in (self._gain, self._bias))
-        self._ctrl[self._at] = (force - bias) / gain
-
-    def acted(self) -> Float64Array:
-        """(n,) the torques that acted in the last step."""
-        tau = np.zeros(self._n)
-        tau[self._joints] = np.clip(self._gear * self._force[self._out], *self._limits)
-        tau[self._free] = self._applied[self._free_dofs]
-        return tau
-
-    def prepare(self) -> None:
-        """See that torques reach the arm, before a run."""
-        _check_enabled(self._model, self._actuators)
-
-    def take(self) -> None:
-        """Before the steps of a period: remember what is the user's."""
-        self._users = self._ctrl[self._at], self._applied[self._free_dofs]  # copies
-
-    def release(self) -> None:
-        """After the steps: put that back."""
-        self._ctrl[self._at], self._applied[self._free_dofs] = self._users
-
-
-def _cut_off(command: Float64Array, acted: Float64Array) -> Float64Array:
-    """(n,) the part of a command that did not act; zero where it is rounding."""
-    cut = command - acted
-    return np.where(np.abs(cut) > CUT * np.maximum(1.0, np.abs(command)), cut, 0.0)
-
-
-def _check_enabled(model: mujoco.MjModel, actuators: tuple[Actuator, ...]) -> None:
-    import mujoco
-
-    off = int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
-    groups = int(model.opt.disableactuator)
-    for actuator in actuators:
-        group = int(model.actuator_group[actuator.number])
-        if off or (0 <= group < 31 and groups >> group & 1):
-            how = "<flag actuation>" if off else f"actuator group {group}"
-            raise MatchError(
-                f"actuator '{actuator.name}' is disabled in the model, by {how}, so that no torque would reach the "
-                "arm; enable it in model.opt",
-                name=actuator.name,
-            )
-
-
-def _joint_limit(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
-    """What the joint lets through of its actuators' forces."""
-    if not model.jnt_actfrclimited[joint]:
-        return -np.inf, np.inf
-    low, high = model.jnt_actfrcrange[joint]
-    return float(low), float(high)
-
-
-class PlantInMujoco(PlantBase):
-    """An arm in a simulation by MuJoCo, ours or the user's.
-
-    Args:
-        rig: The arm in the simulation.
-        name: What messages call it.
-        view: What stands around the arm; None for nothing.
-    """
-
-    def __init__(self, rig: Rig, name: str, view: SceneView | None) -> None:
-        import mujoco
-
-        super().__init__(rig.arm)
-        self.adds = rig.adds
-        self._rig, self._name, self._view = rig, name, view
-        self._qpos, self._qvel = rig.data.qpos, rig.data.qvel  # views, looked up once
-        self._health, self._guard, self._wrench = Health(rig), Guard(rig.model.opt), Wrench(rig)
-        self._mj_step = mujoco.mj_step
-        self._substeps = 1
-        self._silence()
-
-    def _silence(self) -> None:
-        """Nothing has acted yet."""
-        n = self.arm.n
-        self._tau, self._cut, self._F_ext, self._told = np.zeros(n), np.zeros(n), np.zeros(6), False
-
-    @property
-    def name(self) -> str:
-        """What messages call it."""
-        return self._name
-
-    @property
-    def model(self) -> mujoco.MjModel:
-        """MuJoCo's model."""
-        return self._rig.model
-
-    @property
-    def data(self) -> mujoco.MjData:
-        """MuJoCo's state, and what it computed last."""
-        return self._rig.data
-
-    def state(self) -> tuple[Float64Array, Float64Array]:
-        """(n,) the true position and velocity."""
-        return self._qpos[self._rig.q].copy(), self._qvel[self._rig.v].copy()
-
-    def _put_state(self, q: Float64Array, v: Float64Array) -> None:
-        self._qpos[self._rig.q], self._qvel[self._rig.v] = q, v
-        self._health.start()
-        self._silence()
-
-    def trouble(self) -> tuple[str, int | None] | None:
-        """What went wrong in the last period, in words, and the joint; None if nothing did."""
-        return self._health.trouble()
-
-    def _poses(self) -> dict[str, Float64Array]:
-        """The column of the bodies of the scene that move, if there are some."""
-        return {} if self._view is None or not self._view.moves else {POSES: self._view.poses(self._rig.data)}
-
-    def around(self) -> Around:
-        """What stands around the arm, for films."""
-        return Around() if self._view is None else self._view.around
-
-    def _warn_of_cut(self, limits: str, instead: str) -> None:
-        """Warn, once in a run, that joints do not get all the torque that was asked for."""
-        if self._told or not self._cut.any():
-            return
-        self._told = True
-        i = int(np.argmax(np.abs(self._cut)))
-        warnings.warn(
-            f"{self.name}: joint '{self.arm.joint_names[i]}' got {self._tau[i]:.4g} of the "
-            f"{self._tau[i] + self._cut[i]:.4g} {self.arm.joints[i].effort_unit} asked for, because of {limits}; the "
-            f"run's column tau_cut has what was cut off; give {instead}",
-            RuntimeWarning,
-            stacklevel=3,
-        )
-
-    def __repr__(self) -> str:
-        return self.name
+MAX_DISTANCE: Final = 1e-3  # [m] of an axis; files round their numbers
+MAX_ROTATION: Final = 1e-3  # [rad] of an axis
+MAX_RELATIVE: Final = 1e-3  # relative, of inertias and torques of gravity
+MAX_GRAVITY_DIFFERENCE: Final = 1e-3  # [m/s^2]
+POSES: Final = 3  # at which the dynamics are compared
+FINITE: Final = (
+    "body_mass",
+    "body_inertia",
+    "body_ipos",
+    "dof_armature",
+    "dof_damping",
+    "dof_frictionloss",
+    "jnt_axis",
+)
+TRUNCATION: Final = 1e-9  # relative to the command: less than this is rounding
 
 
 class AttachedPlant(PlantInMujoco):
     """An arm inside a simulation of the user's, see `taut.MujocoPlant.attach`.
 
     It takes torques and has ideal drives and sensors. Friction, limits and parameters are those of the user's model.
+    Controls and applied forces are the user's: they have the run's values during the steps of a period only, so that
+    nothing goes on pushing the arm after a run, however it ends.
 
     Args:
         rig: The arm in the simulation.
-        drives: Its actuators there.
+        motors: By joint of the arm, its motor in the model; the others get their torque through qfrc_applied.
         name: What messages call it.
     """
 
     measures = frozenset({"v", "tau_meas", "F_ext"})
 
-    def __init__(self, rig: Rig, drives: UserDrives, name: str) -> None:
+    def __init__(self, rig: Rig, motors: dict[int, int], name: str) -> None:
         super().__init__(rig, name, SceneView(rig, tool=False))
-        self._drives = drives
+        model, numbers = rig.model, list(motors.values())
         self.friction: Literal["arm"] = "arm"
         self.actuation, self.sensors = Actuation(), Sensors()
+        self._joints = np.array(list(motors), dtype=np.intp)
+        self._at, self._out = model.actuator_ctrladr[numbers], model.actuator_outadr[numbers]
+        self._gear, self._gain = model.actuator_gear[self._out, 0], model.actuator_gainprm[numbers, 0]
+        rows = [rig.joints[i] for i in motors]
+        limited = np.asarray(model.jnt_actfrclimited)[rows][:, np.newaxis] != 0
+        self._range = np.where(
+            limited, model.jnt_actfrcrange[rows], (-np.inf, np.inf)
+        ).T  # what the joint lets through
+        self._free = np.setdiff1d(np.arange(rig.arm.n), self._joints)  # joints without a motor
+        self._free_dofs = np.array(rig.dofs, dtype=np.intp)[self._free]
 
     def __reduce__(self) -> tuple[Any, ...]:
         raise UsageError(
@@ -251,10 +81,9 @@ class AttachedPlant(PlantInMujoco):
         """Put the arm into a state, and prepare for control periods of dt [s]. Nothing else moves.
 
         Raises:
-            MatchError: The control period is not a whole number of time steps, or the arm's actuators are disabled.
+            MatchError: The control period is not a whole number of time steps.
         """
         self._substeps = whole_steps(self.name, dt, float(self.model.opt.timestep), "model.opt.timestep")
-        self._drives.prepare()
         self._put_state(q, v)
 
     def measure(self) -> dict[str, Float64Array]:
@@ -264,42 +93,260 @@ class AttachedPlant(PlantInMujoco):
 
     def advance(self, command: Float64Array) -> Float64Array:
         """One control period under a command (n,); (n,) the torque that acted on the joints."""
-        drives = self._drives
-        drives.take()
+        ctrl, applied, free = self.data.ctrl, self.data.qfrc_applied, self._free_dofs
+        users = ctrl[self._at], applied[free]  # copies
+        tau = command.copy()
         try:
+            ctrl[self._at] = command[self._joints] / self._gear / self._gain
+            applied[free] = command[self._free]
             with self._guard:
-                if drives.per_step:
-                    for _ in range(self._substeps):
-                        drives.write(command)
-                        self._mj_step(self.model, self.data)
-                else:
-                    drives.write(command)
-                    self._mj_step(self.model, self.data, self._substeps)
-            self._tau = drives.acted()
+                self._mj_step(self.model, self.data, self._substeps)
+            tau[self._joints] = np.clip(self._gear * self.data.actuator_force[self._out], *self._range)
         finally:
-            drives.release()
-        self._F_ext = self._wrench.of_environment()
-        self._cut = _cut_off(command, self._tau)
+            ctrl[self._at], applied[free] = users
+        self._tau, self._F_ext = tau, self._wrench.of_environment()
+        cut = command - tau
+        self._cut = np.where(np.abs(cut) > TRUNCATION * np.maximum(1.0, np.abs(command)), cut, 0.0)
         self._warn_of_cut("its actuator's limits", "the controller limits=taut.Limits(tau=...)")
-        return self._tau
+        return tau
 
     def extra(self) -> dict[str, Any]:
         """(6,) F_ext of the last step; (n,) tau_cut, what the actuators cut off; (m, 7) poses of bodies that move."""
         return {"F_ext": self._F_ext, "tau_cut": self._cut, **self._poses()}
 
 
-def whole_steps(name: str, dt: float, timestep: float, setting: str) -> int:
-    """The time steps in a control period.
+# -------------------------------------------------------------------- the arm in the model
+
+
+def attached(model: mujoco.MjModel, data: mujoco.MjData, arm: Arm, prefix: str) -> AttachedPlant:
+    """The arm in the user's simulation, with its motors there. Nothing in model or data is changed.
 
     Raises:
-        MatchError: It is not a whole number of them.
+        UsageError: Not a model, its data and an arm.
+        UnknownNameError: A joint that the model does not have.
+        MatchError: The model's arm is another one, or its actuators do not take torques.
+        RangeError: The model or its state is not finite.
     """
-    steps = dt / timestep
-    if not 1 <= round(steps) <= 1000 or abs(steps - round(steps)) > 1e-9 * steps:
+    import mujoco
+
+    for name, value, kind in (
+        ("model", model, mujoco.MjModel),
+        ("data", data, mujoco.MjData),
+        ("arm", arm, Arm),
+        ("prefix", prefix, str),
+    ):
+        if not isinstance(value, kind):
+            raise UsageError(f"attach takes {name}, of type {kind.__name__}; got {type(value).__name__}", name=name)
+    if data.signature != model.signature or data.qpos.size != model.nq:
+        raise MatchError("data must be made from this very model: mujoco.MjData(model); it is another's", name="data")
+    joints = [_joint(model, arm, i, prefix) for i in range(arm.n)]
+    _check_tree(model, arm, joints)
+    _check_finite(model, data)
+    owner = _owners(model, joints)
+    tool, dofs = arm.frame().body, tuple(int(model.jnt_dofadr[j]) for j in joints)
+    body = 0 if tool < 0 else int(model.jnt_bodyid[joints[tool]])
+    q = index([int(model.jnt_qposadr[j]) for j in joints])
+    here = _at(model, data, q, arm.home)
+    T_WM = Pose.of(here.xmat[body].reshape(3, 3).copy(), here.xpos[body].copy())
+    rig = Rig(
+        arm=arm,
+        model=model,
+        data=data,
+        joints=tuple(joints),
+        q=q,
+        v=index(list(dofs)),
+        dofs=dofs,
+        tool_bodies=index([b for b in range(model.nbody) if owner[b] == tool] or [body]),
+        tool_body=body,
+        p_tool=np.array((T_WM.inverse() @ dyn.pose(model_of(arm), arm.home)).p, dtype=np.float64),
+        adds=_gravcomp(model, [b for b in range(model.nbody) if owner[b] is not None and model.body_mass[b] > 0.0]),
+    )
+    _compare_axes(rig, here)
+    _compare_dynamics(rig)
+    return AttachedPlant(rig, _motors(rig), f"MujocoPlant.attach({prefix}{arm.name})")
+
+
+def _joint(model: mujoco.MjModel, arm: Arm, i: int, prefix: str) -> int:
+    """Id of a joint of the arm."""
+    import mujoco
+
+    names = [model.joint(j).name for j in range(model.njnt)]
+    joint, name = arm.joints[i], prefix + arm.joint_names[i]
+    if name not in names:
+        known = [other for other in names if other]
+        raise unknown_name("the model", "joint", name, known, hint=f"arm '{arm.name}' has it; prefix={prefix!r}")
+    j = names.index(name)
+    wanted = mujoco.mjtJoint.mjJNT_SLIDE if joint.kind == "prismatic" else mujoco.mjtJoint.mjJNT_HINGE
+    if int(model.jnt_type[j]) != int(wanted):
+        kind = mujoco.mjtJoint(int(model.jnt_type[j])).name.removeprefix("mjJNT_").lower()
         raise MatchError(
-            f"plant '{name}': the control period must be a whole number of time steps; {dt:g} s is {steps:.6g} times "
-            f"{timestep:g} s; use {setting}={dt / max(1, math.ceil(steps)):.9g}, or another rate",
-            name="timestep",
-            value=timestep,
+            f"joint '{name}' is {joint.kind} in arm '{arm.name}' and of type {kind} in the model; "
+            "attach the arm that the model has",
+            joint=joint.name,
         )
-    return round(steps)
+    return j
+
+
+def _check_tree(model: mujoco.MjModel, arm: Arm, joints: list[int]) -> None:
+    """Nothing but joints of the arm moves its joints."""
+    for name, j in zip(arm.joint_names, joints, strict=True):
+        body = int(model.jnt_bodyid[j])
+        while body:
+            first = int(model.body_jntadr[body])
+            for k in set(range(first, first + int(model.body_jntnum[body]))) - set(joints):
+                raise MatchError(
+                    f"joint '{model.joint(k).name or k}' of the model moves joint '{name}', and arm '{arm.name}' has "
+                    "no such joint there; attach an arm that has it, or take the joint out of the model",
+                    joint=name,
+                )
+            body = int(model.body_parentid[body])
+
+
+def _check_finite(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    values = {f"model.{name}": getattr(model, name) for name in FINITE} | {
+        "data.qpos": data.qpos,
+        "data.qvel": data.qvel,
+    }
+    for name, rows in values.items():
+        if not np.isfinite(rows).all():
+            k = int(np.argwhere(~np.isfinite(rows))[0, 0])
+            raise RangeError(f"{name} must be finite; got {rows[k]} in entry {k}", name=name.partition(".")[2])
+
+
+def _owners(model: mujoco.MjModel, joints: list[int]) -> list[int | None]:
+    """For each body of the model, the joint of the arm that carries it; None if none does."""
+    index_of = {int(model.jnt_bodyid[j]): i for i, j in enumerate(joints)}
+    out: list[int | None] = [None] * model.nbody
+    for body in range(1, model.nbody):  # parents come first
+        out[body] = index_of.get(body, out[int(model.body_parentid[body])])
+    return out
+
+
+def _gravcomp(model: mujoco.MjModel, bodies: list[int]) -> Adds:
+    """A model whose arm has gravcomp carries its own weight, as a robot does that adds gravity itself."""
+    values = set(np.asarray(model.body_gravcomp)[bodies].tolist())
+    if values <= {0.0} or values == {1.0}:
+        return Adds(gravity=1.0 in values)
+    raise MatchError(
+        f"gravcomp must be 0 or 1, the same for all bodies of an arm; got {sorted(values)}; set all of "
+        "model.body_gravcomp alike",
+        name="gravcomp",
+    )
+
+
+def _motors(rig: Rig) -> dict[int, int]:
+    """The motor of each joint of the arm that has one, by the joint."""
+    import mujoco
+
+    model, out = rig.model, dict[int, int]()
+    on_joint = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    for a in range(model.nactuator):
+        if model.actuator_trntype[a] not in on_joint or model.actuator_trnid[a, 0] not in rig.joints:
+            continue
+        i, name = rig.joints.index(int(model.actuator_trnid[a, 0])), model.actuator(a).name or f"actuator{a}"
+        joint = rig.arm.joint_names[i]
+        if i in out:
+            raise MatchError(f"joint '{joint}' has two actuators, the second '{name}'; keep one", joint=joint)
+        plain = (
+            model.actuator_dyntype[a] == int(mujoco.mjtDyn.mjDYN_NONE)
+            and model.actuator_gaintype[a] == int(mujoco.mjtGain.mjGAIN_FIXED)
+            and model.actuator_biastype[a] == int(mujoco.mjtBias.mjBIAS_NONE)
+            and model.actuator_ctrlnum[a] == model.actuator_outnum[a] == 1
+            and model.actuator_delay[a] == 0.0
+            and model.actuator_gear[model.actuator_outadr[a], 0] * model.actuator_gainprm[a, 0] != 0.0
+        )
+        if not plain:
+            raise MatchError(
+                f"actuator '{name}' of joint '{joint}' is not a motor, whose torque is its control times a "
+                "constant, so that no torque command can be sent through it; make it one: "
+                f"spec.actuator('{name}').set_to_motor() of its mujoco.MjSpec",
+                name=name,
+                joint=joint,
+            )
+        out[i] = a
+    return out
+
+
+# -------------------------------------------------------------------- the same arm
+
+
+def _at(model: mujoco.MjModel, data: mujoco.MjData, at: Any, q: Float64Array) -> mujoco.MjData:
+    """The user's simulation at rest with the arm at q, in data of our own."""
+    import mujoco
+
+    scratch = mujoco.MjData(model)
+    scratch.qpos[:] = data.qpos
+    scratch.mocap_pos[:], scratch.mocap_quat[:] = data.mocap_pos, data.mocap_quat
+    scratch.qpos[at] = q
+    mujoco.mj_fwdPosition(model, scratch)
+    mujoco.mj_fwdVelocity(model, scratch)
+    return scratch
+
+
+def _compare_axes(rig: Rig, scratch: mujoco.MjData) -> None:
+    """Refuse an arm with another axis, at home.
+
+    Raises:
+        MatchError: It is elsewhere, or along another direction.
+    """
+    arm, rows = rig.arm, list(rig.joints)
+    links = dyn.link_poses(model_of(arm), arm.home)
+    for joint, (R, p), axis, anchor in zip(
+        arm.joints, links, scratch.xaxis[rows], scratch.xanchor[rows], strict=True
+    ):
+        ours, apart = np.asarray(R)[:, 2], np.asarray(p) - anchor
+        rotation = float(np.linalg.norm(np.cross(axis, ours))) if axis @ ours > 0.0 else 2.0
+        distance = float(np.linalg.norm(apart - ours * (apart @ ours)))
+        if rotation > MAX_ROTATION or (joint.kind != "prismatic" and distance > MAX_DISTANCE):
+            raise MatchError(
+                f"joint '{joint.name}' at the home pose has its axis at {_numbers(anchor)} along {_numbers(axis)} in "
+                f"the model and at {_numbers(p)} along {_numbers(ours)} in arm '{arm.name}' (world, m): another arm, "
+                "another zero of a joint, or another base; load the Arm from the model's own file, and put it where "
+                "it stands: arm.mounted(taut.Pose(...))",
+                joint=joint.name,
+            )
+
+
+def _compare_dynamics(rig: Rig) -> None:
+    """Refuse an arm with other inertias or another weight, at home and at other poses.
+
+    Raises:
+        MatchError: The message names the joint that carries what differs, with both numbers.
+    """
+    import mujoco
+
+    model, arm, ours, carried = rig.model, rig.arm, model_of(rig.arm), rig.arm.payload
+    load = PayloadValues(mass=carried.mass, com=carried.com, inertia=carried.inertia)
+    off = int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+    gravity = np.zeros(3) if off else np.asarray(model.opt.gravity)
+    if np.abs(gravity - arm.gravity).max() > MAX_GRAVITY_DIFFERENCE:
+        raise MatchError(
+            f"gravity is {_numbers(gravity)} in the model and {_numbers(arm.gravity)} m/s^2 for arm '{arm.name}'; "
+            "use arm.with_gravity(model.opt.gravity)",
+            name="gravity",
+        )
+    rng, dofs, full = np.random.default_rng(0), list(rig.dofs), np.zeros((model.nv, model.nv))
+    for k in range(POSES):
+        q = arm.home + min(k, 1) * rng.uniform(-1.0, 1.0, arm.n)
+        there = _at(model, rig.data, rig.q, q)
+        mujoco.mj_fullM(model, there, full)
+        M, g = dyn.mass_matrix(ours, q, load), dyn.gravity_torque(ours, q, load)
+        size = np.sqrt(np.outer(np.diag(M), np.diag(M)))
+        for what, unit, found, expected, scale in (
+            ("inertia", "kg m^2 | kg", full[np.ix_(dofs, dofs)], M, size),
+            ("torque of gravity", "N m | N", there.qfrc_bias[dofs], g, np.abs(g).max()),
+        ):
+            wrong = np.argwhere(np.abs(found - expected) > MAX_RELATIVE * scale + 1e-9)
+            if len(wrong):
+                at = tuple(wrong[np.argmax(wrong.min(axis=1))])
+                joint = arm.joint_names[min(at)]
+                raise MatchError(
+                    f"joint '{joint}': the {what} of what it moves is {found[at]:.6g} in the model and "
+                    f"{expected[at]:.6g} in arm '{arm.name}' [{unit}], at q = {_numbers(q)}; load the Arm from the "
+                    "model's own file, with the payload and the rotors that it has there",
+                    joint=joint,
+                )
+
+
+def _numbers(values: Any) -> str:
+    return "[" + ", ".join(f"{float(x) + 0.0:.6g}" for x in values) + "]"

@@ -17,13 +17,12 @@ from taut.base.types import ArrayLike, Float64Array
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds, compensation
 from taut.maths.model import PayloadValues, model_of
-from taut.plant.drives.actuation import Actuation, delayed
+from taut.plant.actuation import Actuation, delayed
 from taut.plant.environments.environment import Environment
 from taut.plant.motion import WORK_OF_IT
 from taut.plant.parts import PlantParts
-from taut.plant.sensors.sensors import Sensors
-from taut.runtime.robots.mujoco.attach import Inertias, attached
-from taut.runtime.robots.mujoco.attached import AttachedPlant, PlantInMujoco, whole_steps
+from taut.plant.sensors import Sensors
+from taut.runtime.robots.mujoco.attached import AttachedPlant, attached
 from taut.runtime.robots.mujoco.model import (
     INTEGRATORS,
     LOOKS,
@@ -37,7 +36,7 @@ from taut.runtime.robots.mujoco.model import (
     built,
     put_timestep,
 )
-from taut.runtime.robots.mujoco.rig import PRESSED, Normals, index
+from taut.runtime.robots.mujoco.rig import PRESSED, Normals, PlantInMujoco, index, whole_steps
 from taut.runtime.robots.mujoco.scene import SceneView, read_scene
 from taut.runtime.robots.mujoco.stages import Compensation, EnvironmentStage, JointStage, LinkTorque, SensorStage
 from taut.trace.pose import Pose
@@ -200,8 +199,8 @@ class MujocoPlant(PlantInMujoco):
             or train.lossy
             or (isinstance(left, Friction) and (left.falls or left.loaded))
         ):
-            self._stage = JointStage(rig, drives, train, what, takes)
-        self._touching = None if environment is None else EnvironmentStage(rig, environment, train)
+            self._stage = JointStage(rig, numbers)
+        self._touching = None if environment is None else EnvironmentStage(rig, numbers)
         adds_torque = (what.gravity or what.coriolis) and self._stage is None
         self._compensation = Compensation(arm, what) if adds_torque else None
         self._link, self._readings = LinkTorque(rig), SensorStage(arm, seen)
@@ -216,13 +215,10 @@ class MujocoPlant(PlantInMujoco):
         data: mujoco.MjData,
         arm: Arm,
         prefix: str = "",
-        *,
-        bridge: bool = False,
-        inertias: Inertias = "same",
     ) -> AttachedPlant:
         """Drive an arm inside a simulation of your own.
 
-        Joints are found by name, prefix + the Arm's. Each takes its torque through its actuator if it has one, else
+        Joints are found by name, prefix + the Arm's. Each takes its torque through its motor if it has one, else
         through data.qfrc_applied; both have the user's values again after each control period. Everything else is
         left alone: other joints and actuators, time, options, callbacks. Friction and joint limits are the model's. A
         run moves the arm to q0 (`plant.state()[0]` is where it stands) and steps the whole scene on from there. What
@@ -237,9 +233,6 @@ class MujocoPlant(PlantInMujoco):
             data: Its data.
             arm: What the model's arm should be: compared in axes, gravity and inertias.
             prefix: What stands before the names of the joints in the model, such as "left/".
-            bridge: Send torques through position or velocity servos too, by the control that makes their force the
-                torque. Exact with integrator Euler.
-            inertias: "same" refuses an arm with other inertias than the Arm's; "any" takes it as the plant's truth.
 
         Raises:
             UsageError: Not a model, its data and an arm.
@@ -247,8 +240,7 @@ class MujocoPlant(PlantInMujoco):
             MatchError: Another arm, or actuators that do not take torques.
             RangeError: The model or its state is not finite.
         """
-        rig, drives = attached(model, data, arm, prefix, bridge=bridge, inertias=inertias)
-        return AttachedPlant(rig, drives, f"MujocoPlant.attach({prefix}{arm.name})")
+        return attached(model, data, arm, prefix)
 
     def like(self, *, arm: Arm | None = None, sensors: Sensors | None = None) -> MujocoPlant:
         """A plant of the same arguments but these."""

@@ -1,4 +1,4 @@
-"""Rig: an arm inside a MuJoCo model, where its numbers stand there, what touches it, and what goes wrong.
+"""An arm inside a MuJoCo model, as every plant there needs it: its numbers, what touches it, and what goes wrong.
 
 Left to itself MuJoCo writes MUJOCO_LOG.TXT into the working folder, sets every motor to zero when one command is not
 finite, and puts a diverged simulation back to its start.
@@ -6,6 +6,8 @@ finite, and puts a diverged simulation back to its start.
 
 from __future__ import annotations
 
+import math
+import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, TypeAlias
 
@@ -13,13 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taut.arm.description import Arm
+from taut.base.errors import MatchError
 from taut.base.types import Float64Array
 from taut.maths.adds import Adds
+from taut.record.film.surroundings import POSES, Around
+from taut.runtime.host import PlantBase
 
 if TYPE_CHECKING:
     import mujoco
 
-__all__ = ["PRESSED", "Guard", "Health", "Index", "Normals", "Rig", "Wrench", "index"]
+    from taut.runtime.robots.mujoco.scene import SceneView
+
+__all__ = ["PRESSED", "Guard", "Index", "Normals", "PlantInMujoco", "Rig", "index", "whole_steps"]
 
 PRESSED: Final = "contact.normal_force"  # column of a run
 MUJOCO_MAX: Final = 1e10  # what MuJoCo itself calls huge, in qpos, qvel, qacc and ctrl
@@ -231,3 +238,100 @@ def _welded(model: mujoco.MjModel, bodies: set[int]) -> set[int]:
         if int(model.body_parentid[body]) in out:
             out.add(body)
     return out
+
+
+class PlantInMujoco(PlantBase):
+    """An arm in a simulation by MuJoCo, ours or the user's.
+
+    Args:
+        rig: The arm in the simulation.
+        name: What messages call it.
+        view: What stands around the arm; None for nothing.
+    """
+
+    def __init__(self, rig: Rig, name: str, view: SceneView | None) -> None:
+        import mujoco
+
+        super().__init__(rig.arm)
+        self.adds = rig.adds
+        self._rig, self._name, self._view = rig, name, view
+        self._qpos, self._qvel = rig.data.qpos, rig.data.qvel  # views, looked up once
+        self._health, self._guard, self._wrench = Health(rig), Guard(rig.model.opt), Wrench(rig)
+        self._mj_step = mujoco.mj_step
+        self._substeps = 1
+        self._silence()
+
+    def _silence(self) -> None:
+        """Nothing has acted yet."""
+        n = self.arm.n
+        self._tau, self._cut, self._F_ext, self._told = np.zeros(n), np.zeros(n), np.zeros(6), False
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return self._name
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """MuJoCo's model."""
+        return self._rig.model
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """MuJoCo's state, and what it computed last."""
+        return self._rig.data
+
+    def state(self) -> tuple[Float64Array, Float64Array]:
+        """(n,) the true position and velocity."""
+        return self._qpos[self._rig.q].copy(), self._qvel[self._rig.v].copy()
+
+    def _put_state(self, q: Float64Array, v: Float64Array) -> None:
+        self._qpos[self._rig.q], self._qvel[self._rig.v] = q, v
+        self._health.start()
+        self._silence()
+
+    def trouble(self) -> tuple[str, int | None] | None:
+        """What went wrong in the last period, in words, and the joint; None if nothing did."""
+        return self._health.trouble()
+
+    def _poses(self) -> dict[str, Float64Array]:
+        """The column of the bodies of the scene that move, if there are some."""
+        return {} if self._view is None or not self._view.moves else {POSES: self._view.poses(self._rig.data)}
+
+    def around(self) -> Around:
+        """What stands around the arm, for films."""
+        return Around() if self._view is None else self._view.around
+
+    def _warn_of_cut(self, limits: str, instead: str) -> None:
+        """Warn, once in a run, that joints do not get all the torque that was asked for."""
+        if self._told or not self._cut.any():
+            return
+        self._told = True
+        i = int(np.argmax(np.abs(self._cut)))
+        warnings.warn(
+            f"{self.name}: joint '{self.arm.joint_names[i]}' got {self._tau[i]:.4g} of the "
+            f"{self._tau[i] + self._cut[i]:.4g} {self.arm.joints[i].effort_unit} asked for, because of {limits}; the "
+            f"run's column tau_cut has what was cut off; give {instead}",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+
+    def __repr__(self) -> str:
+        return self.name
+
+
+def whole_steps(name: str, dt: float, timestep: float, setting: str) -> int:
+    """The time steps in a control period.
+
+    Raises:
+        MatchError: It is not a whole number of them.
+    """
+    steps = dt / timestep
+    if not 1 <= round(steps) <= 1000 or abs(steps - round(steps)) > 1e-9 * steps:
+        raise MatchError(
+            f"plant '{name}': the control period must be a whole number of time steps; {dt:g} s is {steps:.6g} times "
+            f"{timestep:g} s; use {setting}={dt / max(1, math.ceil(steps)):.9g}, or another rate",
+            name="timestep",
+            value=timestep,
+        )
+    return round(steps)

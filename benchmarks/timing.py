@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import tempfile
-import time
 import timeit
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -15,21 +13,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from taut.arm.description import Arm
-from taut.base.errors import count_of
 from taut.base.types import Float64Array
-from taut.cli.command import Answer, Command, Say
 from taut.codegen.engine import Steps
 from taut.codegen.loop import StepLoop
 from taut.codegen.program import Block
-from taut.control.laws.joint import ComputedTorque
 from taut.control.trajectories.joint import Sine
-from taut.control.trajectories.reference import JointMotion
-from taut.controller import Controller, compile
+from taut.controller import Controller
 from taut.loop import DT, Loop
 from taut.plant.rigid import RigidPlant
-
-__all__ = ["BENCH", "BareLoop", "Timing", "bench_arm", "empty_cache", "interleaved"]
 
 BENCH_ROUNDS: Final = 9
 BUDGET: Final = 0.05  # [s] that one case takes in one round
@@ -139,50 +130,3 @@ class BareLoop:
         self._state[:] = self._start
         self.native.run(self._rows, self._values, self._state, self._outputs)
         return self.memory.views(self._state)["plant.q"]
-
-
-def bench_arm(arm: Arm) -> list[tuple[str, str]]:
-    """Rows (what, figure) for one arm on this machine."""
-    law = ComputedTorque(kp=np.full(arm.n, 100.0), kd=np.full(arm.n, 20.0), ki=np.full(arm.n, 10.0))
-    with empty_cache():
-        start = time.perf_counter()
-        ctrl = compile(law, arm)
-        cold = time.perf_counter() - start
-        cached = interleaved({"cached": lambda: compile(law, arm)}, rounds=7, budget=0.0)["cached"]
-        ref = Sine(center=arm.home, amplitude=0.1, frequency=0.3)
-        loop = BareLoop(ctrl, RigidPlant(arm, friction=None), ref, 2000)
-    q, v, sample = arm.home.copy(), np.zeros(arm.n), JointMotion(q=arm.home + 0.01)
-    bound = ctrl.bind()
-    bound.q[:], bound.ref.q[:] = q, sample.q
-    ctrl.step(q, v, sample)
-    names = {"step": ctrl.step, "tick": bound.tick, "q": q, "v": v, "ref": sample}
-    timing = interleaved({"tick": "tick()", "step": "step(q, v, ref)", "loop": loop.run}, names)
-    per_step = timing["loop"].median / loop.ticks
-    return [
-        ("arm", f"{arm.name}, {count_of(arm.n, 'joint')}; computed torque, 1 kHz"),
-        ("operations in a tick", f"{ctrl.operations}"),
-        ("compile, cold", f"{1e3 * cold:.0f} ms"),
-        ("compile, cached", f"{1e3 * cached.median:.1f} ms"),
-        ("bound tick", f"{1e6 * timing['tick'].median:.2f} us (+-{100 * timing['tick'].spread:.0f} %)"),
-        ("ctrl.step", f"{1e6 * timing['step'].median:.2f} us (+-{100 * timing['step'].spread:.0f} %)"),
-        ("fused closed loop", f"{1e-6 / per_step:.2f} million steps/s, {1e-3 / per_step:.0f} times real time"),
-    ]
-
-
-def _bench(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
-    from taut.arm.load import load_arm
-
-    rows = bench_arm(load_arm(arguments.arm))
-    return Answer(text="\n".join(f"{what:22} {figure}" for what, figure in rows), data=dict(rows))
-
-
-def _arguments(command: argparse.ArgumentParser) -> None:
-    command.add_argument("arm", nargs="?", default="planar3", metavar="ARM", help="name or file (default: planar3)")
-
-
-BENCH: Final = Command(
-    name="bench",
-    help="Measure what a tick, a compile and a closed loop cost on this machine.",
-    arguments=_arguments,
-    run=_bench,
-)
