@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from taut.arm.servo import load_servo as load_servo
     from taut.base.errors import StabilityWarning as StabilityWarning
     from taut.base.errors import TautError as TautError
-    from taut.codegen.casadi import to_casadi as to_casadi
+    from taut.codegen.program import to_casadi as to_casadi
     from taut.codegen.inverse_kinematics import IkResult as IkResult
     from taut.codegen.inverse_kinematics import inverse_kinematics as inverse_kinematics
     from taut.codegen.kernel import native as native
