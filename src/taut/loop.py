@@ -25,7 +25,7 @@ from taut.maths.model import model_of
 from taut.maths.snapshot import MEASUREMENTS
 from taut.plant.contact import check_force_feedback
 from taut.plant.environments.environment import COMMAND, of_plant
-from taut.plant.sensors.sensors import Sensors
+from taut.plant.sensors import Sensors
 
 __all__ = [
     "AnyPlant",

@@ -19,12 +19,12 @@ from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike
 from taut.control.law import Law
 from taut.control.limits import Limits
-from taut.control.sensing.sensing import Sensing
+from taut.control.sensing import Sensing
 from taut.control.trajectories.reference import Reference
 from taut.controller import Controller, compile
 from taut.loop import Loop
 from taut.plant.rigid import RigidPlant
-from taut.plant.sensors.sensors import Sensors
+from taut.plant.sensors import Sensors
 from taut.record.metrics import METRICS
 from taut.record.plots.comparison import compare as compare_runs
 from taut.record.run import Run

@@ -21,7 +21,7 @@ from taut.control.laws.impedance import Impedance
 from taut.control.laws.joint import PID
 from taut.control.laws.task import TaskComputedTorque
 from taut.control.laws.task_error import Coordinates
-from taut.control.sensing.sensing import Sensing
+from taut.control.sensing import Sensing
 from taut.control.trajectories.force_reference import TaskForce
 from taut.control.trajectories.reference import JointMotion, Sample
 from taut.controller import compile

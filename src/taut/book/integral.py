@@ -36,7 +36,7 @@ from taut.control.trajectories.reference import JointMotion
 from taut.linear.joint_loop import error_dynamics, second_order
 from taut.linear.linear_system import LinearSystem
 from taut.linear.linearise import linearise
-from taut.plant.drives.actuation import Actuation
+from taut.plant.actuation import Actuation
 from taut.record.run import Run
 
 __all__: list[str] = []

@@ -17,7 +17,7 @@ from taut.arm.description import Arm
 from taut.arm.load import load_arm
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.law import Law
-from taut.control.sensing.sensing import Sensing
+from taut.control.sensing import Sensing
 from taut.control.trajectories.joint import Sine
 from taut.control.trajectories.reference import Sample
 from taut.controller import Controller, compile

@@ -9,8 +9,8 @@ from taut.book.page import ROOTS, Shown, entry, row
 from taut.control.laws.joint import PID
 from taut.control.trajectories.reference import JointMotion
 from taut.linear.linearise import linearise
-from taut.plant.drives.actuation import Actuation
-from taut.plant.drives.drivetrain import Transmission
+from taut.plant.actuation import Actuation
+from taut.plant.drivetrain import Transmission
 
 __all__: list[str] = []
 

@@ -13,8 +13,7 @@ from taut.book.models import WRONG_R, B, M, controller, link, on_link, rms, tick
 from taut.book.page import Shown, arrow, block, box, canvas, entry, legend, panels, row, words
 from taut.control.laws.friction import FrictionCompensation
 from taut.control.laws.joint import PID, ComputedTorque
-from taut.control.sensing.filters import Difference
-from taut.control.sensing.sensing import Sensing
+from taut.control.sensing import Difference, Sensing
 from taut.control.trajectories.joint import Sine
 from taut.control.trajectories.reference import JointMotion
 from taut.controller import compile

@@ -197,7 +197,7 @@ class AsWritten(Law):
     kd: Gain  # [1/s]
 
     def command(self, x: Snapshot, ref: TaskMotion) -> Torque:
-        error = task_error("body", x, ref, None, None)
+        error = task_error(x, ref, kind="body")
         V_D, rate = rotated(ref.R.T, ref.twist), rotated(ref.R.T, ref.acceleration)
         fed = rate - tm.array([*tm.cross(V_D[3:], V_D[:3]), 0.0, 0.0, 0.0])  # the rate of the numbers of V_D
         a = fed + self.kp @ error.X + self.kd @ error.V - error.Jdot_v

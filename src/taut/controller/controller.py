@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from taut.arm.description import Arm, Payload
 from taut.base.checks import rate_in_hertz
-from taut.base.errors import UsageError, count_of
+from taut.base.errors import UsageError
 from taut.base.paths import Named, subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.codegen.engine import Engine, EngineChoice, chosen_engine
@@ -16,7 +16,7 @@ from taut.codegen.program import Program, trace
 from taut.control.law import Law
 from taut.control.lawside import LawSide
 from taut.control.limits import Limits
-from taut.control.sensing.sensing import Sensing
+from taut.control.sensing import Sensing
 from taut.control.trajectories.reference import Sample
 from taut.controller.kernel import SideFunctions, kernel_of, recording_kernel, reference_shapes
 from taut.controller.parameters import ControllerParameters, StateMachine
@@ -297,31 +297,9 @@ class Controller:
 
     def explanation(self) -> str:
         """What `explain` prints."""
-        from taut.control.describe import all_laws, section, short, summary
+        from taut.controller.explain import explanation
 
-        side = self.side
-        lines = [f"{side.title} for arm '{side.arm.name}' ({count_of(side.arm.n, 'joint')}) at {side.rate:g} Hz"]
-        for name, law in all_laws(side.law):
-            lines += ["", f"{name}: {summary(type(law))}"] if name else []
-            for head in ("Law", "Closed loop"):
-                texts = section(type(law), head)
-                lines += [f"  {head + ':' if not i else '':13}{text}" for i, text in enumerate(texts)]
-        lines += ["", "parameters"]
-        units = side.units
-        width = max(24, *(len(path) for path in self.parameters))
-        for path, value in self.parameters.items():
-            unit = f"  [{units[path]}]" if path in units else ""
-            lines.append(f"  {path:{width}} {short(value)}{unit}")
-        if side.task is not None:
-            lines += ["", *(f"phase          {line}" for line in side.task.plan())]
-        lines += ["", f"terms          {', '.join(side.probe.terms)}"]
-        lines += [f"sensing        {side.sensing.summary}"] if side.sensing.alters else []
-        lines.append(f"needs          {', '.join(('q', *side.needs))}")
-        if side.adds.names:
-            lines.append(f"left out       {', '.join(side.adds.names)} (the plant adds them)")
-        cost = f"{self.operations} operations a tick" if self.operations else "not traced"
-        lines.append(f"engine         {self.engine}, {cost}")
-        return "\n".join(lines)
+        return explanation(self)
 
 
 def compile(

@@ -165,8 +165,6 @@ class ControllerParameters(Parameters):
         self._machine.change(path, checked)
 
     def __repr__(self) -> str:
-        from taut.control.describe import short
-
         return "{" + ", ".join(f"'{path}': {short(value)}" for path, value in self.items()) + "}"
 
     def __reduce__(self) -> NoReturn:
@@ -174,3 +172,10 @@ class ControllerParameters(Parameters):
             "the parameters of a controller are what its machine code reads, so they cannot be copied or pickled; "
             "take dict(ctrl.parameters), and parameters.update(...) of another controller"
         )
+
+
+def short(value: Float64Array) -> str:
+    """A parameter's value in one line."""
+    if value.ndim == 0:
+        return f"{float(value):g}"
+    return np.array2string(value, precision=6, separator=", ", threshold=20).replace("\n", " ")

@@ -15,7 +15,7 @@ from taut.base.types import Float64Array
 from taut.codegen.program import Block, failure
 from taut.control.command import wild_term
 from taut.control.law import Law
-from taut.control.laws.task_space import far_away, may_bound
+from taut.control.laws.task_space import far_away
 from taut.control.lawside import LawSide
 from taut.control.tasks.task import NO_CONTACT
 from taut.control.trajectories.force_reference import HybridMotion
@@ -249,7 +249,6 @@ class Tape:
         message = (
             f"the simulation diverged at t = {t:.6g} s (tick {tick}): joint '{names[joint]}' was at "
             f"{speeds[joint]:.3g} {units[joint]}/s; try smaller gains, a higher rate or more substeps"
-            f"{', or error_max= where the target is far away' if may_bound(self._side.law) else ''}"
             f"{self._remarks(kept)}{self.out_of_reach(kept)}"
         )
         return Outcome(kind="diverged", message=message, tick=kept - 1, joint=names[joint])
