@@ -117,11 +117,11 @@ class Spread(Declared):
     tilt about one, at the origin of the scene. The place of a run depends on the seed and its number alone.
     """
 
-    at: Part[Pose] = Part(Pose, doc="where the scene stands in the file")
-    runs: Whole = Whole(minimum=2, maximum=1000, doc="how many")
+    at: Part[Pose] = Part(Pose)  # where the scene stands in the file
+    runs: Whole = Whole(minimum=2, maximum=1000)  # how many
     seed: Whole = Whole(0)
-    shift: Field = Field(0.0, unit="m", minimum=0.0, doc="the largest, in any direction across z")
-    tilt: Field = Field(0.0, unit="rad", minimum=0.0, maximum=MAX_TILT, doc="the largest, about any axis across z")
+    shift: Field = Field(0.0, unit="m", minimum=0.0)  # the largest, in any direction across z
+    tilt: Field = Field(0.0, unit="rad", minimum=0.0, maximum=MAX_TILT)  # the largest, about any axis across z
 
     def check(self) -> None:
         """Something is spread."""
