@@ -12,7 +12,7 @@ from scipy.optimize import brentq, minimize_scalar
 from taut.arm.builtin import one_joint
 from taut.arm.description import Arm
 from taut.arm.friction import Friction
-from taut.arm.gears import matched_ratio, reflected_inertia
+from taut.arm.servo import matched_ratio, reflected_inertia
 from taut.base.plot_style import DASHED, DOTTED, INK, colour, prepared
 from taut.book.models import M, controller, link, on_link
 from taut.book.page import Shown, entry, legend, panels, row

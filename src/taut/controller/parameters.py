@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from taut.arm.angles import require_radians
+from taut.arm.parts import require_radians
 from taut.base.checks import finite_array
 from taut.base.errors import UsageError, unknown_name
 from taut.base.paths import subtree

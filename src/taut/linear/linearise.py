@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from taut.arm.angles import require_radians
+from taut.arm.parts import require_radians
 from taut.base.checks import finite_array, positive_scalar, read_only
 from taut.base.errors import UsageError
 from taut.base.paths import subtree
