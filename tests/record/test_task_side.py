@@ -201,7 +201,7 @@ class TestKept:
         assert part.metrics.task_peak <= run.metrics.task_peak
 
     def test_a_film_has_the_wanted_way_of_the_tool(self, run: taut.Run) -> None:
-        from taut.record.film.video import _wanted
+        from taut.record.film import _wanted
 
         ticks = np.array([0, 100, 300])
         np.testing.assert_allclose(_wanted(run, ARM, ticks), LINE.rows(run.t[ticks]).p)

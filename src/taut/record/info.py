@@ -8,7 +8,7 @@ import platform
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
-from typing import Any, Final
+from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
 
@@ -17,15 +17,90 @@ from taut.arm.rules import indefinite
 from taut.base.types import Float64Array
 from taut.control.laws.apparent import FeltImpedance
 from taut.maths.chain import Chain
-from taut.record.film.surroundings import Around
 from taut.record.plain import plain
 
-__all__ = ["Change", "PartInfo", "RunInfo", "ScenarioInfo", "Stability", "check_info", "differences", "versions"]
+__all__ = [
+    "POSES",
+    "Around",
+    "Change",
+    "Mesh",
+    "PartInfo",
+    "RunInfo",
+    "ScenarioInfo",
+    "Shape",
+    "ShapeKind",
+    "Stability",
+    "Thing",
+    "check_info",
+    "differences",
+    "versions",
+]
 
 NO_DYNAMICS: Final = ("name", "home", "links")  # of an arm: no motion depends on them, once a run has begun
 UNNAMED: Final = ("placement", "T_WB", "payload")  # numbers of which a difference is named as a whole
+POSES: Final = "scene.poses"  # column of a run: (m, 7) position [m] and quaternion wxyz of each thing that moves
 PACKAGES: Final = ("numpy", "llvmlite", "mujoco")
 PAYLOAD_SHAPES: Final[Mapping[str, tuple[int, ...]]] = {"mass": (), "com": (3,), "inertia": (6,)}
+
+
+ShapeKind: TypeAlias = Literal["plane", "box", "sphere", "ellipsoid", "cylinder", "capsule", "mesh"]
+Numbers: TypeAlias = tuple[float, ...]
+
+
+# -------------------------------------------------------------------- what stands around an arm, to be seen in films
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape:
+    """A shape on a thing."""
+
+    kind: ShapeKind
+    size: Numbers  # (3,) [m] halves, as MuJoCo has them: of a cylinder radius and half its length
+    p: Numbers = (0.0, 0.0, 0.0)  # [m] in the thing
+    wxyz: Numbers = (1.0, 0.0, 0.0, 0.0)
+    rgba: Numbers = (0.5, 0.5, 0.5, 1.0)
+    mesh: int = -1  # number of its mesh
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thing:
+    """What has one pose: at rest in the world, on the tool, or moving."""
+
+    shapes: tuple[Shape, ...]
+    p: Numbers = (0.0, 0.0, 0.0)  # [m] in the world, where it rests or begins
+    wxyz: Numbers = (1.0, 0.0, 0.0, 0.0)
+    row: int | None = None  # of the column, where its pose is recorded
+    on_tool: bool = False  # at the arm's tool, and in its axes
+    times: Numbers = ()  # [s] of a motion that is known beforehand
+    shifts: tuple[Numbers, ...] = ()  # (3,) [m] each, in the world: where it is then, from where it begins
+
+    @property
+    def moves(self) -> bool:
+        """Whether it does by itself."""
+        return self.row is not None or bool(self.times)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Mesh:
+    """Triangles."""
+
+    vertices: Float64Array  # (m, 3) [m]
+    faces: Float64Array  # (f, 3) whole numbers
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Around:
+    """All of it."""
+
+    things: tuple[Thing, ...] = ()
+    meshes: tuple[Mesh, ...] = ()
+    missing: tuple[str, ...] = ()  # what stands there too and has no shape here, in words
+
+    def __bool__(self) -> bool:
+        return bool(self.things or self.missing)
+
+
+# -------------------------------------------------------------------- what a run was made with
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

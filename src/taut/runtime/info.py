@@ -23,8 +23,7 @@ from taut.maths.model import Model, PayloadValues
 from taut.maths.snapshot import Snapshot
 from taut.plant.contact import each_contact
 from taut.plant.rigid import RigidPlant
-from taut.record.film.surroundings import Around, Shape, Thing
-from taut.record.info import PartInfo
+from taut.record.info import Around, PartInfo, Shape, Thing
 from taut.trace.pose import Pose
 
 __all__ = ["around_info", "tool_info"]
