@@ -152,7 +152,7 @@ class Run:
         Raises:
             UsageError: It has no two ticks.
         """
-        from taut.record.run_report import content_of_run
+        from taut.record.report import content_of_run
 
         return content_of_run(self)
 
