@@ -8,7 +8,7 @@ import platform
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
-from typing import Any, Final, Literal, TypeAlias
+from typing import Final, Literal, TypeAlias
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from taut.arm.rules import indefinite
 from taut.base.types import Float64Array
 from taut.control.laws.apparent import FeltImpedance
 from taut.maths.chain import Chain
-from taut.record.plain import plain
 
 __all__ = [
     "POSES",
@@ -32,12 +31,9 @@ __all__ = [
     "Stability",
     "Thing",
     "check_info",
-    "differences",
     "versions",
 ]
 
-NO_DYNAMICS: Final = ("name", "home", "links")  # of an arm: no motion depends on them, once a run has begun
-UNNAMED: Final = ("placement", "T_WB", "payload")  # numbers of which a difference is named as a whole
 POSES: Final = "scene.poses"  # column of a run: (m, 7) position [m] and quaternion wxyz of each thing that moves
 PACKAGES: Final = ("numpy", "llvmlite", "mujoco")
 PAYLOAD_SHAPES: Final[Mapping[str, tuple[int, ...]]] = {"mass": (), "com": (3,), "inertia": (6,)}
@@ -224,22 +220,6 @@ def _is_possible(arm: Arm | None, n: int) -> bool:
         return False
     with np.errstate(invalid="ignore", over="ignore"):  # a mass may be negative or huge
         return indefinite(arm) is None
-
-
-def differences(one: Arm, other: Arm) -> tuple[str, ...]:
-    """Names of the numbers in which the dynamics of two arms differ, such as gear, mass, axis."""
-    return tuple(dict.fromkeys(name for name in _different(plain(one), plain(other)) if name not in NO_DYNAMICS))
-
-
-def _different(one: Any, other: Any, name: str = "") -> Iterator[str]:
-    if isinstance(one, Mapping) and isinstance(other, Mapping):
-        for key in {**one, **other}:
-            yield from _different(one.get(key), other.get(key), name if name in UNNAMED else key)
-    elif isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
-        for a, b in zip(one, other, strict=True):
-            yield from _different(a, b, name)
-    elif one != other:
-        yield name
 
 
 @functools.cache
