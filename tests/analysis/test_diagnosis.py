@@ -21,7 +21,7 @@ from taut.analysis import CHECKS, Check, ExaminedRun, Finding, Threshold
 from taut.analysis.diagnosis.checks import SHARED
 from taut.analysis.diagnosis.spectrum import fit_sinusoid
 from taut.cli.main import main
-from taut.record.outcome import Outcome
+from taut.record.info import Outcome
 from taut.scenarios.scenario import built_in_scenarios, load_scenario
 
 Bar = Callable[[str, object], None]

@@ -55,10 +55,10 @@ if TYPE_CHECKING:
     from taut.linear.linear_system import OperatingPoint as OperatingPoint
     from taut.linear.routh_table import RouthTable as RouthTable
     from taut.linear.routh_table import routh as routh
+    from taut.record.friction_plot import plot_friction as plot_friction
     from taut.record.metrics import METRICS as METRICS
     from taut.record.metrics import Metric as Metric
     from taut.record.metrics import metric as metric
-    from taut.record.plots.friction_curves import plot_friction as plot_friction
     from taut.scenarios.compare import grade as grade
 
 __getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

@@ -23,7 +23,7 @@ from taut.control.laws.joint import PID
 from taut.control.trajectories.reference import JointMotion
 from taut.maths.snapshot import snapshot
 from taut.maths.task_inertia import rotor_share
-from taut.record.plots.friction_curves import plot_friction
+from taut.record.friction_plot import plot_friction
 from taut.record.run import Run
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""RunInfo: what a run was made with, as data that a log keeps."""
+"""RunInfo and Outcome: what a run was made with and how it ended, as data that a log keeps."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import platform
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
-from typing import Final, Literal, TypeAlias
+from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
 
@@ -23,6 +23,7 @@ __all__ = [
     "Around",
     "Change",
     "Mesh",
+    "Outcome",
     "PartInfo",
     "RunInfo",
     "ScenarioInfo",
@@ -39,6 +40,7 @@ PACKAGES: Final = ("numpy", "llvmlite", "mujoco")
 PAYLOAD_SHAPES: Final[Mapping[str, tuple[int, ...]]] = {"mass": (), "com": (3,), "inertia": (6,)}
 
 
+OutcomeKind: TypeAlias = Literal["completed", "diverged", "stopped"]
 ShapeKind: TypeAlias = Literal["plane", "box", "sphere", "ellipsoid", "cylinder", "capsule", "mesh"]
 Numbers: TypeAlias = tuple[float, ...]
 
@@ -96,7 +98,31 @@ class Around:
         return bool(self.things or self.missing)
 
 
-# -------------------------------------------------------------------- what a run was made with
+# -------------------------------------------------------------------- what a run was made with, and how it ended
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """How a run ended: completed, diverged, or stopped for a stated reason."""
+
+    kind: OutcomeKind
+    message: str
+    tick: int  # the last tick that was recorded
+    joint: str | None = None
+    dropped: int = 0  # ticks that are in the record and not in the log, which could not be written
+
+    @property
+    def ok(self) -> bool:
+        """Whether the run went to its end."""
+        return self.kind == "completed"
+
+    def __str__(self) -> str:
+        return self.message
+
+    def json(self) -> dict[str, Any]:
+        """As plain values."""
+        values = {"kind": self.kind, "message": self.message, "tick": self.tick, "joint": self.joint}
+        return values if not self.dropped else {**values, "dropped": self.dropped}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -19,8 +19,7 @@ from taut.base.errors import RangeError, UsageError, count_of
 from taut.base.paths import Named
 from taut.base.types import Float64Array
 from taut.control.trajectories.reference import Sample
-from taut.record.info import RunInfo
-from taut.record.outcome import Outcome
+from taut.record.info import Outcome, RunInfo
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -236,7 +235,7 @@ class Run:
         Raises:
             UnknownNameError: The run has no such joint.
         """
-        from taut.record.plots.run_plot import plot
+        from taut.record.run_plot import plot
 
         return plot(self, joints=joints)
 

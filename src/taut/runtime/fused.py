@@ -18,7 +18,7 @@ from taut.control.tasks.feed import feed_of
 from taut.loop import DT, Loop
 from taut.maths.snapshot import Snapshot
 from taut.plant.contact import check_force_feedback
-from taut.record.outcome import Outcome
+from taut.record.info import Outcome
 from taut.runtime.events import Event, Schedule
 from taut.runtime.tape import LOG_PERIOD, OngoingRun, Tape
 

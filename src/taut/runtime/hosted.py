@@ -15,7 +15,7 @@ from taut.control.trajectories.reference import Reference
 from taut.controller import Controller, take_up_change
 from taut.loop import sensed_of
 from taut.maths.snapshot import Snapshot
-from taut.record.outcome import Outcome
+from taut.record.info import Outcome
 from taut.runtime.events import Event, Schedule
 from taut.runtime.host import HostPlant
 from taut.runtime.tape import OngoingRun, RowLog, Tape
