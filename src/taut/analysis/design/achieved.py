@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from taut.analysis.design.specification import QUANTITIES, Specification, per_coordinate, square
+from taut.analysis.design.specification import Specification, per_coordinate, square
 from taut.base.types import Float64Array
 from taut.control.closed_loop import ClosedLoop
 from taut.control.law import Law
@@ -38,7 +38,7 @@ RANK: Final = 1e-9  # [-] of the largest singular value, or of a step: less is r
 INSTANT: Final = 1e-6  # [-] modulus in z of a mode that is over within a period
 ROUNDING: Final = 1e-9  # [-] of the imaginary part of a pole in z: that of a real one
 DROOP: Final = 1e-9  # [rad | m] of a steady-state error: rounding
-UNITS: Final = {name: quantity.unit.replace("-", "") for name, quantity in QUANTITIES.items()}
+UNITS: Final = {name: field.unit for name, field in Specification.declared.items()}
 
 
 @dataclass(frozen=True, kw_only=True)

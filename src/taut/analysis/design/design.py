@@ -22,7 +22,7 @@ from taut.base.types import ArrayLike, Float64Array
 from taut.control.closed_loop import ClosedLoop
 from taut.control.gains import Gain
 from taut.control.law import Law
-from taut.control.sensing.sensing import Sensing
+from taut.control.sensing import Sensing
 from taut.controller import Controller, compile
 from taut.linear.judgement import judge
 from taut.linear.linear_system import LinearSystem
@@ -31,7 +31,7 @@ from taut.linear.period import finite_derivative, loop_map
 from taut.loop import DT, Loop
 from taut.maths.adds import Adds
 from taut.maths.snapshot import Snapshot, snapshot
-from taut.plant.drives.actuation import Actuation
+from taut.plant.actuation import Actuation
 from taut.plant.environments.hands import Push
 from taut.plant.environments.springs import Spring
 from taut.plant.rigid import RigidPlant
@@ -127,7 +127,7 @@ def design(
     poses, rate = poses_of(arm, at), rate_in_hertz(rate)
     given = law if isinstance(law, Law) else with_any_gains(law)
     loops = [closed_loop_of(given, snapshot(arm, q)) for q in poses]
-    specification.check(type(given).__name__, loops[0])
+    specification.check_fit(type(given).__name__, loops[0])
     if coupled and not loops[0].decentralised:
         raise UsageError(
             f"coupled=True is for PID and GravityPID; leave it out for {type(given).__name__}", name="coupled"

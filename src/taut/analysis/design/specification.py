@@ -2,42 +2,27 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from scipy.linalg import eigh
 
-from taut.base.checks import finite_array
 from taut.base.errors import RangeError, UsageError
-from taut.base.quantity import Quantity
-from taut.base.types import ArrayLike, Float64Array
+from taut.base.fields import Declared, Field
+from taut.base.types import Float64Array
 from taut.control.closed_loop import ClosedLoop, PlacedGains
 from taut.control.law import Law
 from taut.linear.joint_loop import second_order
 
-__all__ = ["QUANTITIES", "Specification", "place_poles", "square"]
+__all__ = ["Specification", "place_poles", "square"]
 
-QUANTITIES: Final = {
-    "zeta": Quantity(unit="-", rule="> 0", instead="zeta = 1 is critical damping"),
-    "overshoot": Quantity(unit="%", rule=">= 0"),
-    "omega_n": Quantity(unit="rad/s", rule="> 0"),
-    "settling": Quantity(unit="s", rule="> 0"),
-    "K": Quantity(unit="N/m, N m/rad", rule=">= 0"),
-    "contact": Quantity(unit="N/m, N m/rad", rule="> 0"),
-    "force": Quantity(unit="1/s", rule="> 0"),
-    "integral": Quantity(unit="-", rule=">= 0"),
-}
-SCALARS: Final = ("zeta", "overshoot", "force", "integral")
 SETTLED_RATIO: Final = 50.0  # [-] of a step and the 2 % within which it has settled
 FREE: Final = 1e-9  # [-] of the largest stiffness over inertia: a motion that no spring draws back
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Specification:
+class Specification(Declared):
     """The numbers that a design asks for; None for those that it does not.
 
     Args:
@@ -56,38 +41,23 @@ class Specification:
         UsageError: Two numbers for the same thing, or none.
     """
 
-    zeta: float | None = None
-    overshoot: float | None = None
-    omega_n: ArrayLike | None = None
-    settling: ArrayLike | None = None
-    K: ArrayLike | None = None
-    contact: ArrayLike | None = None
-    force: float | None = None
-    integral: float = 0.0
+    zeta: Field = Field(above=0.0, run_time=False, optional=True, hint="zeta = 1 is critical damping")
+    overshoot: Field = Field(unit="%", minimum=0.0, run_time=False, optional=True)
+    omega_n: Field = Field(unit="rad/s", shape="n", above=0.0, optional=True)
+    settling: Field = Field(unit="s", shape="n", above=0.0, optional=True)
+    K: Field = Field(unit="N/m, N m/rad", shape="n", accepts=("matrix",), minimum=0.0, optional=True)
+    contact: Field = Field(unit="N/m, N m/rad", shape="n", accepts=("matrix",), above=0.0, optional=True)
+    force: Field = Field(unit="1/s", above=0.0, run_time=False, optional=True)
+    integral: Field = Field(0.0, minimum=0.0, run_time=False)
 
-    def __post_init__(self) -> None:
-        for name, value in self.given.items():
-            quantity = QUANTITIES[name]
-            if name in ("K", "contact") and np.ndim(value) == 2:
-                checked: Any = finite_array(name, value, unit=quantity.unit)
-            else:
-                checked = quantity.checked(name, value)
-            if name in SCALARS:
-                if checked.ndim:
-                    raise UsageError(f"{name} must be one number; got shape {checked.shape}", name=name)
-                checked = float(checked)
-            object.__setattr__(self, name, checked)
+    def check(self) -> None:
         self._refuse_both("zeta", "overshoot")
         self._refuse_both("omega_n", "settling", "K")
         for name, limit in (("overshoot", 100.0), ("integral", 1.0)):
             value = getattr(self, name)
             if value is not None and value >= limit:
-                raise RangeError(
-                    f"{name} must be below {limit:g}, where the loop oscillates without damping; got {value:g}",
-                    name=name,
-                    value=value,
-                    rule=f"< {limit:g}",
-                )
+                rule = f"must be below {limit:g}, where the loop oscillates without damping; got {value:g}"
+                self.refuse(name, rule, RangeError)
 
     def _refuse_both(self, *names: str) -> None:
         given = [name for name in names if getattr(self, name) is not None]
@@ -99,7 +69,7 @@ class Specification:
     @property
     def given(self) -> dict[str, Any]:
         """What is asked for, by name."""
-        every = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        every = {name: getattr(self, name) for name in self.declared}
         return {name: value for name, value in every.items() if value is not None and (name != "integral" or value)}
 
     @property
@@ -115,7 +85,7 @@ class Specification:
         angle = math.log(SETTLED_RATIO) if zeta is None else second_order(zeta=zeta, settling=1.0).omega_n
         return angle / per_coordinate("settling", self.settling, loop)
 
-    def check(self, law: str, loop: ClosedLoop) -> None:
+    def check_fit(self, law: str, loop: ClosedLoop) -> None:
         """What is asked for must be what the closed loop of a law has.
 
         Raises:
