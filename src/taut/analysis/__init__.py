@@ -28,15 +28,15 @@ if TYPE_CHECKING:
     from taut.analysis.grading import Grade as Grade
     from taut.analysis.impedance_at_tool import ToolImpedance as ToolImpedance
     from taut.analysis.impedance_at_tool import tool_impedance as tool_impedance
-    from taut.analysis.joint_coupling import Coupling as Coupling
-    from taut.analysis.joint_coupling import coupling as coupling
     from taut.analysis.loci import RootLocus as RootLocus
     from taut.analysis.loci import StabilityMap as StabilityMap
     from taut.analysis.loci import root_locus as root_locus
     from taut.analysis.loci import stability_map as stability_map
-    from taut.analysis.lyapunov_function import Lyapunov as Lyapunov
-    from taut.analysis.lyapunov_function import lyapunov as lyapunov
     from taut.analysis.run_gradient import Tick as Tick
+    from taut.analysis.several_joints import Coupling as Coupling
+    from taut.analysis.several_joints import Lyapunov as Lyapunov
+    from taut.analysis.several_joints import coupling as coupling
+    from taut.analysis.several_joints import lyapunov as lyapunov
     from taut.analysis.stiffness import StiffnessCheck as StiffnessCheck
     from taut.analysis.stiffness import check_stiffness as check_stiffness
     from taut.analysis.stiffness import check_virtual_wall as check_virtual_wall

@@ -9,8 +9,7 @@ from typing import Final
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from taut.analysis.joint_coupling import coupling
-from taut.analysis.lyapunov_function import Lyapunov, lyapunov
+from taut.analysis.several_joints import Lyapunov, coupling, lyapunov
 from taut.arm.load import load_arm
 from taut.base.plot_style import DASHED, INK, colour, prepared
 from taut.base.types import Float64Array
