@@ -1,4 +1,4 @@
-"""Section 10.2.2: coupling of the joints of a loop, and the Lyapunov function of PD control with gravity compensation."""
+"""Section 10.2.2: coupling of joints, and the Lyapunov function of PD control with gravity compensation."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def coupling(loop: Loop, *, at: ArrayLike | None = None) -> Coupling:
     )
 
 
-# -------------------------------------------------------------------- the Lyapunov function of equations 10.24 to 10.27
+# -------------------------------------------------------------------- the Lyapunov function, eqs. 10.24 to 10.27
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
