@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from taut.analysis.constraints.specification import check_specification as check_specification
     from taut.analysis.constraints.specification import possible_specifications as possible_specifications
     from taut.analysis.design.achieved import Requirement as Requirement
-    from taut.analysis.design.result import Design as Design
+    from taut.analysis.design.design import Design as Design
     from taut.analysis.diagnosis.check import Check as Check
     from taut.analysis.diagnosis.check import ExaminedRun as ExaminedRun
     from taut.analysis.diagnosis.check import Finding as Finding
