@@ -24,9 +24,8 @@ from taut.control.laws.task import TaskComputedTorque
 from taut.control.laws.task_space import Compliance
 from taut.control.laws.via_joint_space import ViaJointSpace
 from taut.control.trajectories.task_reference import TaskMotion
-from taut.linear.equilibrium import WITHIN
 from taut.linear.linear_system import Complex, LinearSystem
-from taut.linear.linearise import linearise
+from taut.linear.linearise import WITHIN, linearise
 from taut.loop import Loop
 from taut.maths.model import PayloadValues
 from taut.maths.snapshot import Snapshot
