@@ -11,7 +11,7 @@ from sine_sweep import measured_Z
 
 import taut
 from taut.base.types import Float64Array
-from taut.control.describe import law_classes
+from taut.control.combine import law_classes
 from taut.trace import math as tm
 
 laws, Plant = taut.laws, taut.RigidPlant

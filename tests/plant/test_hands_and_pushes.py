@@ -234,7 +234,6 @@ def test_what_cannot_be_is_refused(make: Any, kind: type[taut.TautError], name: 
         (WALL + HAND, "Hand.mass", [1.0, 2.0, 3.0]),
         (HAND, "damping", [1.0, 2.0, 3.0]),
         (taut.environments.Spring(stiffness=(1.0, 1.0)), "stiffness", 3.0),
-        (taut.environments.Spring(stiffness=1.0, at=[0, 0, 0]), "at.xyzw", [0, 0, 0, 2.0]),
         (taut.environments.Push(), "t", -1.0),
     ],
 )  # fmt: skip
@@ -253,4 +252,3 @@ def test_a_changed_parameter_is_kept_as_it_would_be_made() -> None:
         plant.checked_parameter("environment.Spring.stiffness", (2.0, 3.0)), np.diag([2.0] * 3 + [3.0] * 3)
     )
     np.testing.assert_array_equal(plant.checked_parameter("environment.StiffWall.normal", [0, 3, 0]), [0, 1, 0])
-    np.testing.assert_array_equal(plant.checked_parameter("environment.Spring.at.p", [1, 0, 0]), [1, 0, 0])

@@ -10,7 +10,7 @@ import pytest
 
 import taut
 from taut.record.film.surroundings import POSES, Around, Thing
-from taut.runtime.info import around_info
+from taut.runtime.simulate import around_info
 
 C = taut.Constraint
 ARM = taut.load_arm("fr3")

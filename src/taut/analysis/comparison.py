@@ -19,16 +19,17 @@ from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike
 from taut.control.law import Law
 from taut.control.limits import Limits
-from taut.control.sensing.sensing import Sensing
+from taut.control.sensing import Sensing
 from taut.control.trajectories.reference import Reference
 from taut.controller import Controller, compile
 from taut.loop import Loop
-from taut.plant.sensors.sensors import Sensors
+from taut.plant.rigid import RigidPlant
+from taut.plant.sensors import Sensors
 from taut.record.metrics import METRICS
 from taut.record.plots.comparison import compare as compare_runs
 from taut.record.run import Run
 from taut.runtime.events import Event
-from taut.runtime.host import VariedPlant
+from taut.runtime.host import PlantBase
 from taut.runtime.simulate import Plant, run
 
 if TYPE_CHECKING:
@@ -470,7 +471,7 @@ def main_error(numbers: Mapping[str, Mapping[str, float]]) -> str | None:
 
 def plant_like(plant: Plant, *, arm: Arm | None = None, sensors: Sensors | None = None) -> Plant | None:
     """A plant of the same arguments but these; None of one that cannot be made anew, such as a user's own."""
-    return plant.like(arm=arm, sensors=sensors) if isinstance(plant, VariedPlant) else None
+    return plant.like(arm=arm, sensors=sensors) if isinstance(plant, (RigidPlant, PlantBase)) else None
 
 
 def with_noise(sensors: Sensors, noise: Mapping[str, ArrayLike]) -> Sensors:

@@ -15,7 +15,7 @@ from taut.base.errors import NumericalError, RangeError, ShapeError, UsageError
 from taut.base.quantity import FORCE_AND_MOMENT, Quantity, six_of
 from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.sensing.sensing import Wrist
+from taut.control.sensing import Wrist
 from taut.maths import dynamics as dyn
 from taut.maths.model import PayloadValues, model_of
 from taut.maths.wrist import sensor_place

@@ -130,15 +130,17 @@ class Declaration(Generic[T]):
 
     def taken(self, value: Any, owner: Any = None) -> Any:
         """A given value, converted and checked, as it is stored. Raises Refusal."""
-        if value is None and self.optional:
-            return None
-        if self.convert is not None:
-            try:
-                value = self.convert(value)
-            except TautError as cause:
-                text = str(cause).removeprefix(self.name).lstrip()
-                raise Refusal(type(cause), self.name, text, value) from None
-        return self.stored(self.checked(value, owner))
+        return None if value is None and self.optional else self.stored(self.checked(self.converted(value), owner))
+
+    def converted(self, value: Any) -> Any:
+        """What `convert` makes of a given value. Raises Refusal."""
+        if self.convert is None:
+            return value
+        try:
+            return self.convert(value)
+        except TautError as cause:
+            text = str(cause).removeprefix(self.name).lstrip()
+            raise Refusal(type(cause), self.name, text, value) from None
 
     def schema(self) -> dict[str, Any]:
         """The declaration as data, like a JSON schema."""
@@ -390,7 +392,7 @@ class Part(Declaration[T]):
         self.of, self.inline = of, inline
 
     def rule(self) -> str:
-        return " or ".join(IN_WORDS.get(kind, f"a {kind.__name__}") for kind in self.of)
+        return " or ".join(IN_WORDS.get(kind, f"{_article(kind.__name__)} {kind.__name__}") for kind in self.of)
 
     def checked(self, value: Any, owner: Any = None, joints: Joints = None) -> Any:  # noqa: ARG002
         wrong = isinstance(value, bool) and bool not in self.of  # a flag is no whole number
@@ -419,6 +421,10 @@ class Parts(Part[T]):
         if not isinstance(many, (list, tuple)):
             raise Refusal(UsageError, self.name, f"must be several of {self.rule()}; got {value!r}", value)
         return tuple(super(Parts, self).checked(one, owner, joints) for one in many)
+
+
+def _article(word: str) -> str:
+    return "an" if word[0] in "AEIOU" else "a"
 
 
 def unknown_field(name: str, known: Iterable[str], kind: str = "field") -> Refusal:

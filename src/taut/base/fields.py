@@ -277,7 +277,7 @@ class Declared:
         """
         owner, field = self.find(path)
         try:
-            checked: Float64Array = field.checked(value, owner, joints)
+            checked: Float64Array = field.checked(field.converted(value), owner, joints)
         except Refusal as refusal:
             refusal.field = refusal.field.replace(field.name, name or path, 1)
             raise refusal.error(type(self).__name__) from None

@@ -26,7 +26,7 @@ from taut.base.checks import (
 )
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.sensing.filters import Difference, LowPass, check_filter
+from taut.control.sensing import Difference, LowPass, check_filter
 from taut.linear.linear_system import LinearSystem, names
 from taut.linear.step_response import BAND
 

@@ -32,11 +32,11 @@ from taut.loop import DT, AnyPlant, Loop, ModelPlant, Values
 from taut.maths import dynamics as dyn
 from taut.maths.model import model_of
 from taut.maths.spatial import rotation_exp
-from taut.plant.drives.actuation import Actuation
+from taut.plant.actuation import Actuation
 from taut.plant.environments.environment import COMMAND, disturbance_shapes
 from taut.plant.environments.hands import Push
 from taut.plant.rigid import RigidPlant
-from taut.plant.sensors.sensors import Sensors
+from taut.plant.sensors import Sensors
 from taut.trace import math as tm
 
 __all__ = [

@@ -26,14 +26,14 @@ from taut.environments import (
 from taut.maths.adds import Adds
 from taut.maths.spatial import rotation_exp
 from taut.plant.rigid import RigidPlant
-from taut.runtime.host import HostPlant
+from taut.runtime.host import PlantBase
 from taut.scenarios.arms import OF_TRUE_ARM, friction_word, read_true_arm
 from taut.scenarios.reading import Table, arguments, of_kind, read, reads
 from taut.trace.pose import Pose
 
 __all__ = ["Plant", "Spread", "read_plant", "read_spread"]
 
-Plant: TypeAlias = RigidPlant | HostPlant
+Plant: TypeAlias = RigidPlant | PlantBase
 
 ENVIRONMENTS: Final[Mapping[str, Callable[..., Any]]] = {
     "spring": Spring,

@@ -18,7 +18,7 @@ from taut.base.fields import Declared, Field, Plain
 from taut.base.types import ArrayLike
 from taut.control.law import Law
 from taut.control.limits import Limits
-from taut.control.sensing.sensing import Sensing
+from taut.control.sensing import Sensing
 from taut.control.side_by_side import SideBySide
 from taut.control.tasks.task import Task
 from taut.control.trajectories.reference import Reference

@@ -23,7 +23,7 @@ from taut.base.types import ArrayLike, Float64Array
 from taut.control.closed_loop import ClosedLoop
 from taut.control.gains import Gain
 from taut.control.law import Law
-from taut.control.sensing.sensing import Sensing
+from taut.control.sensing import Sensing
 from taut.controller import Controller, compile
 from taut.linear.judgement import judge
 from taut.linear.linear_system import LinearSystem
@@ -31,7 +31,7 @@ from taut.linear.linearise import linearise
 from taut.loop import Loop
 from taut.maths.adds import Adds
 from taut.maths.snapshot import Snapshot, snapshot
-from taut.plant.drives.actuation import Actuation
+from taut.plant.actuation import Actuation
 from taut.plant.environments.hands import Push
 from taut.plant.environments.springs import Spring
 from taut.plant.rigid import RigidPlant

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import numpy as np
 
 from taut.base.checks import finite_array
 from taut.base.errors import RangeError, UsageError
 from taut.base.fields import Choice, Declared, Field, Part
-from taut.base.types import Array, ArrayLike, Float64Array, Twist, Wrench
+from taut.base.types import ArrayLike, Float64Array, Twist, Wrench
 from taut.maths.spatial import left_jacobian_inverse, rotated, rotation_log
 from taut.plant.environments.environment import Environment, applied, fastest
 from taut.trace import math as tm
@@ -65,7 +64,7 @@ class Spring(Environment):
         >>> import taut
         >>> spring = Spring(stiffness=(500.0, 20.0), at=taut.Pose([0.4, 0.0, 0.3]))
         >>> sorted(spring.parameters())
-        ['at.p', 'at.xyzw', 'stiffness']
+        ['stiffness']
     """
 
     stiffness: Field = Field(unit="N/m | N m/rad", shape=6, accepts=("scalar", "pair", "matrix"), minimum=0.0)
@@ -78,11 +77,6 @@ class Spring(Environment):
             self.refuse(
                 "slack", "is the free length of a cord of one stiffness [N/m]; leave it out, or give stiffness 300"
             )
-
-    def parameters(self) -> dict[str, Float64Array]:
-        """Run-time parameters by name, those of the place among them."""
-        own = Declared.parameters(self)
-        return own if self.at is None else own | {"at.p": np.asarray(self.at.p), "at.xyzw": self.at.xyzw}
 
     def start(self, T_WE: Pose) -> dict[str, Any]:
         """Memory at the start: where the tool is, if that is where it is at rest."""
@@ -99,35 +93,21 @@ class Spring(Environment):
     ) -> tuple[Wrench, dict[str, Any]]:
         """(6,) [N, N m] on the arm, and the memory as it was."""
         K = parameters["stiffness"]
-        at_rest = memory["p"] if self.at is None else parameters["at.p"]
+        at_rest, R_WA = (memory["p"], memory["R"]) if self.at is None else (self.at.p, self.at.R)
         way = T_WE.p - at_rest
         if np.ndim(K) == 0:
             if self.slack is not None:
                 length = tm.maximum(tm.norm(way), TINY)
                 way = way * tm.maximum(1.0 - parameters["slack"] / length, 0.0)
             return tm.array([*(-K * way), 0.0, 0.0, 0.0]), dict(memory)
-        R_WA = memory["R"] if self.at is None else _rotation(parameters["at.xyzw"])
         phi = rotation_log(R_WA.T @ T_WE.R)
         pull = applied(K, tm.array([*(R_WA.T @ way), *phi]))
         moment = left_jacobian_inverse(phi).T @ pull[3:]
         return rotated(R_WA, tm.array([*(-pull[:3]), *(-moment)])), dict(memory)
 
-    def changed(self, path: str, value: Any, *, name: str = "") -> Self:
-        """The same with another value of a parameter, checked as when it was made."""
-        if self.at is not None and path in ("at.p", "at.xyzw"):
-            at = Pose(value, R=self.at.R) if path == "at.p" else Pose(self.at.p, xyzw=value)
-            return dataclasses.replace(self, at=at)
-        return Declared.changed(self, path, value, name=name)
-
     def rates(self, mobility: Float64Array, parameters: Values) -> tuple[float, float]:
         """Natural frequency of the tool in it [rad/s]; it has no damping."""
         return float(np.sqrt(fastest(mobility, parameters["stiffness"]))), 0.0
-
-
-def _rotation(xyzw: Array) -> Array:
-    """(3, 3) of a quaternion of unit length."""
-    v = tm.skew(xyzw[:3])
-    return tm.eye(3) + 2.0 * (xyzw[3] * v + v @ v)  # type: ignore[no-any-return]
 
 
 class Damper(Environment):

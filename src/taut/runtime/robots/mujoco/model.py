@@ -20,7 +20,7 @@ from taut.base.errors import ShapeError
 from taut.base.quantity import Quantity, keep_quantities
 from taut.base.types import ArrayLike, Float64Array
 from taut.maths.adds import Adds
-from taut.plant.drives.drivetrain import Drivetrain
+from taut.plant.drivetrain import Drivetrain
 from taut.plant.parts import PlantParts
 from taut.runtime.robots.mujoco.rig import Guard, Rig, index
 from taut.runtime.robots.mujoco.scene import Scene, attach_scene, refused
