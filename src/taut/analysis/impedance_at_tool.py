@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from taut.base.checks import finite_array, require_positive
+from taut.base.checks import finite_array, require_range
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.paths import subtree
 from taut.base.result import Cell, Content, Result, Table
@@ -119,7 +119,7 @@ class ToolImpedance(Result):
                 name="specified",
             )
         w = np.atleast_1d(finite_array("omega", omega, unit="rad/s"))
-        require_positive("omega", w, unit="rad/s")
+        require_range("omega", w, above=0.0, unit="rad/s")
         return _inverse(self.specified.admittance(w, self.direction))
 
     def content(self) -> Content:

@@ -251,7 +251,7 @@ def design(
     poses, rate = poses_of(arm, at), rate_in_hertz(rate)
     given = law if isinstance(law, Law) else with_any_gains(law)
     loops = [closed_loop_of(given, snapshot(arm, q)) for q in poses]
-    specification.check_for(type(given).__name__, loops[0])
+    specification.check_fit(type(given).__name__, loops[0])
     if coupled and not loops[0].decentralised:
         raise UsageError(
             f"coupled=True is for PID and GravityPID; leave it out for {type(given).__name__}", name="coupled"

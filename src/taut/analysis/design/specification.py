@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
 from typing import Any, Final
@@ -17,7 +16,7 @@ from taut.control.closed_loop import ClosedLoop, PlacedGains
 from taut.control.law import Law
 from taut.linear.joint_loop import second_order
 
-__all__ = ["Specification", "per_coordinate", "place_poles", "square"]
+__all__ = ["Specification", "place_poles", "square"]
 
 SETTLED_RATIO: Final = 50.0  # [-] of a step and the 2 % within which it has settled
 FREE: Final = 1e-9  # [-] of the largest stiffness over inertia: a motion that no spring draws back
@@ -34,30 +33,16 @@ class Specification(Declared):
         UsageError: Two numbers for the same thing, or none.
     """
 
-    zeta: Field = Field(
-        above=0.0,
-        optional=True,
-        hint="zeta = 1 is critical damping",
-        run_time=False,
-        doc="damping ratio of every mode",
-    )
-    overshoot: Field = Field(unit="%", minimum=0.0, optional=True, run_time=False, doc="of a step, in place of zeta")
-    omega_n: Field = Field(
-        unit="rad/s", shape="n", above=0.0, optional=True, doc="natural frequency; without a damping the single pole"
-    )
-    settling: Field = Field(
-        unit="s", shape="n", above=0.0, optional=True, doc="exact 2 % settling time of a step, likewise"
-    )
-    K: Field = Field(unit="N/m, N m/rad", shape="n", accepts=("matrix",), minimum=0.0, optional=True, doc="stiffness")
-    contact: Field = Field(
-        unit="N/m, N m/rad", shape="n", accepts=("matrix",), above=0.0, optional=True,
-        doc="stiffness of what a law of force presses on",
-    )  # fmt: skip
-    force: Field = Field(unit="1/s", above=0.0, optional=True, run_time=False, doc="pole of the force")
-    integral: Field = Field(0.0, minimum=0.0, run_time=False, doc="ki as a fraction of its stability limit kd kp / M")
+    zeta: Field = Field(above=0.0, run_time=False, optional=True, hint="zeta = 1 is critical damping")
+    overshoot: Field = Field(unit="%", minimum=0.0, run_time=False, optional=True)
+    omega_n: Field = Field(unit="rad/s", shape="n", above=0.0, optional=True)
+    settling: Field = Field(unit="s", shape="n", above=0.0, optional=True)
+    K: Field = Field(unit="N/m, N m/rad", shape="n", accepts=("matrix",), minimum=0.0, optional=True)
+    contact: Field = Field(unit="N/m, N m/rad", shape="n", accepts=("matrix",), above=0.0, optional=True)
+    force: Field = Field(unit="1/s", above=0.0, run_time=False, optional=True)
+    integral: Field = Field(0.0, minimum=0.0, run_time=False)
 
     def check(self) -> None:
-        """One number for each thing, and a loop that is damped."""
         for names in (("zeta", "overshoot"), ("omega_n", "settling", "K")):
             given = [name for name in names if getattr(self, name) is not None]
             if len(given) > 1:
@@ -65,19 +50,15 @@ class Specification(Declared):
                     f"{' and '.join(given)} determine the same number; give one of {', '.join(names)}", name=given[-1]
                 )
         for name, limit in (("overshoot", 100.0), ("integral", 1.0)):
-            value = getattr(self, name) or 0.0
-            if value >= limit:
-                raise RangeError(
-                    f"{name} must be below {limit:g}, where the loop oscillates without damping; got {value:g}",
-                    name=name,
-                    value=value,
-                    rule=f"< {limit:g}",
-                )
+            value = getattr(self, name)
+            if value is not None and value >= limit:
+                rule = f"must be below {limit:g}, where the loop oscillates without damping; got {value:g}"
+                self.refuse(name, rule, RangeError)
 
     @property
     def given(self) -> dict[str, Any]:
         """What is asked for, by name."""
-        every = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        every = {name: getattr(self, name) for name in self.declared}
         return {name: value for name, value in every.items() if value is not None and (name != "integral" or value)}
 
     @property
@@ -93,7 +74,7 @@ class Specification(Declared):
         angle = math.log(SETTLED_RATIO) if zeta is None else second_order(zeta=zeta, settling=1.0).omega_n
         return angle / per_coordinate("settling", self.settling, loop)
 
-    def check_for(self, law: str, loop: ClosedLoop) -> None:
+    def check_fit(self, law: str, loop: ClosedLoop) -> None:
         """What is asked for must be what the closed loop of a law has.
 
         Raises:

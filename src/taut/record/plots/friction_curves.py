@@ -10,7 +10,7 @@ import numpy as np
 
 from taut.arm.description import Arm
 from taut.arm.friction import FRICTION_FIELDS, Friction
-from taut.base.checks import finite_array, finite_scalar, require_positive
+from taut.base.checks import finite_array, positive_scalar
 from taut.base.errors import ShapeError, UsageError
 from taut.base.plot_style import INK, WIDTH, colour, legend_above, prepared, short_name
 from taut.base.types import ArrayLike, Float64Array
@@ -78,8 +78,7 @@ def plot_friction(
             name="friction",
         )
     if speed is not None:
-        reach = finite_scalar("speed", speed, unit="rad/s")
-        require_positive("speed", np.asarray(reach), unit="rad/s")
+        reach = positive_scalar("speed", speed, unit="rad/s")
         panels = [Panel(title=p.title, friction=p.friction, speed=reach, units=p.units) for p in panels]
     across = min(FRICTION_PANELS_ACROSS, len(panels))
     rows = -(-len(panels) // across)
