@@ -21,9 +21,8 @@ from taut.control.laws.impedance import Stiffness
 from taut.control.laws.joint import PID, ComputedTorque, FeedForward, GravityCompensation, GravityPID
 from taut.control.laws.task import TaskComputedTorque
 from taut.control.laws.via_joint_space import ViaJointSpace
-from taut.linear.equilibrium import WITHIN
 from taut.linear.linear_system import Complex, LinearSystem
-from taut.linear.linearise import linearise
+from taut.linear.linearise import WITHIN, linearise
 from taut.loop import Loop
 from taut.maths.model import PayloadValues
 from taut.maths.snapshot import Snapshot
