@@ -7,12 +7,16 @@ from __future__ import annotations
 
 import os
 import resource
+import sys
 import tempfile
 from pathlib import Path
 
 import numpy as np
 
 os.environ["TAUT_CACHE_DIR"] = tempfile.mkdtemp()  # so that compiling is measured
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "analysis"))
+
+from sine_sweep import measured_Z
 
 import taut
 from taut.codegen.loop import StepLoop
@@ -128,7 +132,11 @@ def _pictures() -> None:
     law = laws.Impedance(K=(800.0, 30.0), zeta=0.7)
     tool = taut.analysis.tool_impedance(Loop(taut.compile(law, arm), late, duration=1.0), direction=[0.0, 0.0, 1.0])
     omega = 2.0 * np.pi * np.array([0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0])
-    tool.plot(omega).savefig(IMAGES / "linearise_tip.png", dpi=110)
+    figure = tool.plot()
+    measured = abs(measured_Z(tool, omega))
+    figure.axes[0].loglog(omega / (2.0 * np.pi), measured, "o", markersize=4.0, label="measured, sine sweep")
+    figure.axes[0].legend()
+    figure.savefig(IMAGES / "linearise_tip.png", dpi=110)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from taut.analysis import CHECKS, Check, ExaminedRun, Finding, Threshold
 from taut.analysis.diagnosis.checks import SHARED
 from taut.analysis.diagnosis.spectrum import fit_sinusoid
 from taut.cli.main import main
-from taut.record.outcome import Outcome
+from taut.record.info import Outcome
 from taut.scenarios.scenario import built_in_scenarios, load_scenario
 
 Bar = Callable[[str, object], None]
@@ -164,7 +164,7 @@ def test_the_page_prints_the_table_of_thresholds() -> None:
     ]
     for name, each in of:
         assert f"| {name} | {each.name} | {each.value:g} {each.unit} | {each.reason} |" in page
-    assert len(of) <= 32
+    assert len(of) <= 26
     assert len({each.name for _, each in of}) == len(of)
 
 
@@ -256,7 +256,6 @@ def test_a_payload_is_fitted_beyond_the_one_that_was_declared() -> None:
     at_rest = carried("panda", 2.0, [0.03, 0.0, 0.1], 4.0).between(3.0, 4.0)  # gravity shows no centre along itself
     (found,) = taut.doctor(at_rest).findings
     assert found.evidence["standard error of the centre"].value > 0.05
-    assert "its centre of mass is not known from this run" in found.remedy
 
 
 def test_a_load_and_friction_are_two_faults() -> None:
@@ -423,22 +422,6 @@ def test_winding_up_is_found_with_the_saturation_that_it_causes() -> None:
     assert [(each.name, each.follows) for each in found] == [("wind-up", ()), ("saturation", ("wind-up",))]
 
 
-def test_torques_beyond_the_limits_of_an_arm_are_found() -> None:
-    arm = taut.load_arm("panda")
-    T = taut.snapshot(arm, arm.home).T()
-    law = L.Impedance(K=(50_000.0, 300.0), zeta=0.7)
-    plant = taut.RigidPlant(arm)
-    goal = taut.TaskMotion(pose=taut.Pose(T.p + np.array([0.1, 0.0, 0.0]), R=T.R))
-    run = taut.run(taut.compile(law, arm), plant, goal, duration=1.0)
-    jump, beyond = taut.doctor(run).findings
-    assert (jump.name, beyond.name) == ("torque jump at the start", "effort limit exceeded")
-    assert beyond.follows == ("torque jump at the start",)
-    i = arm.joint_names.index(str(beyond.joint))
-    assert beyond.evidence["largest torque"].value == np.abs(run.tau[:, i]).max() > 50.0 * arm.effort[i]
-    limited = taut.run(taut.compile(law, arm, limits=taut.Limits.of(arm)), plant, goal, duration=1.0)
-    assert "effort limit exceeded" not in [each.name for each in taut.doctor(limited).findings]
-
-
 def pressed(plant: Callable[[taut.Arm, taut.Pose], Any], stroke: list[float], duration: float) -> taut.Run:
     """A Panda that presses with 8 N along a stroke on a surface that its law states to be level."""
     arm = runs.arm_of("panda")
@@ -501,7 +484,6 @@ def test_a_run_and_its_log_get_one_answer_for_an_arm_with_other_links(tmp_path: 
     diagnosis = taut.doctor(read)
     assert diagnosis.json() == taut.doctor(run).json()
     assert diagnosis.healthy
-    assert "mass" in taut.doctor(run, arm=taut.load_arm("planar3")).model
     unknown = dataclasses.replace(read, info=dataclasses.replace(read.info, controller_arm=None))
     assert any("wrong payload" in note for note in taut.doctor(unknown).notes)  # an arm is not guessed by its name
 
@@ -532,7 +514,7 @@ def test_a_task_is_examined_phase_by_phase(tmp_path: Path) -> None:
     ]
     run = taut.run(taut.compile(task, arm), taut.RigidPlant(arm), duration=3.1, progress=False)
     diagnosis = taut.doctor(run)
-    assert [(f.name, f.term, f.phase) for f in diagnosis.findings] == [("oscillation", "D", "phase 'far'")]
+    assert [(f.name, f.term, f.part) for f in diagnosis.findings] == [("oscillation", "D", "phase 'far'")]
     assert "phase 'stop': 0.097 s are too short" in diagnosis.notes
     assert taut.doctor(run.phase("near")).healthy
     assert taut.doctor(taut.load_run(run.save(tmp_path / "task.mcap"))).json() == diagnosis.json()
@@ -569,7 +551,7 @@ def test_a_run_that_is_not_whole_is_examined_as_far_as_it_goes() -> None:
     assert diagnosis.findings[0].name == "wrong payload"
     terms = {name: np.where(np.arange(501)[:, np.newaxis] < 400, x, np.nan) for name, x in run.terms.items()}
     unplugged = taut.doctor(dataclasses.replace(run, terms=terms))
-    assert unplugged.problems[0].startswith("101 ticks have no number in ")
+    assert unplugged.problems[0].startswith("101 ticks have values that are no numbers")
     assert unplugged.findings[0].name == "wrong payload"
 
 

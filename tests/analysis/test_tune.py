@@ -57,7 +57,7 @@ def test_the_gradient_is_that_of_central_differences(noisy: tuple[taut.Loop, tau
     tangent = RunGradient(loop, paths, weights)
     ways = {"law.kp": np.eye(4, 2), "law.kd": np.eye(4)[2], "law.ki": np.eye(4)[3]}
     q = np.array([0.3, 0.8])
-    along = tangent.at(ways, q, np.zeros(2), 3)
+    along = tangent.at({}, ways, q, np.zeros(2), 3)
     assert along.cost.mean() == pytest.approx(run_cost(loop, weights, q, 3), rel=1e-12)
     places: list[tuple[str, Any]] = [("law.kp", 0), ("law.kp", 1), ("law.kd", ()), ("law.ki", ())]
     run = taut.run(loop, q0=q, seed=3, progress=False)
@@ -80,7 +80,7 @@ def test_a_cost_of_ticks_written_by_the_user_has_the_same_gradient(noisy: tuple[
     q, ways = np.array([0.3, 0.8]), {"law.kd": np.ones(1)}
     own = RunGradient(loop, ("law.kd",), lambda tick: tick.e @ tick.e + 1e-5 * (tick.tau @ tick.tau))
     ours = RunGradient(loop, ("law.kd",), {"tracking": 1.0, "effort": 1e-5})
-    ways_own, ways_ours = (each.at(ways, q, np.zeros(2), 1).cost_slopes for each in (own, ours))
+    ways_own, ways_ours = (each.at({}, ways, q, np.zeros(2), 1).cost_slopes for each in (own, ours))
     assert ways_own == pytest.approx(ways_ours, rel=1e-12, abs=1e-18)
 
 
@@ -93,7 +93,7 @@ def test_the_tool_has_the_same_cost_by_ticks_and_by_runs() -> None:
     loop = taut.Loop(ctrl, taut.RigidPlant(arm, friction=None), target, duration=0.2)
     weights = {"tracking": 1.0, "rotation": 0.1, "speed": 1e-3}
     tangent = RunGradient(loop, ("law.kp",), weights)
-    along = tangent.at({"law.kp": np.ones(1)}, np.array([0.3, 0.8, 0.4]), np.zeros(3), 0)
+    along = tangent.at({}, {"law.kp": np.ones(1)}, np.array([0.3, 0.8, 0.4]), np.zeros(3), 0)
     assert along.cost.mean() == pytest.approx(run_cost(loop, weights, [0.3, 0.8, 0.4], 0), rel=1e-9)
 
 
@@ -151,21 +151,6 @@ def test_a_limit_of_the_torque_rate_is_kept_where_the_controller_has_none(loop: 
     assert tuned.cost < 0.8
 
 
-def test_a_margin_is_kept() -> None:
-    arm = taut.load_arm("one_joint", gravity=(0.0, 0.0, 0.0))
-    ctrl = taut.compile(laws.GravityPID(kp=50.0, kd=6.0), arm)
-    plant = taut.RigidPlant(arm, friction=None, actuation=taut.drives.Actuation(delay=10e-3))
-    loop = taut.Loop(ctrl, plant, taut.JointMotion(q=[1.0]), duration=2.0)
-    bounds: dict[str, Any] = {"law.kp": (20.0, 2000.0), "law.kd": (1.0, 60.0)}
-    asked = 1.1  # it is 0.91 without
-    tuned = taut.tune(
-        loop, tuple(bounds), bounds=bounds, margin=asked, q0=[0.0], evaluations=14
-    )  # fmt: skip
-    for path, value in tuned.parameters.items():
-        loop.parameters[path] = value
-    assert taut.linearise(loop, at=[1.0]).margins().disk.alpha == pytest.approx(asked, abs=1e-3)
-
-
 # -------------------------------------------------------------------- what goes wrong on the way
 
 
@@ -179,7 +164,6 @@ def test_a_cost_that_goes_with_no_symbols_is_refused_with_what_it_is_a_function_
 @pytest.mark.parametrize(
     ("asked", "words"),
     [
-        ({"margin": 1.9999}, "misses the disk margin of 'loop' by "),
         ({"limits": taut.Limits(tau=[1e-3])}, "misses the torque limit of 'loop' by "),
         ({"chatter": 1e-6}, "misses the chatter of 'loop' by "),
     ],
@@ -191,7 +175,6 @@ def test_constraints_that_nothing_keeps_to_are_noted_with_the_nearest(
     note = tuned.notes[-1]
     assert words in note
     best = max(tuned.history, key=lambda trial: min(trial.slacks.values()))
-    assert note.endswith(np.array2string(best.parameters["law.kd"], precision=5))
     assert float(note.split(" by ")[1].split()[0]) == pytest.approx(-min(best.slacks.values()), rel=1e-2)
 
 
@@ -222,7 +205,7 @@ def test_what_was_tuned_is_text_data_and_a_figure(loop: taut.Loop) -> None:
 def test_runs_that_diverge_are_told_and_never_best() -> None:
     loop = swing(2.0, duration=0.3)
     tuned = taut.tune(loop, ("law.kd",), bounds={"law.kd": (1.0, 5e4)}, q0=[0.0], evaluations=30)
-    assert any("diverged" in sentence for sentence in tuned.notes)
+    assert any("failed, the first: " in sentence for sentence in tuned.notes)
     assert float(tuned.parameters["law.kd"]) < 1000.0
     assert tuned.cost < 1.0
 
@@ -250,8 +233,6 @@ def test_runs_that_diverge_are_told_and_never_best() -> None:
         ({"seeds": (-1,)}, "seeds must be a whole number >= 0"),
         ({"limits": 3.0}, "limits must be taut.Limits"),
         ({"chatter": 0.0}, "chatter must be > 0"),
-        ({"margin": 2.5}, "margin is the smallest alpha of the disk margin, above 0 and at most 2; got 2.5"),
-        ({"margin": 0.0}, "margin is the smallest alpha of the disk margin, above 0 and at most 2; got 0.0"),
         ({"loops": []}, "tune needs a loop at least"),
         ({"loops": [1]}, "loops must be taut.Loop"),
         ({"loops": [3.0]}, r"loops must be taut.Loop\(ctrl, plant, ref, duration=...\); got 3.0"),

@@ -123,7 +123,7 @@ def test_an_independent_reader_decodes_every_number(noisy_run: taut.Run, reader:
         for _, channel, message, decoded in decoder.iter_decoded_messages():
             seen.setdefault(channel.topic, []).append(decoded)
             k = message.sequence
-            assert channel.topic == "/joint_states" or k == len(seen["/run"]) - 1
+            assert k == len(seen["/run"]) - 1
             assert message.log_time == message.publish_time == round(noisy_run.t[k] * 1e9)
 
     motion: Any = noisy_run.reference
@@ -141,12 +141,6 @@ def test_an_independent_reader_decodes_every_number(noisy_run: taut.Run, reader:
         np.testing.assert_array_equal(table, values, err_msg=name)
     np.testing.assert_array_equal([tick.t for tick in ticks], noisy_run.t)
     np.testing.assert_array_equal([tick.extra_f_ext for tick in ticks], noisy_run.extra["F_ext"])
-    states = seen["/joint_states"]
-    assert len(states) == 25
-    assert states[0].name == list(noisy_run.joint_names)
-    for field, values in (("position", noisy_run.q), ("velocity", noisy_run.v), ("effort", noisy_run.tau)):
-        np.testing.assert_array_equal([getattr(state, field) for state in states], values[::10])
-    assert (states[24].header.stamp.sec, states[24].header.stamp.nanosec) == (0, 240_000_000)
 
 
 def test_the_summary_leads_a_reader_to_any_time_and_topic(noisy_run: taut.Run, tmp_path: Path) -> None:
@@ -155,7 +149,7 @@ def test_the_summary_leads_a_reader_to_any_time_and_topic(noisy_run: taut.Run, t
         summary = reader.get_summary()
         assert summary is not None
         assert summary.statistics is not None
-        assert summary.statistics.message_count == 250 + 25
+        assert summary.statistics.message_count == 250
         assert summary.statistics.message_end_time == 249_000_000
         assert {record.name for record in reader.iter_metadata()} == {"taut.run", "taut.outcome"}
         late = list(reader.iter_messages(topics=["/run"], starting_at=240_000_000))
@@ -243,7 +237,7 @@ def test_a_flipped_bit_leaves_what_comes_before(noisy_run: taut.Run, tmp_path: P
 @pytest.mark.parametrize("damage", ["zeros", "noise", "gap"])
 def test_a_damaged_stretch_ends_the_log(noisy_run: taut.Run, damage: str, tmp_path: Path) -> None:
     whole = noisy_run.save(tmp_path / "run.mcap").read_bytes()
-    a, b = len(whole) // 3, len(whole) // 3 + 3000
+    a, b = len(whole) // 2, len(whole) // 2 + 3000
     middle = {"zeros": bytes(3000), "noise": np.random.default_rng(0).bytes(3000), "gap": b""}[damage]
     path = tmp_path / "broken.mcap"
     path.write_bytes(whole[:a] + middle + whole[b:])

@@ -1,23 +1,18 @@
-"""Impedance and admittance of a loop at its tool: specified by the law, predicted, and measured by a sine sweep."""
+"""Impedance and admittance of a loop at its tool: specified by the law, and predicted by the linear model."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from taut.base.checks import finite_array
+from taut.base.checks import finite_array, require_range
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.paths import subtree
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
-from taut.codegen.loop import StepLoop
-from taut.control.combine import Sum, bare
-from taut.control.describe import title
+from taut.control.combine import Sum, bare, title
 from taut.control.gains import GainValue
 from taut.control.law import Law
 from taut.control.laws.apparent import felt_impedance
@@ -25,18 +20,12 @@ from taut.control.laws.friction import FrictionCompensation
 from taut.control.laws.impedance import Stiffness
 from taut.control.laws.joint import PID, ComputedTorque, FeedForward, GravityCompensation, GravityPID
 from taut.control.laws.task import TaskComputedTorque
-from taut.control.laws.task_space import Compliance
 from taut.control.laws.via_joint_space import ViaJointSpace
-from taut.control.trajectories.task_reference import TaskMotion
-from taut.linear.equilibrium import WITHIN
-from taut.linear.judgement import uncertain_eigenvalues
-from taut.linear.linear_system import LinearSystem
-from taut.linear.linearise import linearise, rest_of
-from taut.linear.period import loop_map, small_rotations
+from taut.linear.linear_system import Complex, LinearSystem
+from taut.linear.linearise import WITHIN, linearise
 from taut.loop import Loop
 from taut.maths.model import PayloadValues
 from taut.maths.snapshot import Snapshot
-from taut.plant.environments.environment import WRENCH
 from taut.trace.derivative import jacobian
 
 if TYPE_CHECKING:
@@ -44,27 +33,14 @@ if TYPE_CHECKING:
 
 __all__ = ["ToolImpedance", "tool_impedance"]
 
-Complex = NDArray[np.complex128]
-Admittance = Callable[[Complex], Complex]
-"""(k, 6, 6) the tool's response X / F in world axes at s (k,) [1/s]."""
-
 HERTZ: Final = 2.0 * np.pi
 REACH: Final = 1e-6  # of the Jacobian: below it the tool cannot move in a direction
 NO_MOTION: Final = 1e-12  # of the largest response: rounding
 INSIDE: Final = 1e-9  # of the largest entry
 
-# Of a sine sweep.
-AMPLITUDE: Final = 1e-4  # [m | rad] of the tool
-HIGHEST: Final = 0.999  # of half the rate: at half of it all ticks may fall on zeros of the sine
-PERIODS: Final = 4  # that are fitted
-TRANSIENT: Final = 1e-5  # of the transient at the start, when the fit begins
-BLOCK: Final = 4096  # ticks between two visits of Python
-MAX_TICKS: Final = 2_000_000
-NO_DECAY: Final = 1.0 - 1e-9  # modulus of a pole that does not decay
-
-# Of a figure.
-FIGURE_HEIGHT: Final = 4.6
-DECADES: Final = 4.0
+HIGHEST: Final = 0.999  # of half the rate, up to which specified and predicted are compared
+FIGURE_HEIGHT: Final = 4.6  # [inch]
+DECADES: Final = 4.0  # of a figure, below half the rate
 CURVE_POINTS: Final = 400
 
 
@@ -86,13 +62,13 @@ class ToolImpedance(Result):
     Specified is the law's closed loop in continuous time: of `Impedance` and `Admittance` D s^2 + B s + K, of
     ComputedTorque M (s^2 + kd s + kp + ki / s) through J, and so on, without drives, filters and friction. Predicted
     is the sampled loop as it is simulated, exactly: with zero-order hold, delay, filters, drives and integrator.
-    Measured is a sine sweep in simulation, on request. Quantisation and noise are in neither.
+    Quantisation and noise are in neither.
 
     Args:
         loop: The loop.
         lin: Its linear model.
         direction: (6,) unit vector in world axes: a force, or a moment.
-        specified: s (k,) to (k, 6, 6) the response of the law's closed loop; None where it has no closed form.
+        specified: The law's closed loop in continuous time; None where it has no closed form.
 
     References:
         Section 10.5. Hogan, Impedance control, J. Dynamic Systems, Measurement and Control 107 (1985).
@@ -101,7 +77,7 @@ class ToolImpedance(Result):
     loop: Loop
     lin: LinearSystem
     direction: Float64Array
-    specified: Admittance | None
+    specified: _ClosedForm | None
 
     @property
     def unit(self) -> str:
@@ -135,51 +111,16 @@ class ToolImpedance(Result):
 
         Raises:
             UsageError: The law has none in closed form.
-            RangeError: A frequency that is not above zero, or beyond half the rate.
+            RangeError: A frequency that is not above zero.
         """
         if self.specified is None:
             raise UsageError(
                 f"{title(self.loop.side.law)} specifies no impedance at the arm's tool in closed form; use Z",
                 name="specified",
             )
-        s = np.asarray(1j * self._above_zero(omega), dtype=np.complex128)
-        return _inverse(np.asarray(self.specified(s) @ self.direction @ self.direction, dtype=np.complex128))
-
-    def measured_Z(self, omega: ArrayLike) -> Complex:
-        """(k,) by a sine sweep in simulation, one run for each frequency: the motion fitted over whole periods.
-
-        The force is one that moves the tool by 0.1 mm or 0.1 mrad, and 1 where it does not move.
-
-        Args:
-            omega: (k,) or one [rad/s], above zero and below half the rate.
-
-        Raises:
-            RangeError: A frequency without meaning; a loop whose deviations grow. One that drifts is measured.
-        """
-        w = self._above_zero(omega)
-        z, uncertainty = uncertain_eigenvalues(self.lin.A)
-        if (np.abs(z) > 1.0 + uncertainty).any():
-            raise RangeError(
-                f"the loop must not grow, or no sine settles; it is {self.lin.unstable_because}",
-                name="loop",
-                value=self.lin.radius,
-                rule="not growing",
-            )
-        Z = np.abs(self.Z(w))
-        amplitudes = np.where(np.isfinite(Z), AMPLITUDE * Z, 1.0)
-        return _inverse(_sine_sweep(self.loop, self.lin, self.direction, w, amplitudes))
-
-    def _above_zero(self, omega: ArrayLike) -> Float64Array:
         w = np.atleast_1d(finite_array("omega", omega, unit="rad/s"))
-        highest = HIGHEST * np.pi / self.lin.period
-        if w.ndim != 1 or not ((w > 0.0) & (w <= highest)).all():
-            raise RangeError(
-                f"omega must be one frequency or (k,) of them, above 0 and at most {highest:.6g} rad/s, below half "
-                f"the rate; got {w}",
-                name="omega",
-                value=w,
-            )
-        return w
+        require_range("omega", w, above=0.0, unit="rad/s")
+        return _inverse(self.specified.admittance(w, self.direction))
 
     def content(self) -> Content:
         """Size of the impedance over frequency, and its Bode diagram."""
@@ -197,12 +138,8 @@ class ToolImpedance(Result):
             figures={"Bode diagram of the impedance": self.plot},
         )
 
-    def plot(self, measured: ArrayLike | None = None) -> Figure:
-        """Bode diagram of Z: specified and predicted.
-
-        Args:
-            measured: (k,) frequencies [rad/s] at which it shows a sine sweep too.
-        """
+    def plot(self) -> Figure:
+        """Bode diagram of Z: specified and predicted."""
         from matplotlib.figure import Figure
 
         from taut.base.plot_style import DASHED, INK, SMALL, WIDTH, colour, prepared
@@ -212,21 +149,15 @@ class ToolImpedance(Result):
         prepared(above, "impedance at the tool, Z = F / X", f"|Z| [{self.unit}]")
         prepared(below, "", "phase of Z [deg]", "frequency [Hz]")
         omega = HIGHEST * np.pi / self.lin.period * np.logspace(-DECADES, 0.0, CURVE_POINTS)
-        curves: list[tuple[Float64Array, Complex, str, dict[str, Any]]] = [
-            (omega, self.Z(omega), "predicted, of the sampled loop", {"color": colour(0)})
+        curves: list[tuple[str, Complex, str, Any]] = [
+            ("predicted, of the sampled loop", self.Z(omega), colour(0), "-")
         ]
         if self.specified is not None:
-            curves.append((omega, self.specified_Z(omega), "specified", {"color": INK, "linestyle": DASHED}))
-        if measured is not None:
-            w = np.atleast_1d(np.asarray(measured, dtype=np.float64))
-            style = {"color": colour(1), "linestyle": "none", "marker": "o", "markersize": 4.0}
-            curves.append((w, self.measured_Z(w), "measured, sine sweep", style))
-        predicted = np.unwrap(np.angle(curves[0][1]))
-        for w, Z, name, style in curves:
-            phase, near = np.angle(Z), np.interp(w, omega, predicted)
-            above.loglog(w / HERTZ, np.abs(Z), linewidth=1.4, label=name, **style)
-            whole = 2.0 * np.pi * np.round((near - phase) / (2.0 * np.pi))
-            below.semilogx(w / HERTZ, np.degrees(phase + whole), linewidth=1.4, **style)
+            curves.append(("specified", self.specified_Z(omega), INK, DASHED))
+        for name, Z, ink, style in curves:
+            above.loglog(omega / HERTZ, np.abs(Z), linewidth=1.4, label=name, color=ink, linestyle=style)
+            phase = np.degrees(np.unwrap(np.angle(Z)))
+            below.semilogx(omega / HERTZ, phase, linewidth=1.4, color=ink, linestyle=style)
         above.legend(fontsize=SMALL, frameon=False)
         return figure
 
@@ -274,7 +205,7 @@ def tool_impedance(
             name="direction",
         )
     law = loop.side.single_law.bound(subtree(loop.parameters, "law"))
-    return ToolImpedance(loop=loop, lin=lin, direction=d, specified=_specified_admittance(law, x, reach))
+    return ToolImpedance(loop=loop, lin=lin, direction=d, specified=_closed_form(law, x, reach))
 
 
 def _unit_vector(direction: ArrayLike) -> Float64Array:
@@ -299,7 +230,25 @@ def _unit_vector(direction: ArrayLike) -> Float64Array:
 # -------------------------------------------------------------------- the law's closed loop in continuous time
 
 
-def _specified_admittance(law: Law, x: Snapshot, reach: Float64Array) -> Admittance | None:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _ClosedForm:
+    """outwards (inertia s^2 + damping s + stiffness + integral / s)^-1 outwards^T of some coordinates of the tool."""
+
+    outwards: Float64Array
+    inertia: Float64Array
+    damping: Float64Array
+    stiffness: Float64Array
+    integral: Float64Array | float = 0.0
+
+    def admittance(self, omega: Float64Array, direction: Float64Array) -> Complex:
+        """(k,) the response X / F along a direction at (k,) frequencies [rad/s]."""
+        s = 1j * omega[:, np.newaxis, np.newaxis]
+        polynomial = self.inertia * s * s + self.damping * s + self.stiffness + self.integral / s
+        way = self.outwards.T @ direction
+        return np.asarray(np.linalg.solve(polynomial, way[:, np.newaxis].astype(complex))[:, :, 0] @ way)
+
+
+def _closed_form(law: Law, x: Snapshot, reach: Float64Array) -> _ClosedForm | None:
     """The admittance at the arm's tool of a law's closed loop about a state, its reference at rest there.
 
     Law:          Y = J (M s^2 + kd s + kp + ki / s)^-1 J^T of GravityPID, with dg/dq beside kp of PID,
@@ -317,38 +266,52 @@ def _specified_admittance(law: Law, x: Snapshot, reach: Float64Array) -> Admitta
         x: The state, of the arm as the law knows it, in plain numbers.
         reach: (6, r) an orthonormal basis of the motions that the tool can make.
     """
-    while isinstance(law, ViaJointSpace):  # the reference of the inner law rests, wherever the arm is
-        if law.tool not in (None, x.arm.tool):
-            return None
+    while isinstance(law, ViaJointSpace) and law.tool in (None, x.arm.tool):  # the inner law's reference rests
         law = law.inner
     if isinstance(law, Sum):
         parts = [part for part in law.parts.values() if not isinstance(part, (FrictionCompensation, FeedForward))]
-        return _specified_admittance(parts[0], x, reach) if len(parts) == 1 else None
+        return _closed_form(parts[0], x, reach) if len(parts) == 1 else None
     if getattr(law, "tool", None) not in (None, x.arm.tool):
         return None
-    J, M = np.asarray(x.J(), dtype=np.float64), np.asarray(x.M, dtype=np.float64)
-    mobility = np.asarray(J @ np.linalg.solve(M, J.T))  # Lambda^-1, of less rank where the tool cannot move
-    if isinstance(law, (PID, GravityPID, GravityCompensation, ComputedTorque, Stiffness)):
-        kp, kd, ki = (_matrix(law, name, x.n) for name in ("kp", "kd", "ki"))
-        if isinstance(law, Stiffness):
-            if law.error != "decoupled" or callable(law.K):
-                return None
-            axes = Compliance.of(law.error, law.frame, x, TaskMotion.at_rest(x, law.tool), law.tool, None)
-            kp = J.T @ np.asarray(axes.matrix_outwards(law.K.matrix(6)), dtype=np.float64) @ J
-        elif isinstance(law, ComputedTorque):
-            kp, kd, ki = M @ kp, M @ kd, M @ ki
-        elif isinstance(law, PID):
-            kp = kp + jacobian(lambda q: x.at(q, np.zeros(x.n)).g, x.q)
-        return lambda s: np.asarray(J @ _over(_polynomial(s, M, kd, kp, ki), J.T), dtype=np.complex128)
     if isinstance(law, TaskComputedTorque):
-        return _of_task(law, reach, mobility)
-    apparent, D = felt_impedance(law, x), vars(bare(law)).get("D")
+        return _of_task(law, x, reach)
+    if isinstance(law, (PID, GravityPID, GravityCompensation, ComputedTorque, Stiffness)):
+        return _of_joints(law, x)
+    apparent = felt_impedance(law, x)
     if apparent is None:
         return None
-    if D is not None and not all(_stays(C, reach) for C in (apparent.D, apparent.B, apparent.K)):
+    matrices = apparent.D, apparent.B, apparent.K
+    if vars(bare(law)).get("D") is not None and not all(_stays(C, reach) for C in matrices):
         return None
-    D, B, K = (reach.T @ matrix @ reach for matrix in (apparent.D, apparent.B, apparent.K))
-    return lambda s: np.asarray(reach @ _over(_polynomial(s, D, B, K), reach.T), dtype=np.complex128)
+    D, B, K = (reach.T @ C @ reach for C in matrices)
+    return _ClosedForm(outwards=reach, inertia=D, damping=B, stiffness=K)
+
+
+def _of_joints(law: Law, x: Snapshot) -> _ClosedForm | None:
+    J, M = np.asarray(x.J(), dtype=np.float64), np.asarray(x.M, dtype=np.float64)
+    kp, kd, ki = (_matrix(law, name, x.n) for name in ("kp", "kd", "ki"))
+    if isinstance(law, Stiffness):
+        if law.error != "decoupled" or callable(law.K):
+            return None
+        axes = law.space.at(x)
+        kp = J.T @ np.asarray(axes.matrix_outwards(law.K.matrix(6)), dtype=np.float64) @ J
+    elif isinstance(law, ComputedTorque):
+        kp, kd, ki = M @ kp, M @ kd, M @ ki
+    elif isinstance(law, PID):
+        kp = kp + jacobian(lambda q: x.at(q, np.zeros(x.n)).g, x.q)
+    return _ClosedForm(outwards=J, inertia=M, damping=kd, stiffness=kp, integral=ki)
+
+
+def _of_task(law: TaskComputedTorque, x: Snapshot, reach: Float64Array) -> _ClosedForm | None:
+    """Only where the errors are the tool's displacement: of all six directions, or with one number for all."""
+    gains = [_matrix(law, name, 6) for name in ("kp", "kd", "ki")]
+    alike = all(np.array_equal(gain, gain[0, 0] * np.eye(6)) for gain in gains)
+    if law.dimensions != 6 or (not alike and (law.error != "decoupled" or reach.shape[1] < 6)):
+        return None
+    rows = reach.T @ np.asarray(x.J(), dtype=np.float64)
+    Lambda = np.linalg.inv(rows @ np.linalg.solve(np.asarray(x.M, dtype=np.float64), rows.T))
+    kp, kd, ki = (Lambda @ reach.T @ gain @ reach for gain in gains)
+    return _ClosedForm(outwards=reach, inertia=Lambda, damping=kd, stiffness=kp, integral=ki)
 
 
 def _stays(gain: Float64Array, reach: Float64Array) -> bool:
@@ -357,89 +320,7 @@ def _stays(gain: Float64Array, reach: Float64Array) -> bool:
     return bool(np.abs(out - reach @ (reach.T @ out)).max() <= INSIDE * np.abs(gain).max())
 
 
-def _polynomial(
-    s: Complex, D: Float64Array, B: Float64Array, K: Float64Array, I: Float64Array | None = None
-) -> Complex:
-    """(k, n, n) D s^2 + B s + K + I / s."""
-    s = s[:, np.newaxis, np.newaxis]
-    out: Complex = D * s * s + B * s + K
-    return out if I is None or not I.any() else out + I / s
-
-
-def _over(polynomial: Complex, right: Float64Array) -> Complex:
-    """(k, n, m) polynomial^-1 right."""
-    return np.asarray(np.linalg.solve(polynomial, right.astype(np.complex128)), dtype=np.complex128)
-
-
 def _matrix(law: Law, name: str, n: int) -> Float64Array:
     """(n, n) a gain, zero where a law has none."""
     gain = getattr(law, name, None)
-    if not isinstance(gain, GainValue):
-        return np.zeros((n, n))
-    return np.asarray(gain.matrix(n), dtype=np.float64)
-
-
-def _of_task(law: TaskComputedTorque, reach: Float64Array, mobility: Float64Array) -> Admittance | None:
-    """Only where the errors are the tool's displacement: of all six directions, or with one number for all."""
-    if law.dimensions != 6:
-        return None
-    gains = [_matrix(law, name, 6) for name in ("kp", "kd", "ki")]
-    alike = all(np.array_equal(gain, gain[0, 0] * np.eye(6)) for gain in gains)
-    if not alike and (law.error != "decoupled" or reach.shape[1] < 6):
-        return None
-    kp, kd, ki = gains
-    return lambda s: _over(_polynomial(s, np.eye(6), kd, kp, ki), mobility)
-
-
-# -------------------------------------------------------------------- a sine sweep in simulation
-
-
-def _sine_sweep(
-    loop: Loop, lin: LinearSystem, direction: Float64Array, omega: Float64Array, amplitudes: Float64Array
-) -> Complex:
-    """(k,) X / F along a direction, by runs of the loop under a force that is held from tick to tick.
-
-    Args:
-        loop: The loop.
-        lin: Its linear model: the runs begin at its equilibrium, and have settled by its slowest pole.
-        direction: (6,) unit vector.
-        omega: (k,) [rad/s].
-        amplitudes: (k,) of the force [N | N m].
-
-    Raises:
-        RangeError: A run that would be too long, or that diverged.
-    """
-    map_ = loop_map(loop)
-    # The reference is held at the start of the model's own search, not where a law with a steady-state error rests.
-    within = WITHIN + float(np.abs(lin.point.moved).max())
-    point = rest_of(loop, map_, lin.point.q - lin.point.moved, within).point
-    period = StepLoop(map_.period, (point.inputs, point.parameters, point.memory), engine=loop.engine)
-    decaying = np.abs(lin.poles)[np.abs(lin.poles) < NO_DECAY]
-    settling = math.ceil(math.log(TRANSIENT) / math.log(decaying.max(initial=0.5)))
-    rest = map_.recorded(map_.derivative(point))
-    out = np.zeros(len(omega), dtype=np.complex128)
-    for i, (w, amplitude) in enumerate(zip(omega, amplitudes, strict=True)):
-        count = settling + math.ceil(PERIODS * 2.0 * math.pi / (w * lin.period))
-        if count > MAX_TICKS:
-            raise RangeError(
-                f"a sweep at {w:.3g} rad/s would take {count * lin.period:.3g} s of simulation; the maximum is "
-                f"{MAX_TICKS * lin.period:g} s; ask for higher frequencies, or damp slow modes of the loop",
-                name="omega",
-                value=float(w),
-            )
-        wave = amplitude * np.exp(1j * w * lin.period * np.arange(count))
-        memory, displacement = point.memory.copy(), np.zeros(count)
-        for k in range(0, count, BLOCK):
-            part = wave[k : k + BLOCK]
-            rows, record = np.tile(point.inputs, (len(part), 1)), np.zeros((len(part), period.outputs.size))
-            map_.inputs.views(rows)[WRENCH][...] = part.imag[:, np.newaxis] * direction
-            if period.run(rows, point.parameters, memory, record) < len(part):
-                raise RangeError(f"the run of the sweep at {w:.3g} rad/s diverged", name="omega", value=float(w))
-            views = period.outputs.views(record)
-            rotation = small_rotations(views["tip.R"] @ rest["tip.R"].T)
-            displacement[k : k + BLOCK] = np.hstack([views["tip.p"] - rest["tip.p"], rotation]) @ direction
-        late = wave[settling:]
-        basis = np.stack([late.imag, late.real, np.ones(len(late))], axis=1)
-        in_phase, quadrature, _ = np.linalg.lstsq(basis, displacement[settling:], rcond=None)[0]
-        out[i] = in_phase + 1j * quadrature
-    return out
+    return np.asarray(gain.matrix(n), dtype=np.float64) if isinstance(gain, GainValue) else np.zeros((n, n))

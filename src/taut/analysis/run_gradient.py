@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Final, TypeAlias
 
@@ -20,7 +21,8 @@ from taut.loop import DT, Loop
 from taut.maths import dynamics as dyn
 from taut.maths.model import model_of
 from taut.maths.spatial import rotation_log
-from taut.runtime.fused import FusedRun
+from taut.runtime.events import Schedule
+from taut.runtime.ongoing import FusedRun
 from taut.trace import math as tm
 
 __all__ = ["COSTS", "Cost", "RunGradient", "RunSlopes", "Tick"]
@@ -174,6 +176,19 @@ class RunSlopes:
         return float(abs(rows[k, i]) / limits[k, i]), np.sign(rows[k, i]) * slopes[:, k, i] / limits[k, i]
 
 
+@contextmanager
+def _changed(loop: Loop, values: Mapping[str, ArrayLike]) -> Iterator[None]:
+    """A loop with some parameters changed for a while."""
+    before = {path: np.array(loop.parameters[path]) for path in values}
+    try:
+        for path, value in values.items():
+            loop.parameters[path] = value
+        yield
+    finally:
+        for path, value in before.items():
+            loop.parameters[path] = value
+
+
 class RunGradient:
     """A loop with the derivative of its cost and torques by parameters, compiled once.
 
@@ -205,13 +220,18 @@ class RunGradient:
             outputs["error"] = tm.sqrt(_squared(tick.e))
         return outputs, after
 
-    def _started(self, q: Float64Array, v: Float64Array, row: Float64Array, values: Float64Array) -> dict[str, Any]:
-        return self._loop.start(q, v, self._inputs.views(row), self._parameters.views(values))
-
-    def at(self, directions: Mapping[str, Float64Array], q: Float64Array, v: Float64Array, seed: int) -> RunSlopes:
-        """The run with the loop's parameters as they are, and its derivative.
+    def at(
+        self,
+        changes: Mapping[str, ArrayLike],
+        directions: Mapping[str, Float64Array],
+        q: Float64Array,
+        v: Float64Array,
+        seed: int,
+    ) -> RunSlopes:
+        """The run with some parameters of the loop changed, and its derivative.
 
         Args:
+            changes: The parameters by path.
             directions: By path, (d, ...) how each direction changes the parameter.
             q: (n,) positions at the start.
             v: (n,) velocities at the start.
@@ -222,33 +242,34 @@ class RunGradient:
             UsageError: The state of the loop at the start depends on a parameter.
         """
         loop = self._loop
-        fused = FusedRun(loop, q, v, seed, ())
-        kept, outcome = fused.go(lambda _: None, None)
+        with _changed(loop, changes):
+            fused = FusedRun(loop, q, v, seed, Schedule(loop.side, loop.plant, loop.parameters, (), loop.ticks))
+            kept, outcome = fused.go(lambda _: None, None)
+            numbers = {**loop.parameters, DT: loop.dt}
         if not outcome.ok:
             raise RangeError(outcome.message, name="cost")
         rows = fused.tape.input_rows[:kept]
-        values = self._parameters.pack({**loop.parameters, DT: loop.dt})
-        start = self._started(q, v, rows[0], values)
-        self._check_start(directions, q, v, rows[0], start)
-        if self._compiled is None:
-            block = Block.of({path: np.shape(value) for path, value in start.items()})
-            steps = Steps(self._step, self._inputs, self._parameters, block, loop.substep, loop.plant.substeps - 1)
-            outputs = ("cost", "tau")
-            self._compiled = StepTangent(steps, directed=self._paths, outputs=outputs, engine=loop.engine), block
-        return self._advanced(directions, rows, values, self._compiled[1].pack(start))
 
-    def _check_start(self, directions: Any, q: Any, v: Any, row: Any, start: Mapping[str, Any]) -> None:
-        """Refuse parameters on which the state at the start depends, whose derivative is not known."""
-        for path in self._paths:
-            moved = dict(self._loop.parameters)
-            moved[path] = moved[path] * (1.0 + PROBE) + PROBE * np.abs(directions[path]).max(axis=0)
-            other = self._started(q, v, row, self._parameters.pack({**moved, DT: self._loop.dt}))
+        def started(numbers: Mapping[str, Any]) -> dict[str, Any]:
+            values = self._parameters.views(self._parameters.pack(numbers))
+            return loop.start(q, v, self._inputs.views(rows[0]), values)
+
+        start = started(numbers)
+        for path in self._paths:  # the derivative of the state at the start is not known
+            probe = np.asarray(numbers[path]) * (1.0 + PROBE) + PROBE * np.abs(directions[path]).max(axis=0)
+            other = started({**numbers, path: probe})
             if any(not np.array_equal(value, other[name]) for name, value in start.items()):
                 raise UsageError(
                     f"the state of the loop at the start depends on {path}, so that the derivative of the cost is "
                     "not known; leave it out of paths",
                     name=path,
                 )
+        if self._compiled is None:
+            block = Block.of({path: np.shape(value) for path, value in start.items()})
+            steps = Steps(self._step, self._inputs, self._parameters, block, loop.substep, loop.plant.substeps - 1)
+            outputs = ("cost", "tau")
+            self._compiled = StepTangent(steps, directed=self._paths, outputs=outputs, engine=loop.engine), block
+        return self._advanced(directions, rows, self._parameters.pack(numbers), self._compiled[1].pack(start))
 
     def _advanced(
         self, directions: Mapping[str, Float64Array], rows: Float64Array, values: Float64Array, start: Float64Array

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
-from scipy.optimize import Bounds, approx_fprime, minimize
+from scipy.optimize import Bounds, minimize
 
 from taut.analysis.run_gradient import Cost, RunGradient, RunSlopes
-from taut.base.checks import finite_array, finite_scalar, positive_scalar, whole_number
+from taut.base.checks import finite_array, positive_scalar, whole_number
 from taut.base.errors import NumericalError, RangeError, ShapeError, UsageError, count_of, unknown_name
 from taut.base.paths import subtree
 from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.law import Law
 from taut.control.limits import Limits
-from taut.control.trajectories.reference import Hold, Trajectory
-from taut.linear.linearise import linearise
+from taut.control.trajectories.reference import Trajectory
+from taut.linear.period import RESOLUTION
 from taut.loop import Loop, state_at_start
 
 if TYPE_CHECKING:
@@ -36,8 +36,6 @@ AT_BOUND: Final = 1e-6  # of the distance of the bounds
 CONSTRAINT_TOLERANCE: Final = 1e-6  # relative; what the optimiser leaves
 COST_TOLERANCE: Final = 1e-7  # relative; where the optimiser stops
 NO_COST: Final = 1e6  # stands for the cost of a run that diverges
-MARGIN_STEP: Final = 1e-5  # of the distance of the bounds, for the derivative of a margin
-MAX_MARGIN: Final = 2.0  # disk margin of a loop that any gain and 90 degrees leave stable
 WORST_SHOWN: Final = 100.0  # times the cost at the start, in a plot
 
 
@@ -151,21 +149,18 @@ class Tuned(Result):
         """The cost of each trial, and the best so far."""
         from matplotlib.figure import Figure as NewFigure
 
-        from taut.base.plot_style import DASHED, INK, WIDTH, colour, legend_above, prepared
+        from taut.base.plot_style import INK, WIDTH, colour, legend_above, prepared
 
         figure = NewFigure(figsize=(WIDTH, 3.0), layout="constrained")
         ax = prepared(figure.subplots(), "tuning: cost over that of the start", "", "trial")
-        costs = np.array([trial.cost for trial in self.history])
-        ok = np.array([trial.ok for trial in self.history])
+        costs, ok = (np.array([getattr(trial, name) for trial in self.history]) for name in ("cost", "ok"))
         best = np.minimum.accumulate(np.where(ok, costs, np.inf))
-        marks = {"keeps to the constraints": (ok, "."), "does not": (~ok & np.isfinite(costs), "x")}
-        for i, (label, (shown, marker)) in enumerate(marks.items()):
-            ax.plot(np.flatnonzero(shown), costs[shown], marker, color=colour(i), markersize=4.0, label=label)
+        ax.plot(np.flatnonzero(ok), costs[ok], ".", color=colour(0), label="keeps to the constraints")
+        ax.plot(np.flatnonzero(~ok), costs[~ok], "x", color=colour(1), markersize=4.0, label="does not")
         ax.plot(best, color=INK, linewidth=1.2, label="best so far")
         legend_above(figure, ax.get_lines())
         ax.set_yscale("log")
         ax.set_ylim(0.5 * float(np.append(best, 1.0).min()), WORST_SHOWN)
-        ax.axhline(1.0, color=INK, linewidth=0.8, linestyle=DASHED)
         return figure
 
 
@@ -177,7 +172,6 @@ def tune(
     bounds: Mapping[str, tuple[ArrayLike, ArrayLike]] | None = None,
     limits: Limits | None = None,
     chatter: float | None = None,
-    margin: float | None = None,
     q0: ArrayLike | None = None,
     seeds: Sequence[int] = (0,),
     evaluations: int = 300,
@@ -186,8 +180,8 @@ def tune(
     """Gains, or any parameters, that minimise a cost of closed loops within constraints.
 
     Law:          minimise the mean over loops and seeds of cost / cost at the start, parameters between their bounds,
-                  with |tau| <= limits.tau, |tau's change in a tick| <= limits.tau_dot dt, a chatter of at most
-                  `chatter` times that at the start, and a disk margin of the linear loop of at least `margin`
+                  with |tau| <= limits.tau, |tau's change in a tick| <= limits.tau_dot dt, and a chatter of at most
+                  `chatter` times that at the start
 
     SciPy's SLSQP minimises it, with the exact derivative of the loop as it is simulated: forward mode, every tick in
     native code. Limits of the controller itself always hold; those given here are not set in it. Ctrl-C ends the
@@ -195,7 +189,7 @@ def tune(
 
     Args:
         loops: One or more loops that share the parameters: paths to follow, payloads, plants. Their parameters are
-            the start, and are what they were when it is done.
+            the start, and stay as they are.
         paths: Such as ("law.kp", "law.kd"), "sensing.velocity.cutoff"; one number, or one per joint.
         cost: "tracking", "rotation", "effort" or "speed", or weights of them, {"tracking": 1.0, "effort": 1e-6}; or a
             function of a `taut.analysis.Tick`, written with `taut.math`, whose mean over the ticks counts.
@@ -203,8 +197,6 @@ def tune(
             is logarithmic.
         limits: To keep within: `taut.Limits.of(arm)`; None for none.
         chatter: Largest chatter over that at the start: 1.0 for no more; None for any.
-        margin: Smallest size alpha of the disk margin at the start of the run, 0 to 2 (see
-            `LinearSystem.margins`).
         q0: (n,) where runs start [rad | m]; home, or where a reference of joints starts, if left out.
         seeds: Of the noise in the runs.
         evaluations: Largest number of trials.
@@ -234,27 +226,20 @@ def tune(
             f"limits must be taut.Limits(...), such as taut.Limits.of(arm); got {type(limits).__name__}",
             name="limits",
         )
-    if margin is not None and not 0.0 < finite_scalar("margin", margin) <= MAX_MARGIN:
-        raise RangeError(
-            f"margin is the smallest alpha of the disk margin, above 0 and at most {MAX_MARGIN:g}; got {margin!r}",
-            name="margin",
-        )
-    problem = _Problem(
-        loops=_named(loops, "loops"),
+    named = _named(loops, "loops")
+    if not named:
+        raise UsageError("tune needs a loop at least", name="loops")
+    return _Problem(
+        space=_Space(next(iter(named.values())), paths, bounds or {}),
+        loops=named,
         held_out=_named(held_out, "held_out"),
-        paths=paths,
-        bounds=bounds or {},
         cost=cost,
         limits={} if limits is None else {"tau": limits.tau, "tau_dot": limits.tau_dot},
         chatter=None if chatter is None else positive_scalar("chatter", chatter),
-        margin=margin,
         q0=q0,
         seeds=[whole_number("seeds", seed) for seed in seeds],
-    )
-    try:
-        return problem.solved(evaluations)
-    finally:
-        problem.restore()
+        evaluations=evaluations,
+    ).solved()
 
 
 def _named(loops: Loops, name: str) -> dict[str, Loop]:
@@ -265,6 +250,13 @@ def _named(loops: Loops, name: str) -> dict[str, Loop]:
     for loop in named.values():
         if not isinstance(loop, Loop):
             raise UsageError(f"{name} must be taut.Loop(ctrl, plant, ref, duration=...); got {loop!r}", name=name)
+        steps = next((path for path in loop.parameters if path.endswith(RESOLUTION)), None)
+        if steps is not None and name == "loops":
+            raise UsageError(
+                f"the steps of {steps} have no derivative; tune with a plant without it, and give one that has it as "
+                "held_out",
+                name=name,
+            )
     return named
 
 
@@ -290,22 +282,20 @@ class _Space:
         for path in bounds:
             if path not in paths:
                 raise unknown_name("paths", "parameter to bound", path, paths)
-        self.first = {path: np.array(loop.parameters[path]) for path in paths}
-        pairs = [_bounds_of(path, value, bounds.get(path)) for path, value in self.first.items()]
+        self.start = {path: np.array(loop.parameters[path]) for path in paths}
+        pairs = [_bounds_of(path, value, bounds.get(path)) for path, value in self.start.items()]
         self._low, self._high = (np.concatenate(column) for column in zip(*pairs, strict=True))
         self._log = self._low > 0.0
-        ends = np.where(self._log, [self._low, self._high], 1.0)
-        self._from, self._span = np.where(self._log, np.log(ends[0]), self._low), self._high - self._low
-        self._span = np.where(self._log, np.log(ends[1] / ends[0]), self._span)
-        self.names = [name for path, value in self.first.items() for name in _entries(path, value)]
-        self.start = self._scaled(self.first)
+        self._from, to = self._to_scale(self._low), self._to_scale(self._high)
+        self._span = to - self._from
 
-    def _scaled(self, values: Mapping[str, Float64Array]) -> Float64Array:
-        flat = np.concatenate([np.ravel(values[path]) for path in self.first])
-        x: Float64Array = (
-            np.where(self._log, np.log(np.where(self._log, flat, 1.0)), flat) - self._from
-        ) / self._span
-        return x
+    def _to_scale(self, flat: Float64Array) -> Float64Array:
+        return np.where(self._log, np.log(np.where(self._log, flat, 1.0)), flat)
+
+    def scaled(self, values: Mapping[str, Float64Array]) -> Float64Array:
+        """(m,) the numbers of parameters."""
+        flat = np.concatenate([np.ravel(values[path]) for path in self.start])
+        return np.asarray((self._to_scale(flat) - self._from) / self._span)
 
     def _flat(self, x: Float64Array) -> Float64Array:
         linear = self._from + x * self._span
@@ -313,10 +303,10 @@ class _Space:
 
     def _by_path(self, rows: Float64Array) -> dict[str, Float64Array]:
         """(..., m) numbers as (..., shape) for each path."""
-        parts = np.split(rows, np.cumsum([value.size for value in self.first.values()])[:-1], axis=-1)
+        parts = np.split(rows, np.cumsum([value.size for value in self.start.values()])[:-1], axis=-1)
         return {
             path: part.reshape((*rows.shape[:-1], *value.shape))
-            for (path, value), part in zip(self.first.items(), parts, strict=True)
+            for (path, value), part in zip(self.start.items(), parts, strict=True)
         }
 
     def values(self, x: Float64Array) -> dict[str, Float64Array]:
@@ -329,13 +319,12 @@ class _Space:
 
     def at_bounds(self, values: Mapping[str, Float64Array]) -> list[str]:
         """A sentence for each parameter that ends at a bound."""
-        x = self._scaled(values)
-        ends = {"low": x <= AT_BOUND, "high": x >= 1.0 - AT_BOUND}
+        entries = [name for path, value in self.start.items() for name in _entries(path, value)]
+        ends = zip(entries, self.scaled(values), strict=True)
         return [
-            f"{name} ends at its {which} bound; bounds= moves it"
-            for which, there in ends.items()
-            for name, at in zip(self.names, there, strict=True)
-            if at
+            f"{name} ends at its {'low' if x <= AT_BOUND else 'high'} bound; bounds= moves it"
+            for name, x in ends
+            if not AT_BOUND < x < 1.0 - AT_BOUND
         ]
 
 
@@ -357,13 +346,7 @@ def _bounds_of(
                 name="bounds",
             )
         return np.ravel(value) / FACTOR, np.ravel(value) * FACTOR
-    if not isinstance(bounds, (tuple, list)) or len(bounds) != 2:
-        raise UsageError(f"bounds of {path} must be (low, high); got {bounds!r}", name="bounds")
-    shapes = [value.shape if np.ndim(side) else () for side in bounds]
-    low, high = (
-        np.broadcast_to(finite_array(f"bounds of {path}", side, shape=shape), value.shape).ravel()
-        for side, shape in zip(bounds, shapes, strict=True)
-    )
+    low, high = (np.ravel(finite_array(f"bounds of {path}", np.broadcast_to(side, value.shape))) for side in bounds)
     if np.any(low >= high) or np.any(np.ravel(value) < low) or np.any(np.ravel(value) > high):
         raise RangeError(
             f"bounds of {path} must have low < high and the start {value.tolist()!r} between them; got {bounds!r}",
@@ -388,123 +371,90 @@ class _Answer:
     slack_gradients: Float64Array
 
 
+@dataclass(kw_only=True, eq=False)
 class _Problem:
     """Cost and constraints of loops that share parameters, with their derivatives."""
 
-    def __init__(
-        self,
-        *,
-        loops: dict[str, Loop],
-        held_out: dict[str, Loop],
-        paths: Sequence[str],
-        bounds: Mapping[str, tuple[ArrayLike, ArrayLike]],
-        cost: str | Mapping[str, float] | Cost,
-        limits: Mapping[str, ArrayLike | None],
-        chatter: float | None,
-        margin: float | None,
-        q0: ArrayLike | None,
-        seeds: Sequence[int],
-    ) -> None:
-        if not loops:
-            raise UsageError("tune needs a loop at least", name="loops")
-        for loop in loops.values():
-            for path in loop.parameters:
-                if path.endswith(".resolution"):
-                    raise UsageError(
-                        f"the steps of {path} have no derivative; tune with a plant without it, and give one that "
-                        "has it as held_out",
-                        name="loops",
-                    )
-        self._space = _Space(next(iter(loops.values())), paths, bounds)
-        self._loops, self._held_out, self._all = loops, held_out, {**loops, **held_out}
-        self._limits, self._chatter, self._margin, self._q0, self._seeds = limits, chatter, margin, q0, seeds
-        self._gradients = {
-            name: RunGradient(loop, tuple(self._space.first), cost) for name, loop in self._all.items()
-        }
-        self._firsts = {
-            name: {path: np.array(loop.parameters[path]) for path in self._space.first}
-            for name, loop in self._all.items()
-        }
+    space: _Space
+    loops: Mapping[str, Loop]
+    held_out: Mapping[str, Loop]
+    cost: str | Mapping[str, float] | Cost
+    limits: Mapping[str, ArrayLike | None]
+    chatter: float | None
+    q0: ArrayLike | None
+    seeds: Sequence[int]
+    evaluations: int
+
+    def __post_init__(self) -> None:
+        paths = tuple(self.space.start)
+        every = {**self.loops, **self.held_out}
+        self._gradients = {name: RunGradient(loop, paths, self.cost) for name, loop in every.items()}
         self._answers: dict[bytes, _Answer] = {}  # by the point, in the order of the trials
-        self._failures: dict[str, list[str]] = {}  # the parameters with which runs failed, by why
-        self._scales: dict[str, LoopFigures] = {}  # of each loop at the start
+        self._failures: list[str] = []
+        self._first: dict[str, LoopFigures] = {}  # of each loop at the start
 
-    def restore(self) -> None:
-        """Give the loops their own parameters again."""
-        for name, loop in self._all.items():
-            _set(loop, self._firsts[name])
-
-    def solved(self, evaluations: int) -> Tuned:
+    def solved(self) -> Tuned:
         """The best parameters."""
-        space, notes = self._space, []
-        start = self._answer(space.start)
-        zeros, ones = np.zeros(len(space.start)), np.ones(len(space.start))
+        space, x0, notes = self.space, self.space.scaled(self.space.start), []
         constraints: list[Any] = []
-        if start.trial.slacks:
+        if self._answer(x0).trial.slacks:
             constraints = [
                 {
                     "type": "ineq",
-                    "fun": lambda x: np.array(list(self._answer(x, evaluations).trial.slacks.values())),
-                    "jac": lambda x: self._answer(x, evaluations).slack_gradients,
+                    "fun": lambda x: np.array(list(self._answer(x).trial.slacks.values())),
+                    "jac": lambda x: self._answer(x).slack_gradients,
                 }
             ]
 
         def cost(x: Float64Array) -> tuple[float, Float64Array]:
-            answer = self._answer(x, evaluations)
+            answer = self._answer(x)
             return min(answer.trial.cost, NO_COST), answer.gradient
 
         try:
             minimize(
-                cost, space.start, jac=True, method="SLSQP", bounds=Bounds(zeros, ones), constraints=constraints,
+                cost, x0, jac=True, method="SLSQP", bounds=Bounds(0.0, 1.0), constraints=constraints,
                 options={"ftol": COST_TOLERANCE, "maxiter": 200},
             )  # fmt: skip
         except _Stopped:
-            notes.append(f"ended after {count_of(evaluations, 'trial')}, which evaluations= allows")
+            notes.append(f"ended after {count_of(self.evaluations, 'trial')}, which evaluations= allows")
         except KeyboardInterrupt:
             notes.append(f"interrupted after {count_of(len(self._answers), 'trial')}; this is the best of them")
         history = tuple(answer.trial for answer in self._answers.values())
         best = min((trial for trial in history if trial.ok), key=lambda trial: trial.cost, default=history[0])
-        notes += [
-            f"{why}: {count_of(len(places), 'trial')}, first with {places[0]}"
-            for why, places in self._failures.items()
-        ]
+        if self._failures:
+            notes.append(f"{count_of(len(self._failures), 'trial')} failed, the first: {self._failures[0]}")
         if not best.ok:
-            notes.append(f"no trial keeps to the constraints; the nearest {_missed(history)}")
+            nearest = max((trial for trial in history if trial.figures), key=lambda trial: min(trial.slacks.values()))
+            what, slack = min(nearest.slacks.items(), key=lambda pair: pair[1])
+            notes.append(f"no trial keeps to the constraints; the nearest misses the {what} by {-slack:.3g} of it")
         elif best is history[0]:
             notes.append("no trial was better than the start, which is kept")
         else:
             notes += space.at_bounds(best.parameters)
-        first = next(iter(self._loops.values()))
-        _set(first, best.parameters)
-        law = first.side.single_law.bound(
-            {path: np.array(x) for path, x in subtree(dict(first.parameters), "law").items()}
-        )
+        first = next(iter(self.loops.values()))
+        values = {path: np.array(value) for path, value in {**first.parameters, **best.parameters}.items()}
         return Tuned(
-            law=law,
+            law=first.side.single_law.bound(subtree(values, "law")),
             parameters=best.parameters,
-            start=space.first,
+            start=space.start,
             cost=best.cost,
             history=history,
-            before=(*history[0].figures, *self._checked(history[0])),
-            after=(*best.figures, *self._checked(best)),
+            before=(*history[0].figures, *self._unseen(history[0])),
+            after=(*best.figures, *self._unseen(best)),
             notes=tuple(notes),
         )
 
-    def _checked(self, trial: Trial) -> list[LoopFigures]:
+    def _unseen(self, trial: Trial) -> list[LoopFigures]:
         """The loops that are held out, with the parameters of a trial."""
-        x = self._space.start  # directions do not matter
-        out = []
-        for name, loop in self._held_out.items():
-            _set(loop, trial.parameters)
-            out.append(self._figures(name, self._runs(name, loop, x)))
-        return out
+        x = self.space.scaled(trial.parameters)
+        return [self._figures(name, self._runs(name, loop, x)) for name, loop in self.held_out.items()]
 
-    def _answer(self, x: Float64Array, evaluations: int | None = None) -> _Answer:
+    def _answer(self, x: Float64Array) -> _Answer:
         """Cost and constraints at a point."""
         x = np.clip(np.asarray(x, dtype=np.float64), 0.0, 1.0)
         if (known := self._answers.get(x.tobytes())) is not None:
             return known
-        if evaluations is not None and len(self._answers) >= evaluations:
+        if len(self._answers) >= self.evaluations:
             raise _Stopped
         start = next(iter(self._answers.values()), None)
         try:
@@ -515,36 +465,31 @@ class _Problem:
                     f"the start needs a finite cost above 0: {cause}; begin with parameters that are stable",
                     name="cost",
                 ) from cause
-            parameters = self._space.values(x)
-            self._failures.setdefault(str(cause).split(";")[0][:120], []).append(_places(parameters))
-            slacks = dict.fromkeys(start.trial.slacks, -1.0)
-            trial = Trial(parameters=parameters, cost=math.inf, slacks=slacks, figures=())
-            answer = _Answer(
-                trial=trial,
-                gradient=np.zeros_like(start.gradient),
-                slack_gradients=np.zeros_like(start.slack_gradients),
-            )
+            self._failures.append(str(cause).split(";")[0])
+            trial = Trial(
+                parameters=self.space.values(x), cost=math.inf, slacks=dict.fromkeys(start.trial.slacks, -1.0),
+                figures=(),
+            )  # fmt: skip
+            answer = _Answer(trial=trial, gradient=0.0 * start.gradient, slack_gradients=0.0 * start.slack_gradients)
         self._answers[x.tobytes()] = answer
         return answer
 
     def _evaluated(self, x: Float64Array) -> _Answer:
-        parameters, figures, costs = self._space.values(x), [], []
+        figures, costs = [], []
         slacks: dict[str, Slope] = {}
-        for name, loop in self._loops.items():
-            _set(loop, parameters)
+        for name, loop in self.loops.items():
             runs = self._runs(name, loop, x)
             each = self._figures(name, runs)
-            first = self._scales.setdefault(name, each)
+            first = self._first.setdefault(name, each)
             if not math.isfinite(each.cost) or first.cost <= 0.0:
                 raise RangeError(f"the cost of '{name}' is {each.cost:g}")
             figures.append(each)
             costs.append(_scaled(_mean([run.mean_cost() for run in runs]), 1.0 / first.cost))
-            slacks |= {f"{what} of '{name}'": slack for what, slack in self._slacks(loop, x, runs, first)}
-            _set(loop, parameters)
+            slacks |= {f"{what} of '{name}'": slack for what, slack in self._slacks(loop, runs, first)}
         cost, gradient = _mean(costs)
         return _Answer(
             trial=Trial(
-                parameters=parameters,
+                parameters=self.space.values(x),
                 cost=cost,
                 slacks={what: value for what, (value, _) in slacks.items()},
                 figures=tuple(figures),
@@ -553,21 +498,18 @@ class _Problem:
             slack_gradients=np.array([slopes for _, slopes in slacks.values()]).reshape(len(slacks), len(x)),
         )
 
-    def _at_start(self, loop: Loop) -> tuple[Float64Array, Float64Array]:
-        """Where runs of a loop start: where its reference does, if that is one of joints."""
-        first = loop.ref.at(0.0) if isinstance(loop.ref, Trajectory) else None
-        q = getattr(first, "q", None) if self._q0 is None else self._q0
-        return state_at_start(loop.plant.arm, q, None)
-
     def _runs(self, name: str, loop: Loop, x: Float64Array) -> list[RunSlopes]:
-        directions = self._space.directions(x)
-        return [self._gradients[name].at(directions, *self._at_start(loop), seed) for seed in self._seeds]
+        """A run for each seed, from where the reference starts, if that is one of joints."""
+        first = loop.ref.at(0.0) if isinstance(loop.ref, Trajectory) else None
+        q, v = state_at_start(loop.plant.arm, getattr(first, "q", None) if self.q0 is None else self.q0, None)
+        values, directions = self.space.values(x), self.space.directions(x)
+        return [self._gradients[name].at(values, directions, q, v, seed) for seed in self.seeds]
 
     def _figures(self, name: str, runs: Sequence[RunSlopes]) -> LoopFigures:
-        tau, tau_dot = self._limits.get("tau"), self._limits.get("tau_dot")
+        tau, tau_dot = self.limits.get("tau"), self.limits.get("tau_dot")
         return LoopFigures(
             name=name,
-            held_out=name in self._held_out,
+            held_out=name in self.held_out,
             cost=_mean([run.mean_cost() for run in runs])[0],
             rms_error=float(np.mean([np.sqrt(np.mean(run.error**2)) for run in runs])),
             effort=float(np.mean([run.dt * np.sum(run.tau[:-1] ** 2) for run in runs])),
@@ -576,36 +518,17 @@ class _Problem:
             chatter=_mean([run.chatter() for run in runs])[0],
         )
 
-    def _slacks(
-        self, loop: Loop, x: Float64Array, runs: Sequence[RunSlopes], first: LoopFigures
-    ) -> list[tuple[str, Slope]]:
+    def _slacks(self, loop: Loop, runs: Sequence[RunSlopes], first: LoopFigures) -> Iterator[tuple[str, Slope]]:
         """What remains of each constraint of a loop, relative, with its derivatives."""
-        out: list[tuple[str, Slope]] = []
         for what, name in (("torque limit", "tau"), ("limit of the torque rate", "tau_dot")):
-            limit, own = self._limits.get(name), loop.parameters.get(f"limits.{name}")
+            limit, own = self.limits.get(name), loop.parameters.get(f"limits.{name}")
             if limit is None or (own is not None and np.all(own <= np.asarray(limit) * (1.0 + CONSTRAINT_TOLERANCE))):
                 continue  # the controller keeps to it
-            largest = max((run.largest(limit, rate=name == "tau_dot") for run in runs), key=lambda pair: pair[0])
-            out.append((what, _remaining(largest)))
-        if self._chatter is not None:
-            mean = _mean([run.chatter() for run in runs])
-            out.append(("chatter", _remaining(_scaled(mean, 1.0 / (self._chatter * first.chatter)))))
-        if self._margin is not None:
-            alpha = self._margin_at(loop, x)
-            steps = np.where(x > 0.5, -MARGIN_STEP, MARGIN_STEP)  # away from the bound
-            slopes = approx_fprime(x, lambda moved: self._margin_at(loop, moved), steps)
-            out.append(("disk margin", (alpha - self._margin, slopes)))
-        return out
-
-    def _margin_at(self, loop: Loop, x: Float64Array) -> float:
-        """The disk margin where the run starts, at rest there."""
-        _set(loop, self._space.values(x))
-        reference, (q, _) = loop.ref, self._at_start(loop)
-        try:
-            loop.ref = Hold()
-            return float(linearise(loop, at=q).margins().disk.alpha)
-        finally:
-            loop.ref = reference
+            used, slopes = max((run.largest(limit, rate=name == "tau_dot") for run in runs), key=lambda pair: pair[0])
+            yield what, (1.0 - used, -slopes)
+        if self.chatter is not None:
+            used, slopes = _scaled(_mean([run.chatter() for run in runs]), 1.0 / (self.chatter * first.chatter))
+            yield "chatter", (1.0 - used, -slopes)
 
 
 def _mean(pairs: Sequence[Slope]) -> Slope:
@@ -615,24 +538,3 @@ def _mean(pairs: Sequence[Slope]) -> Slope:
 
 def _scaled(pair: Slope, factor: float) -> Slope:
     return factor * pair[0], factor * pair[1]
-
-
-def _remaining(pair: Slope) -> Slope:
-    """What remains of a limit, of a fraction that is used."""
-    return 1.0 - pair[0], -pair[1]
-
-
-def _set(loop: Loop, values: Mapping[str, ArrayLike]) -> None:
-    for path, value in values.items():
-        loop.parameters[path] = value
-
-
-def _places(parameters: Mapping[str, Float64Array]) -> str:
-    return ", ".join(f"{path} = {np.array2string(x, precision=5)}" for path, x in parameters.items())
-
-
-def _missed(history: Sequence[Trial]) -> str:
-    """Which constraint the trial misses that keeps to them best, and by how much."""
-    nearest = max((trial for trial in history if trial.figures), key=lambda trial: min(trial.slacks.values()))
-    what, slack = min(nearest.slacks.items(), key=lambda pair: pair[1])
-    return f"misses the {what} by {-slack:.3g} of it, with {_places(nearest.parameters)}"

@@ -17,8 +17,7 @@ from taut.base.checks import (
     entry_names,
     finite_array,
     finite_scalar,
-    require_at_least,
-    require_positive,
+    require_range,
     vector,
     whole_number,
 )
@@ -125,10 +124,9 @@ def joints_replaced(arm: Arm, values: Mapping[str, ArrayLike | Mapping[str, floa
         if name not in JOINT_FIELDS:
             raise unknown_name("a joint", "field", name, JOINT_FIELDS)
         columns[name] = column = _column(arm, name, given)
-        if name in POSITIVE:
-            require_positive(name, column, joints=arm.joint_names)
-        elif name not in LIMITS:
-            require_at_least(name, column, 0.0, joints=arm.joint_names)
+        above, minimum = 0.0 if name in POSITIVE else -math.inf, -math.inf if name in LIMITS else 0.0
+        infinite = name in LIMITS
+        require_range(name, column, joints=arm.joint_names, minimum=minimum, above=above, infinite=infinite)
     joints, problems = [], []
     for i, joint in enumerate(arm.joints):
         changed: dict[str, Any] = {
@@ -178,8 +176,8 @@ def geared(arm: Arm, ratio: ArrayLike | Mapping[str, float], motor_inertia: Arra
                 column[arm.joint_index(joint)] = finite_scalar(f"{name}['{joint}']", one)
         else:
             column[chosen] = _column(arm, name, value)[chosen]
-    require_positive("ratio", G, joints=arm.joint_names)
-    require_at_least("motor_inertia", rotor, 0.0, unit="kg m^2", joints=arm.joint_names)
+    require_range("ratio", G, above=0.0, joints=arm.joint_names)
+    require_range("motor_inertia", rotor, minimum=0.0, unit="kg m^2", joints=arm.joint_names)
     return joints_replaced(arm, {"gear": G, "rotor_inertia": np.where(chosen, G**2 * rotor, arm.rotor_inertia)})
 
 
@@ -192,8 +190,8 @@ def _column(arm: Arm, name: str, given: ArrayLike | Mapping[str, float]) -> Floa
             column = [getattr(joint, name) for joint in arm.joints]
         for joint, value in given.items():
             column[arm.joint_index(joint)] = value
-        return vector(name, column, arm.n, joints=arm.joint_names, allow_infinite=name in LIMITS)
-    numbers = finite_array(name, given, allow_infinite=name in LIMITS, joints=arm.joint_names)
+        return finite_array(name, column, shape=(arm.n,), joints=arm.joint_names, infinite=name in LIMITS)
+    numbers = finite_array(name, given, infinite=name in LIMITS, joints=arm.joint_names)
     if numbers.shape not in ((), (arm.n,)):
         raise ShapeError(f"{name} must be one number or {arm.n}, one per joint; got shape {numbers.shape}", name=name)
     return np.broadcast_to(numbers, (arm.n,))

@@ -21,7 +21,7 @@ import numpy as np
 
 from taut.arm.friction import FRICTION_FIELDS, Friction
 from taut.arm.rules import MAX_ROTOR, OTHER_UNIT
-from taut.base.checks import finite_array, finite_scalar, readable_file, require_at_least, require_positive
+from taut.base.checks import finite_array, finite_scalar, positive_scalar, readable_file, require_range
 from taut.base.errors import ModelError, Problem, ShapeError, UsageError, quoted_list, unknown_name
 from taut.base.types import ArrayLike, Float64Array
 
@@ -112,13 +112,11 @@ class Servo:
             if np.ndim(getattr(self.friction, name)):
                 shape = np.shape(getattr(self.friction, name))
                 raise ShapeError(f"a servo's friction.{name} must be one number; got shape {shape}", name=name)
-        rotor = finite_scalar("rotor_inertia", self.rotor_inertia, unit="kg m^2")
-        require_at_least("rotor_inertia", np.asarray(rotor), 0.0, unit="kg m^2")
+        rotor = finite_scalar("rotor_inertia", self.rotor_inertia, unit="kg m^2", minimum=0.0)
         object.__setattr__(self, "rotor_inertia", rotor)
         for name, unit in (("torque_constant", "N m/A"), ("resistance", "ohm"), ("voltage", "V")):
             if getattr(self, name) is not None:
-                value = finite_scalar(name, getattr(self, name), unit=unit)
-                require_positive(name, np.asarray(value), unit=unit)
+                value = positive_scalar(name, getattr(self, name), unit=unit)
                 object.__setattr__(self, name, value)
 
     @property
@@ -400,8 +398,8 @@ def reflected_inertia(ratio: ArrayLike, motor_inertia: ArrayLike) -> Float64Arra
         Chapter, section 10.2.1.5 the effect of gearing.
     """
     G, rotor = _two("ratio", ratio, "motor_inertia", motor_inertia)
-    require_positive("ratio", G)
-    require_at_least("motor_inertia", rotor, 0.0, unit="kg m^2")
+    require_range("ratio", G, above=0.0)
+    require_range("motor_inertia", rotor, minimum=0.0, unit="kg m^2")
     return np.asarray(G**2 * rotor)
 
 
@@ -425,8 +423,8 @@ def matched_ratio(link_inertia: ArrayLike, motor_inertia: ArrayLike) -> Float64A
         Chapter, section 10.2.1.5 the effect of gearing.
     """
     link, rotor = _two("link_inertia", link_inertia, "motor_inertia", motor_inertia)
-    require_positive("link_inertia", link, unit="kg m^2")
-    require_positive("motor_inertia", rotor, unit="kg m^2")
+    require_range("link_inertia", link, above=0.0, unit="kg m^2")
+    require_range("motor_inertia", rotor, above=0.0, unit="kg m^2")
     return np.asarray(np.sqrt(link / rotor))
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -19,11 +19,9 @@ from taut.base.errors import RangeError, UsageError, count_of
 from taut.base.paths import Named
 from taut.base.types import Float64Array
 from taut.control.trajectories.reference import Sample
-from taut.record.info import RunInfo
-from taut.record.outcome import Outcome
+from taut.record.info import Outcome, RunInfo
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
     from taut.base.result import Content
@@ -153,7 +151,7 @@ class Run:
         Raises:
             UsageError: It has no two ticks.
         """
-        from taut.record.run_report import content_of_run
+        from taut.record.report import content_of_run
 
         return content_of_run(self)
 
@@ -237,7 +235,7 @@ class Run:
         Raises:
             UnknownNameError: The run has no such joint.
         """
-        from taut.record.plots.run_plot import plot
+        from taut.record.run_plot import plot
 
         return plot(self, joints=joints)
 
@@ -249,7 +247,6 @@ class Run:
         size: tuple[int, int] = (640, 480),
         speed: float = 1.0,
         camera: tuple[float, float] | None = None,
-        focus: Literal["arm", "tool"] = "arm",
         arm: Arm | None = None,
         progress: bool | None = None,
     ) -> Path:
@@ -265,7 +262,6 @@ class Run:
             speed: How fast the film plays; 2.0 is twice as fast as it was.
             camera: Azimuth and elevation [deg] of the direction of view, from the x axis towards y, and upwards; by
                 default one from which what stands around does not hide the tool.
-            focus: What the picture holds: all that the "arm" does, or where its "tool" goes.
             arm: The arm to draw; the plant's by default. A run from a file needs it.
             progress: Show progress; by default on a terminal when it takes a while.
 
@@ -276,9 +272,8 @@ class Run:
             FileError: Another suffix, no such folder, no ffmpeg.
             MissingExtraError: No OpenGL works here.
             UsageError: The run does not know its arm.
-            UnknownNameError: Another focus.
         """
-        from taut.record.film.video import film
+        from taut.record.film import film
 
         return film(
             self,
@@ -287,7 +282,6 @@ class Run:
             size=size,
             speed=speed,
             camera=camera,
-            focus=focus,
             arm=arm,
             progress=progress,
         )
@@ -300,16 +294,6 @@ class Run:
 
         return columns_of(self)
 
-    def to_pandas(self) -> pd.DataFrame:
-        """A table with one row per tick, the time as index, and one column per number: q.elbow, terms.P.elbow, ...
-
-        Raises:
-            MissingExtraError: pandas is not installed.
-        """
-        from taut.record.log.export import to_pandas
-
-        return to_pandas(self)
-
     def to_csv(self, path: str | os.PathLike[str], *, progress: bool | None = None) -> Path:
         """Write a table (.csv): a header with names and units, then one line per tick that reads back exactly.
 
@@ -320,12 +304,6 @@ class Run:
         from taut.record.log.export import to_csv
 
         return to_csv(self, path, progress=progress)
-
-    def to_mat(self, path: str | os.PathLike[str]) -> Path:
-        """Write a MATLAB file (.mat) with the struct `run`: t, q, ..., terms.P, reference.q, joint_names, units."""
-        from taut.record.log.export import to_mat
-
-        return to_mat(self, path)
 
     def save(self, path: str | os.PathLike[str], *, progress: bool | None = None) -> Path:
         """Write a log (.mcap) that common viewers open and `taut.load_run` reads back exactly.

@@ -1,4 +1,4 @@
-"""Exports: a run as a pandas table, a CSV or a MATLAB file.
+"""A run as a table (CSV).
 
 One number is one column, called after its array and its joint: q.elbow, v.elbow, tau.elbow, command.elbow,
 terms.P.elbow, reference.q.elbow. Entries that belong to no joint are numbered: extra.F_ext.0.
@@ -9,24 +9,20 @@ from __future__ import annotations
 import csv
 import itertools
 import os
-import re
+from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from taut.base.errors import MissingExtraError
-from taut.base.paths import unflatten
 from taut.record.log.files import checked_target, written_aside
 from taut.record.log.layout import columns_of
 from taut.record.progress import Progress
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from taut.record.run import Run
 
-__all__ = ["to_csv", "to_mat", "to_pandas"]
+__all__ = ["to_csv"]
 
 ROWS: Final = 4096  # lines of a CSV that are written at a time
 WRENCH: Final = ("N",) * 3 + ("N m",) * 3
@@ -64,26 +60,6 @@ def _columns(run: Run) -> dict[str, tuple[list[str], tuple[str, ...]]]:
     return out
 
 
-def to_pandas(run: Run) -> pd.DataFrame:
-    """A table with the time as index; `table.attrs["units"]` has the unit of each column."""
-    try:
-        import pandas as pd
-    except ImportError as cause:
-        raise MissingExtraError(
-            "run.to_pandas() needs the package 'pandas', which is not installed; pip install pandas installs it",
-            name="pandas",
-        ) from cause
-    names, units = (list(itertools.chain(*both)) for both in zip(*_columns(run).values(), strict=True))
-    table = np.hstack(_arrays(run))
-    frame = pd.DataFrame(table[:, 1:], columns=names[1:], index=pd.Index(run.t, name="t"))
-    frame.attrs["units"] = dict(zip(names, units, strict=True))
-    return frame
-
-
-def _arrays(run: Run) -> list[np.ndarray[tuple[int, int], np.dtype[np.float64]]]:
-    return [array.reshape(len(run), int(np.prod(array.shape[1:]))) for array in columns_of(run).values()]
-
-
 def to_csv(run: Run, path: str | os.PathLike[str], *, progress: bool | None = None) -> Path:
     """A table with one header line; every number has as many digits as it takes to read it back exactly."""
     target = checked_target("table", path, (".csv",))
@@ -92,7 +68,7 @@ def to_csv(run: Run, path: str | os.PathLike[str], *, progress: bool | None = No
         for names, units in _columns(run).values()
         for name, unit in zip(names, units, strict=True)
     ]
-    tables = _arrays(run)
+    tables = [array.reshape(len(run), prod(array.shape[1:])) for array in columns_of(run).values()]
     with written_aside("table", target) as aside, aside.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(header)
@@ -101,16 +77,4 @@ def to_csv(run: Run, path: str | os.PathLike[str], *, progress: bool | None = No
                 rows = np.hstack([table[first : first + ROWS] for table in tables]).tolist()
                 writer.writerows(rows)
                 bar.advance(len(rows))
-    return target
-
-
-def to_mat(run: Run, path: str | os.PathLike[str]) -> Path:
-    """A MATLAB file with the struct `run`: run.t, run.q, run.terms.P, run.reference.q, run.joint_names, run.units."""
-    from scipy.io import savemat
-
-    target = checked_target("MATLAB file", path, (".mat",))
-    words = {"joint_names": np.array(run.joint_names, dtype=object), "units": np.array(run.units, dtype=object)}
-    columns = {re.sub(r"[^A-Za-z0-9.]", "_", path): array for path, array in columns_of(run).items()}
-    with written_aside("MATLAB file", target) as aside, aside.open("wb") as file:
-        savemat(file, {"run": unflatten(columns) | words}, long_field_names=True, oned_as="column")
     return target

@@ -1,20 +1,15 @@
 """The header of a log, and one tick of a run as a ROS 2 message of constant size.
 
-| topic | message | numbers |
-|---|---|---|
-| /run | taut/msg/Tick | t and every column: q, v, tau, command, terms_P, reference_q, extra_F_ext, ... |
-| /joint_states | sensor_msgs/msg/JointState | q, v, tau at 100 Hz at most, for what animates an arm |
-
-A tick has numbers of fixed count alone, so that thousands are written and read at a time by NumPy.
+The message taut/msg/Tick on the topic /run has t and every column: q, v, tau, command, terms_P, reference_q,
+extra_F_ext, ... These are numbers of fixed count alone, so that thousands are written and read at a time by NumPy.
 
 References:
-    OMG, DDS-XTypes 1.3, section 7.4 (plain CDR, version 1). ROS 2 interface definitions (common_interfaces).
+    OMG, DDS-XTypes 1.3, section 7.4 (plain CDR, version 1).
 """
 
 from __future__ import annotations
 
 import re
-import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import prod
@@ -27,7 +22,7 @@ from taut.control.trajectories.compound import Compound
 from taut.record.info import RunInfo, check_info
 from taut.record.run import Run
 
-__all__ = ["JOINT_STATE", "Header", "JointStates", "TickLayout", "columns_of"]
+__all__ = ["Header", "TickLayout", "columns_of"]
 
 FORMAT: Final = 2
 CDR_HEAD: Final = b"\x00\x01\x00\x00"  # little-endian plain CDR
@@ -37,22 +32,6 @@ MAX_AXIS: Final = 2**31  # [-] size of an axis
 MAX_PARTS: Final = 64  # of a reference of several
 
 _RULER = "=" * 80
-JOINT_STATE: Final = f"""\
-std_msgs/Header header
-string[] name
-float64[] position
-float64[] velocity
-float64[] effort
-{_RULER}
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-{_RULER}
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-"""
-
 Shape: TypeAlias = tuple[int, ...]
 Unit = Literal["rad", "m"]
 Kind = Literal["torque", "velocity", "position"]
@@ -172,31 +151,6 @@ class TickLayout:
             else np.zeros((ticks, *shape))
             for name, shape in self.shapes.items()
         }
-
-
-class JointStates:
-    """Messages sensor_msgs/msg/JointState of one arm.
-
-    Args:
-        joints: Names of the joints.
-    """
-
-    def __init__(self, joints: Sequence[str]) -> None:
-        count = struct.pack("<I", len(joints))
-        parts = [_text(""), count, *map(_text, joints), count]  # behind a stamp of 8 bytes, each aligned to 4
-        names = b"".join(part + bytes(-len(part) % 4) for part in parts)
-        self._names, self._count = names + bytes(-len(names) % 8), count + bytes(4)
-
-    def message(self, time: int, q: Float64Array, v: Float64Array, tau: Float64Array) -> bytes:
-        """The message of one tick, at a time in ns."""
-        stamp = struct.pack("<iI", *divmod(time, 1_000_000_000))
-        head = CDR_HEAD + stamp + self._names
-        return head + q.tobytes() + self._count + v.tobytes() + self._count + tau.tobytes()
-
-
-def _text(text: str) -> bytes:
-    raw = text.encode(errors="replace") + b"\x00"
-    return struct.pack("<I", len(raw)) + raw
 
 
 def _identifiers(names: Iterable[str]) -> dict[str, str]:

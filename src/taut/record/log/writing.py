@@ -20,9 +20,9 @@ import numpy as np
 
 from taut.base import __version__
 from taut.base.errors import FileError, count_of
+from taut.record.info import Outcome
 from taut.record.log.files import cannot_write, checked_target, written_aside
-from taut.record.log.layout import JOINT_STATE, Header, JointStates, TickLayout, columns_of
-from taut.record.outcome import Outcome
+from taut.record.log.layout import Header, TickLayout, columns_of
 from taut.record.plain import plain
 from taut.record.progress import Progress
 from taut.record.run import Run
@@ -39,7 +39,6 @@ BLOCK_TICKS: Final = 4096  # that are turned into bytes at a time
 CHUNK_SECONDS: Final = 0.1  # of a run, which is what a process that is killed can lose
 CHUNK_BYTES: Final = 64 * 1024
 MIN_CHUNK_TICKS: Final = 16
-JOINT_STATE_RATE: Final = 100.0  # [Hz]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,22 +129,15 @@ class Log:
         header = Header.of(rows)
         description = sealed(json.dumps(plain(header)))
         rate = rows.info.rate or USUAL_RATE
-        self._layout, self._states = TickLayout(header), JointStates(header.joint_names)
-        self._period = max(1, round(rate / JOINT_STATE_RATE))
+        self._layout = TickLayout(header)
         ticks = max(MIN_CHUNK_TICKS, min(CHUNK_BYTES // self._layout.dtype.itemsize, round(CHUNK_SECONDS * rate)))
         self._stream = _Stream(self._to)
         stream: Any = self._stream  # which has what the writer needs of a file
         writer = Writer(stream, chunk_size=ticks * self._layout.dtype.itemsize, compression=CompressionType.LZ4)
         writer.start(profile="ros2", library=f"taut {__version__}")
         writer.add_metadata("taut.run", description)
-        topics = (
-            (TICKS, "taut/msg/Tick", self._layout.schema()),
-            ("/joint_states", "sensor_msgs/msg/JointState", JOINT_STATE),
-        )
-        self._channels = [
-            writer.register_channel(topic, "cdr", writer.register_schema(name, "ros2msg", text.encode()))
-            for topic, name, text in topics
-        ]
+        schema = writer.register_schema("taut/msg/Tick", "ros2msg", self._layout.schema().encode())
+        self._channel = writer.register_channel(TICKS, "cdr", schema)
         return writer
 
     def _append(self, writer: Writer, columns: dict[str, Any]) -> None:
@@ -154,10 +146,7 @@ class Log:
         times = np.round(columns["t"] * 1e9).astype(np.int64).tolist()
         before = self._stream.position
         for k, time in enumerate(times):
-            writer.add_message(self._channels[0], time, data[k * size : (k + 1) * size], time, self.ticks)
-            if self.ticks % self._period == 0:
-                state = self._states.message(time, columns["q"][k], columns["v"][k], columns["tau"][k])
-                writer.add_message(self._channels[1], time, state, time, self.ticks)
+            writer.add_message(self._channel, time, data[k * size : (k + 1) * size], time, self.ticks)
             self.ticks += 1
             if self._stream.position != before:  # a chunk is full
                 before, self.safe_ticks = self._stream.position, self.ticks
