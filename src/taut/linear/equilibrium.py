@@ -13,7 +13,16 @@ from taut.base.errors import RangeError
 from taut.base.types import Float64Array
 from taut.linear.period import Derivative, PeriodMap, Point, finite_derivative
 
-__all__ = ["WITHIN", "Flags", "Rest", "driven_states", "equilibrium", "observed_states", "standing_states"]
+__all__ = [
+    "NEWTON_STEPS",
+    "WITHIN",
+    "Flags",
+    "Rest",
+    "driven_states",
+    "equilibrium",
+    "observed_states",
+    "standing_states",
+]
 
 Flags = NDArray[np.bool_]
 
@@ -72,13 +81,14 @@ def standing_states(found: Derivative, tolerance: float) -> Flags:
     return still
 
 
-def equilibrium(map_: PeriodMap, start: Point, within: float = WITHIN) -> Rest:
+def equilibrium(map_: PeriodMap, start: Point, within: float = WITHIN, steps: int = NEWTON_STEPS) -> Rest:
     """The nearest point to a start at which the loop rests with the same inputs and parameters.
 
     Args:
         map_: The map of a period.
         start: Inputs, parameters, and the memory of the first tick.
         within: Maximum distance of a joint from the start [rad | m].
+        steps: Steps of Newton's method at most.
 
     Raises:
         RangeError: There is none so near; the message names a joint and its distance.
@@ -87,7 +97,7 @@ def equilibrium(map_: PeriodMap, start: Point, within: float = WITHIN) -> Rest:
     joints = coordinates.places["plant.q"]
     step = np.full(len(coordinates), np.inf)
     at, found = start, finite_derivative(map_, start)
-    for _ in range(NEWTON_STEPS):
+    for _ in range(steps):
         solved = observed_states(found.A, found.C) & ~standing_states(found, map_.tolerance)
         scale = 1.0 + np.abs(coordinates.numbers(memory))
         wrong = np.abs(found.residual) / scale
@@ -103,7 +113,7 @@ def equilibrium(map_: PeriodMap, start: Point, within: float = WITHIN) -> Rest:
         memory = coordinates.moved(np.where(_expanded(map_, solved), memory, found.memory), step)
         at = Point(inputs=start.inputs, parameters=start.parameters, memory=memory)
         found = finite_derivative(map_, at)
-    raise _never(map_, start, at, found)
+    raise _never(map_, start, at, found, steps)
 
 
 def _expanded(map_: PeriodMap, states: Flags) -> Flags:
@@ -160,7 +170,7 @@ def _at_rest(map_: PeriodMap, at: Point, found: Derivative, wrong: Float64Array,
     return Rest(point=at, found=found, drifting=drifting)
 
 
-def _never(map_: PeriodMap, start: Point, at: Point, found: Derivative) -> RangeError:
+def _never(map_: PeriodMap, start: Point, at: Point, found: Derivative, steps: int) -> RangeError:
     """The error of a loop without an equilibrium near."""
     arm, names = map_.side.arm, map_.state_coordinates.names
     places = map_.state_coordinates.places
@@ -170,7 +180,7 @@ def _never(map_: PeriodMap, start: Point, at: Point, found: Derivative) -> Range
     if of_joints[i] > REST_CHANGE:
         unit = f"{arm.units[i]}/s^2"
         return RangeError(
-            f"not an equilibrium, and none is near: after {NEWTON_STEPS} steps of Newton's method joint "
+            f"not an equilibrium, and none is near: after {steps} steps of Newton's method joint "
             f"'{arm.joint_names[i]}' is {q - q0:.4g} {arm.units[i]} away from at= and still accelerates with "
             f"{of_joints[i]:.3g} {unit}; the load on it is not balanced there (gravity, a limit that is reached, a "
             "target out of reach)",
