@@ -201,6 +201,10 @@ def around(constraint: taut.Constraint) -> taut.laws.NormalEstimate:
     return taut.laws.NormalEstimate(law=taut.laws.HybridMotionForce(constraint=constraint, motion=MOTION))
 
 
+OTHER = (
+    "NormalEstimate is of a surface's normal at the frame that moves, 'panda_hand_tcp': put the surface first, "
+    "of that frame, or leave the estimate out"
+)
 REFUSED = [
     (
         lambda: taut.laws.NormalEstimate(law=taut.laws.Posture()),  # type: ignore[arg-type]
@@ -217,13 +221,12 @@ REFUSED = [
             around(taut.Constraint(lambda T: T.p[2], frames=("panda_link8",))), taut.load_arm("panda")
         ),
         UsageError,
-        "estimate needs motion and constraint to be of one frame, and these are of 'panda_hand_tcp' and 'panda_link8'",
+        OTHER,
     ),
     (
         lambda: taut.compile(around(taut.Constraint(lambda T: T.R[0, 2])), taut.load_arm("panda")),
         UsageError,
-        "estimate is of a surface's normal, and the first row of the constraint holds rotations only; put the surface "
-        "first, or leave it out",
+        OTHER,
     ),
     (lambda: taut.laws.NormalEstimate(law=board_law(), most=1.5), RangeError, "most must be <= 1.2 [rad]; got 1.5"),
 ]

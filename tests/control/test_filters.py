@@ -11,7 +11,7 @@ import scipy.signal
 
 import taut
 from taut.base.types import Float64Array
-from taut.control.sensing.filters import kalman_gains
+from taut.control.sensing import kalman_gains
 
 Array = Float64Array
 RATE = 1000.0
@@ -161,9 +161,9 @@ class TestKalman:
             wanted.append(state[1])
         part, arm = taut.sensors.Kalman(acceleration_noise=noise, position_noise=sigma), taut.load_arm("one_joint")
         numbers = {"acceleration_noise": np.asarray(noise), "position_noise": np.asarray(sigma)}
-        memory, got = part.start(measured[:1], np.zeros(1)), []
+        memory, got = part.start(measured[:1]), []
         for z in measured:
-            v, memory = part.velocity(arm, np.array([z]), np.zeros(1), memory, numbers, DT)
+            v, memory = part.filtered(np.array([z]), memory, numbers, DT, arm.difference)
             got.append(v[0])
         np.testing.assert_allclose(got, wanted, rtol=1e-6, atol=1e-9)
 
@@ -189,9 +189,9 @@ class TestKalman:
     def test_follows_a_constant_velocity_without_error(self) -> None:
         part, arm = taut.sensors.Kalman(acceleration_noise=5.0, position_noise=1e-4), taut.load_arm("one_joint")
         numbers = {"acceleration_noise": np.asarray(5.0), "position_noise": np.asarray(1e-4)}
-        memory, v = part.start(np.zeros(1), np.zeros(1)), np.zeros(1)
+        memory, v = part.start(np.zeros(1)), np.zeros(1)
         for k in range(3000):
-            v, memory = part.velocity(arm, np.array([0.7 * k * DT]), np.zeros(1), memory, numbers, DT)
+            v, memory = part.filtered(np.array([0.7 * k * DT]), memory, numbers, DT, arm.difference)
         np.testing.assert_allclose(v, 0.7, rtol=1e-9)
 
 

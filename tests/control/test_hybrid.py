@@ -363,12 +363,12 @@ def squared(T: Pose) -> Any:
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose())), np.array(ARM.home)),
             taut.errors.RangeError,
-            r"must start on its constraint, and the constraint has phi = 0\.\d+ there, .*; start from taut\.dynamics\.onto",
+            r"must start on its constraint, and row 0 has phi = 0\.\d+ there, .*; start from taut\.dynamics\.onto",
         ),
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose()), F_app=[0, 3.0, -9.0, 0, 0, 0])),
             taut.errors.RangeError,
-            r"of \[0, 3, -9, 0, 0, 0\] it admits \[0, 0, -9, 0, 0, 0\], and not \[0, 3, 0, 0, 0, 0\]",
+            r"admits \[0.0, 0.0, -9.0, 0.0, 0.0, 0.0\] of \[0.0, 3.0, -9.0, 0.0, 0.0, 0.0\]",
         ),
         (  # a millionth of it is nothing to speak of
             lambda: stepped(
@@ -376,47 +376,47 @@ def squared(T: Pose) -> Any:
                 taut.pressing(taut.TaskMotion(pose=floor_pose()), F_app=[0, 3.0, -9.0, 0, 0, 0]),
             ),
             taut.errors.RangeError,
-            r"it admits \[0, 0, -9, 0, 0, 0\], and not \[0, 3, 0, 0, 0, 0\]",
+            r"admits \[-?0.0, 0.0, -9.0, 0.0, 0.0, 0.0\] of",
         ),
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose()), F_app=[0, 0, 9.0, 0, 0, 0])),
             taut.errors.RangeError,
-            "F_app must press on a contact, and .* pulls at row 0",
+            "F_app must press on a contact, .* and pulls at row 0",
         ),
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose()), lam=[4.0])),
             taut.errors.RangeError,
-            r"lam\[0\] must be <= 0 \[N\], for the contact can be pressed and not pulled; got 4",
+            r"lam must press on a contact, lam <= 0 \[N\], and pulls at row 0 with lam = 4",
         ),
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose()), lam=[-4.0, 1.0])),
             taut.errors.UsageError,
-            "lam has 2 entries, and the constraint has 1 row; give one for each row",
+            "lam must have one entry for each row of the constraint, 1; got 2",
         ),
         (
             lambda: stepped(HINGE, taut.pressing(taut.TaskMotion(pose=floor_pose()), lam=[0.0, 1.0, 2.0])),
             taut.errors.UsageError,
-            "lam has 3 entries, and the constraint has 5 rows; give one for each row",
+            "lam must have one entry for each row of the constraint, 5; got 3",
         ),
         (
             lambda: stepped(HINGE, taut.pressing(taut.TaskMotion(pose=floor_pose()), lam=[0.0, 0.0])),
             taut.errors.UsageError,
-            "lam has 2 entries, and the constraint has 5 rows",
+            "lam must have one entry for each row of the constraint, 5; got 2",
         ),
         (
             lambda: stepped(HINGE, FLOOR_PRESS),
             taut.errors.UsageError,
-            "press is a force into a surface, and the first row of the constraint holds both ways; put the surface",
+            "press is a force into a surface, and the first row of the constraint is none; put the surface",
         ),
         (
             lambda: checked(HINGE, taut.pressing(taut.TaskMotion(pose=floor_pose()), lambda t: 5.0 * t)),
             taut.errors.UsageError,
-            "press is a force into a surface, and the first row of the constraint holds both ways",
+            "press is a force into a surface, and the first row of the constraint is none",
         ),
         (
             lambda: checked(HINGE, taut.chunk([0.0, 1.0], [FLOOR_REF, FLOOR_PRESS])),  # type: ignore[list-item]
             taut.errors.UsageError,
-            "press is a force into a surface, and the first row of the constraint holds both ways",
+            "press is a force into a surface, and the first row of the constraint is none",
         ),
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=Pose(floor_pose().p - [0, 0, 0.05])), 5.0)),
@@ -459,7 +459,7 @@ def squared(T: Pose) -> Any:
         (
             lambda: stepped(Constraint.knife_edge(sideways=[0.0, 1.0, 0.0]) + FLOOR, FLOOR_PRESS),
             taut.errors.UsageError,
-            "press is a force into a surface, and the first row of the constraint holds both ways; put the surface",
+            "press is a force into a surface, and the first row of the constraint is none; put the surface",
         ),
         (lambda: taut.pressing(3.0), taut.errors.UsageError, "pressing takes a motion such as"),  # type: ignore[arg-type]
         (lambda: taut.pressing(taut.hold()), taut.errors.UsageError, "got a hold without its sample"),
@@ -504,39 +504,6 @@ def test_a_motion_is_looked_at_whichever_way_its_frame_is_named_and_of_a_chunk_e
             law.check_reference(x, ref, 1000.0)
 
 
-def test_a_wheel_is_not_asked_to_go_sideways() -> None:
-    """Against rows of velocities it counts how far a motion goes; steering on the way is no offence."""
-    x = taut.snapshot(ARM, taut.dynamics.onto(FLOOR, ARM, ARM.home))
-    T, flange = x.T(), "panda_link8"
-    aside = np.array([*T.R[:2, 1], 0.0]) / np.linalg.norm(T.R[:2, 1])
-    ahead = np.cross(aside, [0.0, 0.0, 1.0])
-    wheel = FLOOR + Constraint.knife_edge(sideways=T.R.T @ aside)
-    law = HybridMotionForce(constraint=wheel, motion=motion())
-    for way, fine in ((0.1 * ahead, True), (0.1 * aside, False), (0.1 * ahead + 0.005 * aside, True)):
-        line = taut.pressing(taut.trajectories.Line(T0=T, T1=Pose(T.p + way, R=T.R), duration=1.0), 5.0)
-        if fine:
-            law.check_reference(x, line, 1000.0)
-        else:
-            with pytest.raises(
-                taut.errors.RangeError, match=r"until t = 0\.\d+ s it goes 0\.01\d+ against row 1, which is one"
-            ):
-                law.check_reference(x, line, 1000.0)
-    turning = taut.trajectories.Circle(
-        T0=T, centre=T.p + 0.1 * aside, axis=[0.0, 0.0, 1.0], angle=0.8, orientation="turn", duration=1.0
-    )
-    law.check_reference(x, taut.pressing(turning, 5.0), 1000.0)
-    spin = taut.TaskMotion(pose=T, twist=[*(0.3 * ahead), 0.0, 0.0, 1.0])
-    law.check_reference(x, taut.pressing(spin, 5.0), 1000.0)
-    with pytest.raises(taut.errors.RangeError, match=r"in 1 s it goes 0\.2 against row 1"):
-        law.check_reference(x, taut.pressing(taut.TaskMotion(pose=T, twist=[*(0.2 * aside), 0, 0, 0]), 5.0), 1000.0)
-    # of another frame of the link: it is the wheel that must not slip, and not where the motion is told
-    at_flange = HybridMotionForce(constraint=wheel, motion=motion(tool=flange))
-    arm = taut.snapshot(ARM, x.q)
-    r = arm.T(flange).p - T.p
-    rolled = np.array([*(0.2 * ahead + np.cross(ahead, r)), *ahead])
-    at_flange.check_reference(x, taut.pressing(taut.TaskMotion(pose=arm.T(flange), twist=rolled), 5.0), 1000.0)
-
-
 def test_a_wrench_must_lie_in_the_range_of_a_all_the_way() -> None:
     """On a sphere what presses at the start is askew later."""
     q, _ = on(BALL, ARM)
@@ -554,7 +521,7 @@ def test_a_wrench_must_lie_in_the_range_of_a_all_the_way() -> None:
     law = HybridMotionForce(constraint=BALL, motion=motion())
     law.check_reference(x, taut.pressing(Arc(), 10.0), 1000.0)
     with pytest.raises(
-        taut.errors.RangeError, match=r"F_app must lie in the range of A\^T, .* at t = 0\.\d+ s, and not"
+        taut.errors.RangeError, match=r"F_app must lie in the range of A\^T, .* at t = 0\.\d+ s it admits"
     ):
         law.check_reference(x, taut.pressing(Arc(), F_app=[*(-10.0 * n), 0.0, 0.0, 0.0]), 1000.0)
 

@@ -214,25 +214,6 @@ def test_a_streamed_force_that_the_constraint_does_not_bear_is_told_and_left_out
         np.testing.assert_allclose(out.terms["force"][60:], pressed.terms["force"][60:], atol=1e-6)
 
 
-def test_a_streamed_motion_sideways_to_a_blade_is_told_when_it_has_gone_too_far() -> None:
-    """1 cm is allowed, at 0.1 m/s for 0.1 s; along the blade any way."""
-    blade = Constraint.knife_edge(sideways=[0.0, 1.0, 0.0])
-    ctrl = taut.compile(law(blade, kfp=None, kfi=None, tolerance=0.02), ARM)
-
-    def along(turn: float) -> Any:
-        across = T.R @ [np.cos(turn), np.sin(turn), 0.0]
-        return lambda x: taut.pressing(
-            taut.TaskMotion(pose=Pose(T.p + 0.1 * x.t * across, R=T.R), twist=[*(0.1 * across), 0.0, 0.0, 0.0])
-        )
-
-    told = [
-        run(ctrl, taut.stream(period=0.05, source=along(turn)), contact=blade).outcome.message
-        for turn in (0.0, 0.5 * np.pi)
-    ]
-    assert "left out" not in told[0]
-    assert "against row 0, which is one of velocities" in told[1]
-
-
 # -------------------------------------------------------------------- gains that are too high
 
 

@@ -9,7 +9,8 @@ import pytest
 from scipy.linalg import eigh
 
 import taut
-from taut.control.laws.task_space import Compliance, modal_damping
+from taut.control.laws.task_error import task_error
+from taut.control.laws.task_space import modal_damping
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.spatial import rotation_exp, rotation_log
 from taut.trace.linalg import factor_spd
@@ -87,7 +88,7 @@ def test_the_spring_is_the_gradient_of_its_energy(name: str, options: dict[str, 
 
         def energy(q: Any, ref: Any = ref) -> float:
             x = taut.snapshot(arm, q)
-            felt = Compliance.of(law.error, law.frame, x, ref, None, law.coordinates)
+            felt = law.space.at(x, ref)
             return float(0.5 * felt.X @ (stiff * felt.X))
 
         slope = [(energy(q + h * e) - energy(q - h * e)) / (2.0 * h) for e in np.eye(arm.n)]
@@ -139,7 +140,7 @@ def test_the_bounded_spring_is_the_gradient_of_an_energy_too(frame: Any) -> None
     ctrl.step(q, np.zeros(7), ref)
 
     def energy(q: Any) -> float:
-        X = Compliance.of("decoupled", frame, taut.snapshot(arm, q), ref, None, None).X
+        X = task_error(taut.snapshot(arm, q), ref, frame=frame).X
         parts = [X[:3], X[3:]]
         Y = np.concatenate(
             [

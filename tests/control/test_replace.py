@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import taut
-from taut.control.describe import law_classes
+from taut.control.combine import law_classes
 from taut.control.gains import GainValue
 
 laws = taut.laws

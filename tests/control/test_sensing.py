@@ -246,7 +246,7 @@ def test_a_number_that_it_cannot_have_is_refused_when_it_is_given_in_a_run_too(
         (lambda: taut.compile(ShowV(), ARM, rate=50.0, sensing=SENSINGS["difference and low-pass"]), taut.errors.RangeError, "sensing.velocity.cutoff must be < 25 [Hz], half the controller's rate of 50 Hz; got 30.0; make it lower, or the rate higher"),
         (lambda: taut.compile(ShowV(), ARM, sensing=taut.Sensing(notch=taut.sensors.Notch(frequency=[1.0] * 3, width=1.0))), taut.errors.ShapeError, "sensing.notch.frequency must be a number or (2,) [Hz] for 2 joints; got shape (3,)"),
         (lambda: taut.compile(ShowForce(), ARM, sensing=taut.Sensing(F_ext=taut.sensors.LowPass(cutoff=[1.0, 1.0]))), taut.errors.ShapeError, "sensing.F_ext.cutoff must be a number or (6,) [Hz]; got shape (2,)"),
-        (lambda: taut.compile(ShowV(), ARM, sensing=taut.Sensing(F_ext=taut.sensors.LowPass(cutoff=9.0))), taut.errors.UsageError, "sensing filters F_ext, which ShowV does not use; leave F_ext out of the sensing"),
+        (lambda: taut.compile(ShowV(), ARM, sensing=taut.Sensing(F_ext=taut.sensors.LowPass(cutoff=9.0))), taut.errors.UsageError, "sensing changes F_ext, which ShowV does not use; leave F_ext out of the sensing"),
     ],
     ids=range(7),
 )  # fmt: skip
@@ -260,7 +260,7 @@ def test_what_does_not_fit_is_refused_in_words(
 
 def test_explain_says_what_it_does_and_prints_its_numbers_with_units() -> None:
     text = taut.compile(ShowV(), ARM, sensing=SENSINGS["notch and kalman"], engine="float").explanation()
-    assert "sensing        v by Kalman, Notch of q and v\n" in text
+    assert "sensing        q by Notch, v by Kalman\n" in text
     assert "  sensing.notch.frequency             18  [Hz]\n" in text
     assert "  sensing.notch.depth                 40  [dB]\n" in text
     assert "sensing" not in taut.compile(ShowV(), ARM, engine="float").explanation()

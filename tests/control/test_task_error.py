@@ -38,7 +38,6 @@ def spherical(T: taut.Pose) -> Any:
 
 COORDINATES = {
     "position": Coordinates.position(),
-    "planar": Coordinates.planar(),
     "position and rpy": Coordinates.position_and_rpy(),
     "cylindrical": Coordinates.cylindrical(),
     "spherical": Coordinates(function=spherical, angles=(2,)),
@@ -57,7 +56,7 @@ def slope(function: Callable[[float], Array], t: float) -> Array:
 
 def error_at(name: str, arm: taut.Arm, q: Array, v: Array, ref: taut.TaskMotion) -> TaskError:
     kind, coordinates = KINDS[name]
-    return task_error(kind, taut.snapshot(arm, q, v), ref, None, coordinates)
+    return task_error(taut.snapshot(arm, q, v), ref, kind=kind, coordinates=coordinates)
 
 
 def motions(arm: taut.Arm, seed: int) -> tuple[JointPath, Target]:
@@ -128,8 +127,8 @@ class TestTheError:
         turn = Coordinates(function=lambda T: tm.array([tm.atan2(T.p[1], T.p[0])]), angles=(0,))
         x = taut.snapshot(taut.load_arm("planar2"), [3.0, 0.1])
         ref = taut.TaskMotion(pose=taut.Pose([np.cos(-3.0), np.sin(-3.0), 0.0]))
-        short = task_error("coordinates", x, ref, None, turn).X[0]
-        long = task_error("coordinates", x, ref, None, Coordinates(function=turn.function)).X[0]
+        short = task_error(x, ref, kind="coordinates", coordinates=turn).X[0]
+        long = task_error(x, ref, kind="coordinates", coordinates=Coordinates(function=turn.function)).X[0]
         assert abs(short) < 0.5
         assert long == pytest.approx(short - 2.0 * np.pi, abs=1e-14)
 
@@ -277,6 +276,6 @@ class TestAnotherFrame:
         path, target = motions(PANDA, 8)
         q, v, _ = path.at(0.0)
         x, frame = taut.snapshot(PANDA, q, v), "panda_link4"
-        error = task_error("decoupled", x, target.at(0.0), frame, None)
+        error = task_error(x, target.at(0.0), frame)
         assert np.array_equal(error.X[:3], target.at(0.0).p - x.T(frame).p)
         assert np.array_equal(error.J, x.J(frame))

@@ -107,22 +107,22 @@ CASES: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (
         coordinates(lambda T: T.p[0]),
         taut.errors.ShapeError,
-        "coordinates must be 1 to 6 numbers, (k,); it gives shape ()",
+        "function must give 1 to 6 numbers, (k,); it gives shape ()",
     ),
     (
         coordinates(lambda T: [*T.p, *T.p, 1.0]),
         taut.errors.ShapeError,
-        "coordinates must be 1 to 6 numbers, (k,); it gives shape (7,)",
+        "function must give 1 to 6 numbers, (k,); it gives shape (7,)",
     ),
     (
         coordinates(lambda T: [T.p[0], [1.0]]),
         taut.errors.ShapeError,
-        "coordinates must be 1 to 6 numbers, (k,); the function gives rows of different lengths",
+        "function must give 1 to 6 numbers, (k,); it gives shape ()",
     ),
     (
         coordinates(lambda T: T.p, angles=(3,)),
         taut.errors.ShapeError,
-        "coordinates has angles that are no entries 0 to 2; got 3",
+        "angles must be entries 0 to 2; got (3,)",
     ),
     (
         coordinates(lambda T: T.p, angles=(1.5,)),

@@ -159,7 +159,7 @@ def test_a_reading_that_is_no_number_stops_its_tick_and_leaves_nothing_behind(
     engine: Any, entry: int, wrong: float
 ) -> None:
     sensing = taut.Sensing(
-        wrist=taut.sensors.Wrist(bias=BIAS, mass=MASS, com=COM, range=(200.0, 10.0), repeats=3),
+        wrist=taut.sensors.Wrist(bias=BIAS, mass=MASS, com=COM, range=(200.0, 10.0)),
         F_ext=taut.sensors.LowPass(cutoff=30.0, order=2),
     )
     ctrl, twin = (taut.compile(Feels(), LADEN, sensing=sensing, engine=engine) for _ in range(2))
@@ -173,59 +173,6 @@ def test_a_reading_that_is_no_number_stops_its_tick_and_leaves_nothing_behind(
         np.testing.assert_array_equal(step(ctrl, q, F), step(twin, q, F))
 
 
-@engines
-@pytest.mark.parametrize("frame", [None, "tool"])
-@pytest.mark.parametrize("stuck", ["frozen", "zero"])
-def test_a_frozen_sensor_is_found_while_the_arm_moves_and_its_ticks_do_not_happen(
-    engine: Any, frame: str | None, stuck: str
-) -> None:
-    sensing = taut.Sensing(wrist=taut.sensors.Wrist(repeats=5, frame=frame), F_ext=taut.sensors.LowPass(cutoff=30.0))
-    ctrl, twin = (taut.compile(Feels(), ARM, sensing=sensing, engine=engine) for _ in range(2))
-    rng, F_S = np.random.default_rng(7), np.array([3.0, -1.0, 2.0, 0.3, 0.1, 0.2]) * (stuck == "frozen")
-
-    def in_world(q: Array, F_S: Array) -> Array:
-        x = taut.snapshot(ARM, q)
-        T_WE, T_WS = x.T(), x.T(frame)
-        f = T_WS.R @ F_S[:3]
-        return np.concatenate([f, T_WS.R @ F_S[3:] + np.cross(T_WS.p - T_WE.p, f)])
-
-    for _ in range(3):  # it lives
-        q, F = 0.3 * rng.standard_normal(3), rng.standard_normal(6)
-        step(ctrl, q, F), step(twin, q, F)
-    for k in range(3, 12):
-        q = 0.3 * rng.standard_normal(3)
-        if k < 7:  # the first reading, and three that repeat it
-            np.testing.assert_array_equal(step(ctrl, q, in_world(q, F_S)), step(twin, q, in_world(q, F_S)))
-            continue
-        with pytest.raises(taut.errors.RangeError) as caught:
-            step(ctrl, q, in_world(q, F_S))
-        assert str(caught.value) == (
-            "F_ext must change from tick to tick; got the same reading in 5 ticks in a row, the last of them tick 7; "
-            "the sensor is frozen or unplugged, or it has no noise: then leave sensing.wrist.repeats out"
-        )
-        assert ctrl.ticks == 7
-    q, F = 0.3 * rng.standard_normal(3), rng.standard_normal(6)
-    np.testing.assert_array_equal(step(ctrl, q, F), step(twin, q, F))  # plugged in again
-    assert ctrl.ticks == 8
-
-
-@engines
-def test_a_sensor_that_is_dead_from_the_first_tick_on_is_found_too(engine: Any) -> None:
-    ctrl = taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=taut.sensors.Wrist(repeats=3)), engine=engine)
-    for _ in range(2):
-        step(ctrl, np.zeros(3), np.zeros(6))
-    with pytest.raises(taut.errors.RangeError, match="in 3 ticks in a row, the last of them tick 2"):
-        step(ctrl, np.zeros(3), np.zeros(6))
-
-
-@engines
-def test_a_sensor_with_the_least_noise_is_not_frozen(engine: Any) -> None:
-    ctrl = taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=taut.sensors.Wrist(repeats=2)), engine=engine)
-    rng, F = np.random.default_rng(9), np.array([100.0, 0.0, 0.0, 10.0, 0.0, 0.0])
-    for _ in range(50):
-        step(ctrl, np.zeros(3), F + 1e-5 * rng.standard_normal(6))  # a ten-millionth of the reading
-
-
 # -------------------------------------------------------------------- words
 
 
@@ -237,10 +184,8 @@ CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
     (lambda: taut.sensors.Wrist(com=[0.0, 0.0, 0.1]), taut.errors.UsageError, "com is that of the tool, whose mass is missing; give mass too"),
     (lambda: taut.sensors.Wrist(mass=0.1, com=[0.0, 0.1]), taut.errors.ShapeError, "com must be (3,) [m]; got shape (2,)"),
     (lambda: taut.sensors.Wrist(range=(0.0, 1.0)), taut.errors.RangeError, "range[0] must be > 0 [N, N m]; got 0.0; leave it out for a sensor without end"),
-    (lambda: taut.sensors.Wrist(repeats=1), taut.errors.RangeError, "repeats must be >= 2 ticks; got 1"),
-    (lambda: taut.sensors.Wrist(repeats=2.5), taut.errors.UsageError, "repeats must be a whole number; got 2.5"),  # type: ignore[arg-type]
     (lambda: taut.Sensing(wrist=BIAS), taut.errors.UsageError, "wrist must be a Wrist; got ndarray"),  # type: ignore[arg-type]
-    (lambda: taut.compile(Blind(), ARM, sensing=taut.Sensing(wrist=taut.sensors.Wrist())), taut.errors.UsageError, "sensing corrects F_ext, which Blind does not use; leave wrist out of the sensing"),
+    (lambda: taut.compile(Blind(), ARM, sensing=taut.Sensing(wrist=taut.sensors.Wrist())), taut.errors.UsageError, "sensing changes F_ext, which Blind does not use; leave wrist out of the sensing"),
     (lambda: taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=taut.sensors.Wrist(frame="link2"))), taut.errors.UsageError, "sensing.wrist.frame must move with the tool 'tip'; got 'link2', which has a joint between it and the tool; name a frame of the last body"),
     (lambda: taut.compile(Feels(), ARM, sensing=taut.Sensing(wrist=taut.sensors.Wrist(frame="tol"))), taut.errors.UnknownNameError, "the arm has no frame 'tol'; did you mean 'tool'? (6 frames: taut check MODEL lists them)"),
     (lambda: compiled().parameters.__setitem__("sensing.wrist.mass", -1.0), taut.errors.RangeError, "sensing.wrist.mass must be >= 0 [kg]; got -1.0"),
@@ -266,5 +211,5 @@ def test_what_cannot_be_is_refused_in_words(
 
 def test_explain_says_what_it_takes_out_with_units() -> None:
     text = compiled().explanation()
-    assert "sensing        F_ext without bias, tool and payload\n" in text
+    assert "sensing        F_ext by Wrist\n" in text
     assert "  sensing.wrist.mass       0.7  [kg]\n" in text

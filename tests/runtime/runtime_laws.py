@@ -82,13 +82,12 @@ class AtOnly:
         return self._inner.at(t)
 
 
-class HandPlant:
+class HandPlant(taut.PlantBase):
     """A plant with a state of its own in plain Python, as an engine or a robot has: a point mass at each joint."""
 
     def __init__(self, n: int = 2, mass: float = 1.0, fails_at: int | None = None, measures: str = "v") -> None:
-        self.arm = taut.load_arm(f"planar{n}")
-        self.name, self.takes, self.adds = "HandPlant", "torque", ("gravity", "coriolis")
-        self.measures, self.distorts = frozenset(measures.split()), frozenset[str]()
+        super().__init__(taut.load_arm(f"planar{n}"))
+        self.adds, self.measures = ("gravity", "coriolis"), frozenset(measures.split())
         self._values = {"plant.mass": np.asarray(mass)}
         self._fails_at = fails_at
         self.commands: list[Array] = []
@@ -102,9 +101,6 @@ class HandPlant:
             raise taut.errors.RangeError(f"{path} must be > 0; got {value!r}")
         return np.asarray(float(value))
 
-    def check_together(self, values: Mapping[str, Any]) -> None:
-        """Any mass goes with everything."""
-
     def set_parameters(self, values: Mapping[str, Any]) -> None:
         for path, value in values.items():
             self._values[path] = self.checked_parameter(path, value)
@@ -115,9 +111,6 @@ class HandPlant:
 
     def state(self) -> tuple[Array, Array]:
         return self.q.copy(), self.v.copy()
-
-    def measure(self) -> dict[str, Array]:
-        return {"q": self.q.copy(), "v": self.v.copy()}
 
     def advance(self, command: Array) -> Array:
         self.commands.append(command.copy())

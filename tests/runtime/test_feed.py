@@ -13,7 +13,7 @@ from runtime_laws import TINY, Array, AtOnly, HandPlant, Seen, Spring, TorqueOf,
 import taut
 from taut.control.trajectories.feed import ReferenceFeed
 from taut.control.trajectories.reference import Sample, Stream
-from taut.runtime import tape
+from taut.runtime import ongoing
 
 ARM = taut.load_arm("planar2")
 WAVE = taut.trajectories.Sine(center=[0.1, 0.2], amplitude=0.3, frequency=2.0)
@@ -70,7 +70,7 @@ class TestTrajectories:
         self, plant: Callable[[], Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     ) -> None:
         monkeypatch.setattr(ReferenceFeed, "block", 8)
-        monkeypatch.setattr(tape, "LOG_PERIOD", 0.0)
+        monkeypatch.setattr(ongoing, "LOG_PERIOD", 0.0)
 
         class Breaks:
             def at(self, t: float) -> taut.JointMotion:

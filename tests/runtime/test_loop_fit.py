@@ -76,7 +76,7 @@ CASES: list[tuple[Callable[[], tuple[taut.Controller, Any]], type[taut.TautError
     (
         lambda: (compiled(), HandPlant(measures="")),
         taut.errors.MatchError,
-        "PID needs v, which plant 'HandPlant' does not measure; it measures positions only; "
+        "PID needs v, which plant 'HandPlant(planar2)' does not measure; it measures positions only; "
         "sensing with the velocity 'difference' needs positions only",
     ),
     (
@@ -228,7 +228,7 @@ class TestRunTakes:
             ),
             (
                 lambda: taut.run(compiled(), ARM, duration=1.0),  # type: ignore[arg-type]
-                "run takes a plant such as taut.RigidPlant(arm); got Arm",
+                "run takes a plant such as taut.RigidPlant(arm), or a taut.PlantBase; got Arm",
             ),
             (lambda: taut.run(compiled(), plant(), duration=-1.0), "duration must be > 0 [s]; got -1.0"),
             (

@@ -10,7 +10,7 @@ import pytest
 from runtime_laws import Array, HandPlant, Seen, TorqueOf, seen
 
 import taut
-from taut.runtime import tape
+from taut.runtime import ongoing
 
 ARM = taut.load_arm("planar2")
 PUSH = taut.trajectories.Sine(center=[0.0, 0.0], amplitude=[1.0, 2.0], frequency=3.0)
@@ -127,11 +127,11 @@ class TestTrouble:
 
 
 @pytest.mark.parametrize("ticks", [2, 500])
-@pytest.mark.parametrize("period", [0.0, 1e-3, tape.LOG_PERIOD])
+@pytest.mark.parametrize("period", [0.0, 1e-3, ongoing.LOG_PERIOD])
 def test_a_log_that_is_written_while_it_goes_on_has_every_row_once(
     ticks: int, period: float, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(tape, "LOG_PERIOD", period)
+    monkeypatch.setattr(ongoing, "LOG_PERIOD", period)
     plant, log = HandPlant(), tmp_path / "run.mcap"
     ctrl = taut.compile(taut.laws.PID(kp=1.0), ARM, adds=plant.adds)
     out = taut.run(ctrl, plant, PUSH, duration=(ticks - 1) * 1e-3 + 1e-9, log=log)

@@ -18,7 +18,7 @@ from runtime_laws import HandPlant
 
 import taut
 from taut.record.log import writing as log_module
-from taut.runtime import fused, hosted, tape
+from taut.runtime import ongoing
 
 ARM = taut.load_arm("planar2")
 PID = taut.laws.PID(kp=20.0, kd=4.0)
@@ -135,7 +135,7 @@ class TestALogThatCannotBeWritten:
     def test_because_a_pipe_is_closed(
         self, plant: Callable[[], Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(tape, "LOG_PERIOD", 0.0)
+        monkeypatch.setattr(ongoing, "LOG_PERIOD", 0.0)
         path = tmp_path / "run.mcap"
         os.mkfifo(path)
         reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
@@ -239,12 +239,11 @@ def test_a_log_is_a_tick_or_a_fifth_of_a_second_behind(
         behind.append(now[0] - done[written[0]])  # of the oldest row that is not written
         written[0] += len(rows)
 
-    for module in (fused, tape):
-        monkeypatch.setattr(module, "monotonic", lambda: now[0])
+    monkeypatch.setattr(ongoing, "monotonic", lambda: now[0])
     monkeypatch.setattr(log_module.Log, "write", write)
-    run, tick = fused.FusedRun._block, hosted.HostedRun._tick
-    monkeypatch.setattr(fused.FusedRun, "_block", lambda self, k, end: (ticks(end - k), run(self, k, end))[1])
-    monkeypatch.setattr(hosted.HostedRun, "_tick", lambda self, k: (ticks(1), tick(self, k))[1])
+    run, tick = ongoing.FusedRun._block, ongoing.HostedRun._tick
+    monkeypatch.setattr(ongoing.FusedRun, "_block", lambda self, k, end: (ticks(end - k), run(self, k, end))[1])
+    monkeypatch.setattr(ongoing.HostedRun, "_tick", lambda self, k: (ticks(1), tick(self, k))[1])
     made = plant()
     out = taut.run(taut.compile(PID, ARM, adds=made.adds), made, duration=2.0, log=tmp_path / "run.mcap")
     assert written[0] == len(out) == 2001

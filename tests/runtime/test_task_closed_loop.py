@@ -60,7 +60,7 @@ def error_of(arm: taut.Arm, kind: Any, coordinates: taut.Coordinates | None) -> 
     def X(q: Array, p: Array, R: Array) -> Array:
         x = Snapshot(model, q=q, v=np.zeros(n))
         ref = taut.TaskMotion.of({"p": p, "R": R, "twist": np.zeros(6), "acceleration": np.zeros(6)})
-        return taut.math.array([*task_error(kind, x, ref, None, coordinates).X])
+        return taut.math.array([*task_error(x, ref, kind=kind, coordinates=coordinates).X])
 
     return taut.native(X, q=n, p=3, R=(3, 3)).call
 
@@ -150,7 +150,7 @@ class WithoutTransport(taut.Law):
     kd: taut.Gain
 
     def command(self, x: Any, ref: Any) -> taut.Torque:
-        error = task_error("body", x, ref, None, None)
+        error = task_error(x, ref, kind="body")
         V_D, rate = rotated(ref.R.T, ref.twist), rotated(ref.R.T, ref.acceleration)
         V_dot_D = rate - taut.math.array([*taut.math.cross(V_D[3:], V_D[:3]), 0.0, 0.0, 0.0])
         a = V_dot_D + self.kp @ error.X + self.kd @ error.V - error.Jdot_v
@@ -218,7 +218,8 @@ class TestCoordinates:
     def test_of_the_plane(self) -> None:
         flat = taut.Pose([0.0, 0.0, 0.0], rpy=[-0.5 * np.pi, 0.0, 0.0])  # from upright to lying on a table
         arm = taut.load_arm("planar3", T_WB=flat).with_joints(viscous=0.0, coulomb=0.0)
-        law = L.TaskComputedTorque(kp=100.0, kd=20.0, error="coordinates", coordinates=taut.Coordinates.planar())
+        yaw = taut.Coordinates(function=lambda T: [*T.p[:2], taut.math.atan2(T.R[1, 0], T.R[0, 0])], angles=(2,))
+        law = L.TaskComputedTorque(kp=100.0, kd=20.0, error="coordinates", coordinates=yaw)
         q0, q1 = np.array([0.3, 0.9, 0.5]), np.array([0.8, 0.7, 1.2])
         self.check(law, arm, pose_at(arm, q1), q0, np.full(3, 0.05))
 

@@ -19,16 +19,17 @@ from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike
 from taut.control.law import Law
 from taut.control.limits import Limits
-from taut.control.sensing.sensing import Sensing
+from taut.control.sensing import Sensing
 from taut.control.trajectories.reference import Reference
 from taut.controller import Controller, compile
 from taut.loop import Loop
-from taut.plant.sensors.sensors import Sensors
+from taut.plant.rigid import RigidPlant
+from taut.plant.sensors import Sensors
+from taut.record.comparison_plot import compare as compare_runs
 from taut.record.metrics import METRICS
-from taut.record.plots.comparison import compare as compare_runs
 from taut.record.run import Run
 from taut.runtime.events import Event
-from taut.runtime.host import VariedPlant
+from taut.runtime.host import PlantBase
 from taut.runtime.simulate import Plant, run
 
 if TYPE_CHECKING:
@@ -76,13 +77,13 @@ class WrongModel(Declared):
         'masses by 10 %, seeds 0 to 4'
     """
 
-    mass: Field = Field(0.0, minimum=0.0, maximum=1.0, doc="relative spread of each mass (log-normal)")
-    com: Field = Field(0.0, unit="m", minimum=0.0, maximum=1.0, doc="spread of each centre of mass")
-    inertia: Field = Field(0.0, minimum=0.0, maximum=1.0, doc="relative spread of the sizes of the bodies")
-    friction: Field = Field(0.0, minimum=0.0, maximum=1.0, doc="relative spread of viscous and dry friction")
-    payload: Field = Field(0.0, unit="kg", minimum=0.0, doc="largest additional payload")
-    trials: Field = Field(5, minimum=1.0, maximum=1000.0, doc="number of arms that are drawn")
-    seed: Field = Field(0, minimum=0.0, doc="of the first arm")
+    mass: Field = Field(0.0, minimum=0.0, maximum=1.0)  # relative spread of each mass (log-normal)
+    com: Field = Field(0.0, unit="m", minimum=0.0, maximum=1.0)  # spread of each centre of mass
+    inertia: Field = Field(0.0, minimum=0.0, maximum=1.0)  # relative spread of the sizes of the bodies
+    friction: Field = Field(0.0, minimum=0.0, maximum=1.0)  # relative spread of viscous and dry friction
+    payload: Field = Field(0.0, unit="kg", minimum=0.0)  # largest additional payload
+    trials: Field = Field(5, minimum=1.0, maximum=1000.0)  # number of arms that are drawn
+    seed: Field = Field(0, minimum=0.0)  # of the first arm
 
     def check(self) -> None:
         """Whole numbers, and a difference."""
@@ -470,7 +471,7 @@ def main_error(numbers: Mapping[str, Mapping[str, float]]) -> str | None:
 
 def plant_like(plant: Plant, *, arm: Arm | None = None, sensors: Sensors | None = None) -> Plant | None:
     """A plant of the same arguments but these; None of one that cannot be made anew, such as a user's own."""
-    return plant.like(arm=arm, sensors=sensors) if isinstance(plant, VariedPlant) else None
+    return plant.like(arm=arm, sensors=sensors) if isinstance(plant, (RigidPlant, PlantBase)) else None
 
 
 def with_noise(sensors: Sensors, noise: Mapping[str, ArrayLike]) -> Sensors:

@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from taut.base.checks import finite_array, require_positive
+from taut.base.checks import finite_array, require_range
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.paths import subtree
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.combine import Sum, bare
-from taut.control.describe import title
+from taut.control.combine import Sum, bare, title
 from taut.control.gains import GainValue
 from taut.control.law import Law
 from taut.control.laws.apparent import felt_impedance
@@ -21,12 +20,9 @@ from taut.control.laws.friction import FrictionCompensation
 from taut.control.laws.impedance import Stiffness
 from taut.control.laws.joint import PID, ComputedTorque, FeedForward, GravityCompensation, GravityPID
 from taut.control.laws.task import TaskComputedTorque
-from taut.control.laws.task_space import Compliance
 from taut.control.laws.via_joint_space import ViaJointSpace
-from taut.control.trajectories.task_reference import TaskMotion
-from taut.linear.equilibrium import WITHIN
 from taut.linear.linear_system import Complex, LinearSystem
-from taut.linear.linearise import linearise
+from taut.linear.linearise import WITHIN, linearise
 from taut.loop import Loop
 from taut.maths.model import PayloadValues
 from taut.maths.snapshot import Snapshot
@@ -123,7 +119,7 @@ class ToolImpedance(Result):
                 name="specified",
             )
         w = np.atleast_1d(finite_array("omega", omega, unit="rad/s"))
-        require_positive("omega", w, unit="rad/s")
+        require_range("omega", w, above=0.0, unit="rad/s")
         return _inverse(self.specified.admittance(w, self.direction))
 
     def content(self) -> Content:
@@ -297,7 +293,7 @@ def _of_joints(law: Law, x: Snapshot) -> _ClosedForm | None:
     if isinstance(law, Stiffness):
         if law.error != "decoupled" or callable(law.K):
             return None
-        axes = Compliance.of(law.error, law.frame, x, TaskMotion.at_rest(x, law.tool), law.tool, None)
+        axes = law.space.at(x)
         kp = J.T @ np.asarray(axes.matrix_outwards(law.K.matrix(6)), dtype=np.float64) @ J
     elif isinstance(law, ComputedTorque):
         kp, kd, ki = M @ kp, M @ kd, M @ ki

@@ -21,7 +21,8 @@ from taut.loop import DT, Loop
 from taut.maths import dynamics as dyn
 from taut.maths.model import model_of
 from taut.maths.spatial import rotation_log
-from taut.runtime.fused import FusedRun
+from taut.runtime.events import Schedule
+from taut.runtime.ongoing import FusedRun
 from taut.trace import math as tm
 
 __all__ = ["COSTS", "Cost", "RunGradient", "RunSlopes", "Tick"]
@@ -242,7 +243,7 @@ class RunGradient:
         """
         loop = self._loop
         with _changed(loop, changes):
-            fused = FusedRun(loop, q, v, seed, ())
+            fused = FusedRun(loop, q, v, seed, Schedule(loop.side, loop.plant, loop.parameters, (), loop.ticks))
             kept, outcome = fused.go(lambda _: None, None)
             numbers = {**loop.parameters, DT: loop.dt}
         if not outcome.ok:

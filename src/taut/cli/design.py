@@ -56,7 +56,7 @@ def _in_file(path: str) -> dict[str, Any]:
 def _law(text: str) -> type[Law] | Law:
     """A class of laws by its name, or a law as scenarios and `taut compare` write it."""
     from taut import laws
-    from taut.control.describe import law_classes
+    from taut.control.combine import law_classes
     from taut.scenarios.laws import law_of_text
 
     if "(" in text:

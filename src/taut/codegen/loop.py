@@ -164,14 +164,13 @@ class StepLoop:
 _COMPILED: Final[WeakKeyDictionary[Loop, StepLoop]] = WeakKeyDictionary()
 
 
-def compiled_loop(loop: Loop, blocks: tuple[Block, Block, Block], example: Flat, *, sound: bool = True) -> StepLoop:
+def compiled_loop(loop: Loop, blocks: tuple[Block, Block, Block], example: Flat) -> StepLoop:
     """The code of a loop for its engine, made once.
 
     Args:
         loop: The loop.
         blocks: Of inputs, parameters and memory.
         example: A state of each, flat.
-        sound: Whether engines can be compared at the example; plain Python that is not kept if they cannot.
     """
     made = _COMPILED.get(loop)
     if made is not None:
@@ -179,9 +178,7 @@ def compiled_loop(loop: Loop, blocks: tuple[Block, Block, Block], example: Flat,
         return made
     twin = copy.copy(loop)
     steps = Steps(twin.step, *blocks, twin.substep, loop.plant.substeps - 1)
-    made = StepLoop(steps, example, engine=loop.engine if sound else "float", ticks=loop.ticks)
-    if sound:
-        _COMPILED[loop] = made
+    _COMPILED[loop] = made = StepLoop(steps, example, engine=loop.engine, ticks=loop.ticks)
     return made
 
 

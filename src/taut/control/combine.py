@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Self
+from collections.abc import Iterator, Mapping
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, Self
 
 from taut.base.errors import MatchError, UsageError
 from taut.base.fields import Declared, Part
-from taut.control.closed_loop import ClosedLoop
 from taut.control.command import Command
 from taut.control.law import Law, MemoryView, call, initial_memory
 from taut.control.trajectories.reference import Reference, Sample
 from taut.maths.snapshot import Snapshot
 
-__all__ = ["Sum", "Wrapper", "added", "bare"]
+if TYPE_CHECKING:
+    from taut.control.closed_loop import ClosedLoop
+    from taut.control.tasks.task import Task
+
+__all__ = ["Sum", "Wrapper", "added", "all_laws", "bare", "law_classes", "title"]
 
 ADDED_ONCE = {
     "gravity": "use one law that does not (PID instead of GravityPID or ComputedTorque)",
@@ -178,3 +182,31 @@ def added(first: Law, second: Law) -> Sum:
                 unique = f"{name}{k}"
             parts[unique] = part
     return Sum(parts=parts)
+
+
+def law_classes(door: ModuleType) -> dict[str, type[Law]]:
+    """The classes of laws among the public names of a module, by name; not the base of wrappers."""
+    values = {name: getattr(door, name) for name in door.__all__}
+    return {
+        name: value
+        for name, value in values.items()
+        if isinstance(value, type) and issubclass(value, Law) and value is not Wrapper
+    }
+
+
+def all_laws(law: Law | Task, name: str = "") -> Iterator[tuple[str, Law]]:
+    """A law and the laws that it holds, each with its path; of a task, those of its phases."""
+    if isinstance(law, Law):
+        yield name, law
+    if isinstance(law, Wrapper):
+        yield from all_laws(law.law, name)
+        return
+    for child, inner in law.children().items():
+        yield from all_laws(inner, f"{name}.{child}" if name else child)
+
+
+def title(law: Law | Task) -> str:
+    """A law's name; of a sum, the names of its parts, and of a task those of its phases."""
+    if not isinstance(law, Law):
+        return law.title
+    return " + ".join(law.children()) if isinstance(law, Sum) else type(law).__name__

@@ -18,11 +18,11 @@ from taut.base.checks import finite_array, in_compiled_shape
 from taut.base.errors import MatchError, NumericalError, RangeError, ShapeError, UsageError, unknown_name
 from taut.base.paths import flatten, subtree, unflatten
 from taut.base.types import Array, ArrayLike, Float64Array, Vector
+from taut.control.combine import all_laws, title
 from taut.control.command import Command, Terms, Torque
-from taut.control.describe import all_laws, title
 from taut.control.law import Law, as_array, call, initial_memory
 from taut.control.limits import Limits, anew, fresh_blend, limited
-from taut.control.sensing.sensing import Sensing
+from taut.control.sensing import Sensing
 from taut.control.trajectories.reference import Reference, Sample
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
@@ -212,8 +212,7 @@ class LawSide:
             added = self.limits.terms(command, self.title)
         shapes = {f"law.{path}": np.shape(as_array(v, path)) for path, v in flatten(after).items()}
         n = (self.arm.n,)
-        if self.sensing.needs:
-            self.sensing.check_used(x.used, self.title)
+        self.sensing.check_used(x.used, self.title)
         at_rest = self.sensing_at_start(self.measurements_at_rest(self.arm.home), self._own_parameters)
         shapes |= {f"sensing.{path}": np.shape(value) for path, value in at_rest.items()}
         if (isinstance(command, Torque) and "tau_applied" in x.used) or {"rate_limit", "blend"} & set(added):
@@ -377,19 +376,6 @@ class LawSide:
         before = self.sensing_at_start(copies, numbers) if sensing is None else sensing
         seen, _ = self.sense(copies, before, numbers, self.dt)
         return self._snapshot({**seen, "t": t}, seen["v"], numbers, {})
-
-    def check_reading(self, measured: Mapping[str, Any], memory: Memory, tick: int) -> None:
-        """Whether a tick that was not finite, with finite inputs, had a sensor's fault.
-
-        Args:
-            measured: What the sensors gave.
-            memory: All memory by path, as it was before the tick.
-            tick: Its number, for the message.
-
-        Raises:
-            RangeError: It had.
-        """
-        self.sensing.check_reading(self.arm, measured, subtree(memory, "sensing"), tick)
 
     def _with_v(self, measured: Mapping[str, Any]) -> Mapping[str, Any]:
         return measured if "v" in measured else {**measured, "v": np.zeros(self.arm.n)}

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import inspect
+import re
 from typing import TYPE_CHECKING
 
 from taut.base.errors import count_of
-from taut.control.describe import all_laws, section, short, summary
+from taut.control.combine import all_laws
+from taut.control.law import Law
+from taut.controller.parameters import short
 
 if TYPE_CHECKING:
     from taut.controller.controller import Controller
 
-__all__ = ["explanation"]
+__all__ = ["explanation", "statements", "summary"]
 
 
 def explanation(ctrl: Controller) -> str:
@@ -20,8 +24,8 @@ def explanation(ctrl: Controller) -> str:
     for name, law in all_laws(side.law):
         lines += ["", f"{name}: {summary(type(law))}"] if name else []
         for head in ("Law", "Closed loop"):
-            texts = section(type(law), head)
-            lines += [f"  {head + ':' if not i else '':13}{text}" for i, text in enumerate(texts)]
+            texts = _section(type(law), head)
+            lines += [f"  {head + ':' if not i else '':13}{text}" for i, (_, text) in enumerate(texts)]
     lines += ["", "parameters"]
     units = side.units
     width = max(24, *(len(path) for path in ctrl.parameters))
@@ -38,3 +42,34 @@ def explanation(ctrl: Controller) -> str:
     cost = f"{ctrl.operations} operations a tick" if ctrl.operations else "not traced"
     lines.append(f"engine         {ctrl.engine}, {cost}")
     return "\n".join(lines)
+
+
+def summary(law: type[Law]) -> str:
+    """The first line of a law's docstring."""
+    return (inspect.getdoc(law) or "").partition("\n")[0]
+
+
+def statements(law: type[Law], head: str) -> list[str]:
+    """What stands behind 'Law:' or 'Closed loop:', each statement whole: lines set in further go on with it."""
+    lines = _section(law, head)
+    out: list[str] = []
+    for indent, text in lines:
+        if out and indent > lines[0][0]:
+            out[-1] += f" {text}"
+        else:
+            out.append(text)
+    return out
+
+
+def _section(law: type[Law], head: str) -> list[tuple[int, str]]:
+    """Column and text of each line of a part of a docstring."""
+    lines = (inspect.getdoc(law) or "").splitlines()
+    for i, line in enumerate(lines):
+        if line.startswith(f"{head}:"):
+            found = [" " * len(f"{head}:") + line.partition(":")[2]]
+            for follow in lines[i + 1 :]:
+                if not follow.startswith(" "):
+                    break
+                found.append(follow)
+            return [(len(text) - len(text.lstrip()), re.sub(r"\s{3,}", "   ", text.strip())) for text in found]
+    return []

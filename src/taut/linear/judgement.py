@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from taut.base.errors import RangeError, TautError, UsageError
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.describe import all_laws
+from taut.control.combine import all_laws
 from taut.control.laws.friction import FrictionCompensation
 from taut.control.lawside import LawSide
-from taut.linear.equilibrium import NEWTON_STEPS, Rest, equilibrium, observed_states, standing_states
 from taut.linear.linear_system import Complex, LinearSystem, Mode, balancing
+from taut.linear.linearise import NEWTON_STEPS, Rest, equilibrium, observed_states, standing_states
 from taut.linear.period import EMPTY, RESOLUTION, STEP, Period, Point, Side, smooth_plant
 from taut.loop import AnyPlant, HasLawSide, Loop
 from taut.maths.snapshot import snapshot

@@ -14,7 +14,7 @@ from taut.control.lawside import LawSide
 from taut.loop import AnyPlant, LoopParameters
 from taut.plant.environments.hands import Push
 
-__all__ = ["Event", "Schedule", "sorted_events"]
+__all__ = ["Event", "Schedule", "listed"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,56 +69,50 @@ class Event:
         return cls(t=t, set=new)
 
 
-def sorted_events(events: Iterable[Event] | None, rate: float, ticks: int) -> list[tuple[int, Event]]:
-    """Events with the tick at which they act, in order; those at the same tick in the order they were given.
-
-    Args:
-        events: The events.
-        rate: Ticks per second [Hz].
-        ticks: Number of ticks of the run.
+def listed(events: object) -> list[Event]:
+    """Events as a list.
 
     Raises:
         UsageError: Something that is no event.
-        RangeError: An event after the last tick.
     """
-    if events is not None and not isinstance(events, Iterable):
-        raise UsageError(f"events must be a list of taut.Event(t=, set=); got {events!r}", name="events")
-    out = []
-    for event in events or ():
+    found: list[Event] = []
+    for event in events if isinstance(events, Iterable) else [events]:
         if not isinstance(event, Event):
             raise UsageError(f"events must be a list of taut.Event(t=, set=); got {event!r} in it", name="events")
-        tick = math.ceil(event.t * rate - 1e-9)
-        if tick >= ticks:
-            raise RangeError(
-                f"an event at t = {event.t:g} s would never act: the run ends at {(ticks - 1) / rate:g} s; leave it "
-                "out, or make the run longer",
-                name="events",
-                value=event.t,
-            )
-        out.append((tick, event))
-    return sorted(out, key=lambda pair: pair[0])
+        found.append(event)
+    return found
 
 
 class Schedule:
-    """The parameters that change in a run, checked, by the tick in which they do.
+    """The parameters that change in a run, checked, by the tick in which they do; of two, the later one of the list.
 
     Args:
         side: The control side.
         plant: The plant.
         values: All parameters at the start, by path.
-        due: Events with the tick at which they act, in order.
+        events: What changes, in any order.
+        ticks: Number of ticks of the run.
 
     Raises:
-        UnknownNameError, ShapeError, RangeError: An event that cannot be.
+        UsageError: Something that is no event.
+        UnknownNameError, ShapeError, RangeError: An event that cannot be, or that is after the last tick.
     """
 
     def __init__(
-        self, side: LawSide, plant: AnyPlant, values: Mapping[str, Float64Array], due: Iterable[tuple[int, Event]]
+        self, side: LawSide, plant: AnyPlant, values: Mapping[str, Float64Array], events: Iterable[Event], ticks: int
     ) -> None:
         self._side = side
         self._values: dict[int, dict[str, Float64Array]] = {}
         parameters, all_values = LoopParameters(side, plant, values), dict(values)
-        for tick, event in due:
+        due = [(math.ceil(event.t * side.rate - 1e-9), event) for event in listed(events)]
+        for tick, event in sorted(due, key=lambda pair: pair[0]):
+            if tick >= ticks:
+                raise RangeError(
+                    f"an event at t = {event.t:g} s would never act: the run ends at {(ticks - 1) / side.rate:g} s; "
+                    "leave it out, or make the run longer",
+                    name="events.t",
+                    value=event.t,
+                )
             new = {path: parameters.checked(path, value) for path, value in event.set.items()}
             all_values |= new
             plant.check_together(all_values)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Iterable, Mapping, Sequence
-from typing import TypeAlias
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
@@ -14,23 +14,34 @@ from taut.base.checks import whole_number
 from taut.base.errors import RangeError, StabilityWarning, UsageError, warn
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
+from taut.control.law import Law
+from taut.control.laws.apparent import felt_impedance
+from taut.control.lawside import LawSide
+from taut.control.side_by_side import SideBySide
 from taut.control.tasks.phase import Phase
+from taut.control.tasks.task import Task
 from taut.control.trajectories.reference import Hold, Reference, as_reference
 from taut.controller import Controller, compile
 from taut.linear.judgement import Judgement, judge_start
-from taut.loop import Loop, ModelPlant, check_fit, duration_of_ticks, require_no_reference, state_at_start
-from taut.record.info import Change, RunInfo, Stability, versions
+from taut.loop import AnyPlant, Loop, ModelPlant, check_fit, duration_of_ticks, require_no_reference, state_at_start
+from taut.maths.chain import Chain
+from taut.maths.constraints.functions import Surface
+from taut.maths.constraints.rows import OfPoses
+from taut.maths.model import PayloadValues
+from taut.maths.snapshot import Snapshot
+from taut.plant.contact import each_contact
+from taut.plant.rigid import RigidPlant
+from taut.record.info import Around, Change, PartInfo, RunInfo, Shape, Stability, Thing, versions
 from taut.record.progress import Progress
 from taut.record.run import Run
-from taut.runtime.events import Event, sorted_events
-from taut.runtime.fused import FusedRun
-from taut.runtime.host import HostPlant, RealArm
-from taut.runtime.hosted import HostedRun
-from taut.runtime.info import around_info, tool_info
+from taut.runtime.events import Event, Schedule, listed
+from taut.runtime.host import PlantBase
+from taut.runtime.ongoing import FusedRun, HostedRun
+from taut.trace.pose import Pose
 
-__all__ = ["run"]
+__all__ = ["around_info", "run"]
 
-Plant: TypeAlias = ModelPlant | HostPlant
+Plant: TypeAlias = ModelPlant | PlantBase
 
 
 def run(
@@ -91,12 +102,11 @@ def run(
     if not isinstance(ctrl, (Controller, Loop)):
         ctrl = _of_task(ctrl, plant)
     target, reference, length = _what_to_run(ctrl, plant, ref, duration)
-    ticks = round(length * ctrl.side.rate) + 1
-    due = sorted_events(events, ctrl.side.rate, ticks)
+    side, ticks = ctrl.side, round(length * ctrl.side.rate) + 1
+    changes = listed(events or ())
     q, v = state_at_start(target.arm, q0, v0)
-    law = ctrl.side.law.bound(subtree(ctrl.parameters, "law"))  # with the gains of this run
+    law = side.law.bound(subtree(ctrl.parameters, "law"))  # with the gains of this run
     going: FusedRun | HostedRun
-    at_once = {path: value for tick, event in due if tick == 0 for path, value in event.set.items()}
     if isinstance(target, ModelPlant):
         loop = (
             ctrl
@@ -104,31 +114,36 @@ def run(
             else Loop(ctrl, target, None if ref is None else reference, duration=length)
         )
         parameters = _arrays(loop.parameters)
-        going = FusedRun(loop, q, v, seed, due)
-        stability = _judged(judge_start(loop, target, q, at_once), target)
+        schedule = Schedule(side, target, parameters, changes, ticks)
+        going = FusedRun(loop, q, v, seed, schedule)
+        stability = _judged(judge_start(loop, target, q, schedule.at(0)), target)
     else:
         assert isinstance(ctrl, Controller)
         parameters = _arrays({**ctrl.parameters, **target.parameters})
-        stability = _judged(judge_start(ctrl, target, q, at_once), target)
-        going = HostedRun(ctrl, target, reference, ticks, q, v, seed, due)
+        schedule = Schedule(side, target, parameters, changes, ticks)
+        stability = _judged(judge_start(ctrl, target, q, schedule.at(0)), target)
+        going = HostedRun(ctrl, target, reference, ticks, q, v, seed, schedule)
     going.tape.unstable = stability.message if stability.stable is False else ""
     going.tape.info = RunInfo(
-        rate=ctrl.side.rate,
+        rate=side.rate,
         duration=length,
         seed=seed,
         law=repr(law),
-        arm=ctrl.side.arm.name,
-        controller_arm=_undrawn(ctrl.side.arm),
+        arm=side.arm.name,
+        controller_arm=_undrawn(side.arm),
         plant_arm=_undrawn(target.arm),
         plant=target.name,
-        events=tuple(Change(t=event.t, set=_arrays(event.set)) for _, event in due),
-        sensing=str(ctrl.side.sensing),
-        command_limits="none" if ctrl.side.limits is None else str(ctrl.side.limits),
+        events=tuple(
+            Change(t=event.t, set=_arrays(event.set)) for event in sorted(changes, key=lambda event: event.t)
+        ),
+        sensing=str(side.sensing),
+        command_limits="none" if side.limits is None else str(side.limits),
         parameters=parameters,
         stability=stability,
         versions=versions(),
         around=around_info(target, q, length),
-        **tool_info(law, ctrl.side, q, ctrl.parameters),
+        limits=_limits(side.arm),
+        **_of_tool(law, side, q, ctrl.parameters),
     )
     return _recorded(going, log, progress)
 
@@ -142,6 +157,42 @@ def _undrawn(arm: Arm) -> Arm:
     return dataclasses.replace(arm, visuals=(), source="", notes=())
 
 
+def _limits(arm: Arm) -> dict[str, dict[str, float]]:
+    """Effort and velocity limits by joint, of those that have one."""
+    return {
+        name: {
+            joint: float(limit) for joint, limit in zip(arm.joint_names, values, strict=True) if np.isfinite(limit)
+        }
+        for name, values in (("effort", arm.effort), ("velocity", arm.velocity))
+    }
+
+
+def _of_tool(law: Law | Task, side: LawSide, q: Float64Array, parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Tool and impedance of the law with the gains of the run, at the start; of each part or phase of it too."""
+    payload = {name: np.array(value) for name, value in subtree(parameters, "model.payload").items()}
+    x = Snapshot(side.model, q=q, v=np.zeros(len(q)), payload=PayloadValues.of(payload))
+    whole = _part(law, x)
+    out: dict[str, Any] = {"tool": whole.tool, "impedance": whole.impedance}
+    if isinstance(law, SideBySide):
+        seen = law.seen(x)
+        out["parts"] = {
+            name: dataclasses.replace(_part(part, seen[name]), joints=seen[name].arm.joint_names)
+            for name, part in law.parts.items()
+        }
+    if isinstance(law, Task):
+        out["phases"] = {
+            name: dataclasses.replace(_part(law.laws[name], x), follows=law.follows(name)) for name in law.phases
+        }
+    return out
+
+
+def _part(law: Law | Task, x: Snapshot) -> PartInfo:
+    frame, impedance = law.controlled_frame, None
+    if isinstance(law, Law) and frame in (None, x.arm.tool):  # F_ext is taken at the arm's tool
+        impedance = felt_impedance(law, x)
+    return PartInfo(tool=Chain.of(x.model, frame), impedance=impedance)
+
+
 def _judged(verdict: Judgement | str, plant: Plant) -> Stability:
     """The judgement of the start, after a warning where the loop is unstable.
 
@@ -151,7 +202,7 @@ def _judged(verdict: Judgement | str, plant: Plant) -> Stability:
     if isinstance(verdict, str):
         return Stability(stable=None, message=verdict)
     if not verdict.stable:
-        if isinstance(plant, RealArm) and plant.real:
+        if isinstance(plant, PlantBase) and plant.real:
             raise RangeError(f"{verdict.message} (plant '{plant.name}' is a real arm: nothing was sent)", name="law")
         warn(verdict.message, StabilityWarning)
     return Stability(**verdict.record())
@@ -168,7 +219,7 @@ def _of_task(task: Sequence[Phase], plant: Plant | None) -> Controller:
             "run takes a controller from taut.compile, a taut.Loop, or a list of taut.Phase; got "
             f"{type(task).__name__}"
         )
-    if plant is None or not hasattr(plant, "advance"):
+    if plant is None or not isinstance(plant, (ModelPlant, PlantBase)):
         raise UsageError("run needs a plant: taut.run([taut.Phase(...)], taut.RigidPlant(arm), duration=5.0)")
     return compile(task, plant.arm, adds=plant.adds)
 
@@ -200,9 +251,92 @@ def _what_to_run(
         raise UsageError("run needs a plant: taut.run(ctrl, taut.RigidPlant(arm), ref, duration=5.0)", name="plant")
     if duration is None:
         raise UsageError("run needs a duration in seconds: taut.run(..., duration=5.0)", name="duration")
-    if not hasattr(plant, "advance"):
-        raise UsageError(f"run takes a plant such as taut.RigidPlant(arm); got {type(plant).__name__}", name="plant")
+    if not isinstance(plant, (ModelPlant, PlantBase)):
+        raise UsageError(
+            f"run takes a plant such as taut.RigidPlant(arm), or a taut.PlantBase; got {type(plant).__name__}",
+            name="plant",
+        )
     check_fit(ctrl.side, plant)
     require_no_reference(ctrl.side, ref)
     reference: Reference = Hold() if ref is None else as_reference(ref)
     return plant, reference, duration_of_ticks(duration, ctrl.side.dt)
+
+
+# -------------------------------------------------------------------- what stands around the arm, for films
+
+BOARD: Final = (0.2, 0.35, 0.3, 1.0)
+HOLLOW: Final = (0.2, 0.35, 0.3, 0.35)  # what the tool is inside of lets it be seen
+SURFACE_HALF_WIDTH: Final = 0.25  # [m] of a surface to each side of the tool
+THICKNESS: Final = 0.005  # [m] half of what is drawn
+PERIOD: Final = 0.02  # [s] between two places of a surface that moves
+
+
+def around_info(plant: AnyPlant, q: Float64Array, duration: float) -> Around:
+    """What stands around the arm.
+
+    Args:
+        plant: The plant.
+        q: (n,) positions at the start [rad | m].
+        duration: [s] of the run.
+    """
+    if isinstance(plant, PlantBase):
+        return plant.around()
+    return _of_model(plant, q, duration) if isinstance(plant, RigidPlant) else Around()
+
+
+def _of_model(plant: RigidPlant, q: Float64Array, duration: float) -> Around:
+    """The surfaces that contacts and walls declare."""
+    things: list[Thing] = []
+    missing: list[str] = []
+    x = Snapshot(plant.model, q=q, v=np.zeros(len(q)))
+    for contact in () if plant.contact is None else each_contact(plant.contact):
+        for piece in contact.constraint.pieces:
+            if isinstance(piece, OfPoses) and piece.surface is not None:
+                things.append(_thing(piece.surface, x.T(piece.frames[0]).p, duration))
+            else:
+                missing.append(f"a constraint of {piece.count} rows that declares no surface")
+    values = {} if plant.environment is None else plant.environment.parameters()
+    for point, normal in _walls(values):
+        wall = Surface(kind="plane", point=point, axis=normal / np.linalg.norm(normal))
+        things.append(_thing(wall, x.T().p, duration))
+    return Around(things=tuple(things), missing=tuple(missing))
+
+
+def _walls(values: Mapping[str, Float64Array]) -> Iterator[tuple[Float64Array, Float64Array]]:
+    """Points and normals of the walls among what touches the tool."""
+    for path, normal in values.items():
+        place = path.removesuffix("normal") + "point"
+        if path.endswith("normal") and place in values:
+            yield values[place], normal
+
+
+def _thing(surface: Surface, p: Float64Array, duration: float) -> Thing:
+    """A surface as it is drawn near a point p."""
+    n, rgba = surface.axis, HOLLOW if surface.inside else BOARD
+    if surface.kind == "sphere":
+        ball = Shape(kind="sphere", size=(surface.radius, 0.0, 0.0), rgba=rgba)
+        return Thing(shapes=(ball,), p=_numbers(surface.point))
+    along = float(n @ (p - surface.point))
+    if surface.kind == "cylinder":
+        pipe = Shape(kind="cylinder", size=(surface.radius, SURFACE_HALF_WIDTH, 0.0), rgba=rgba)
+        return Thing(shapes=(pipe,), p=_numbers(surface.point + along * n), wxyz=_along(n))
+    board = Shape(kind="box", size=(SURFACE_HALF_WIDTH, SURFACE_HALF_WIDTH, THICKNESS), rgba=rgba)
+    times: tuple[float, ...] = ()
+    shifts: tuple[tuple[float, ...], ...] = ()
+    if surface.displacement is not None:
+        times = _numbers(np.linspace(0.0, duration, max(2, round(duration / PERIOD) + 1)))
+        shifts = tuple(_numbers(surface.displacement(t) * n) for t in times)
+    at = p - (along + THICKNESS) * n  # the board's face is the plane
+    return Thing(shapes=(board,), p=_numbers(at), wxyz=_along(n), times=times, shifts=shifts)
+
+
+def _along(z: Float64Array) -> tuple[float, ...]:
+    """Quaternion wxyz of axes whose z looks along a unit vector."""
+    helper = np.eye(3)[int(np.argmin(np.abs(z)))]
+    x = np.cross(helper, z)
+    x /= np.linalg.norm(x)
+    return _numbers(Pose.of(np.column_stack([x, np.cross(z, x), z]), np.zeros(3)).wxyz)
+
+
+def _numbers(values: Any) -> tuple[float, ...]:
+    return tuple(float(x) for x in values)

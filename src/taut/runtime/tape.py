@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
-from time import monotonic
-from typing import Any, Final, Protocol
+from collections.abc import Mapping
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,37 +15,24 @@ from taut.base.types import Float64Array
 from taut.codegen.program import Block, failure
 from taut.control.command import wild_term
 from taut.control.law import Law
-from taut.control.laws.task_space import far_away, may_bound
+from taut.control.laws.task_space import far_away
 from taut.control.lawside import LawSide
 from taut.control.tasks.task import NO_CONTACT
-from taut.control.trajectories.feed import Feed
 from taut.control.trajectories.force_reference import HybridMotion
 from taut.control.trajectories.samples import Chunk
 from taut.loop import AnyPlant
 from taut.maths.snapshot import Snapshot
-from taut.record.info import RunInfo
-from taut.record.outcome import Outcome
+from taut.record.info import Outcome, RunInfo
 from taut.record.parts import PhaseWindow, outcome_with_phases, windows
 from taut.record.run import Run
-from taut.runtime.events import Schedule
 
-__all__ = ["OngoingRun", "RowLog", "Tape"]
+__all__ = ["Tape"]
 
 COLUMNS = ("q", "v", "tau", "command")
-RUNNING: Final = Outcome(kind="stopped", message="the run is still going on", tick=0)
 SANE: Final = 1e6  # [rad/s | m/s]
 SEEN: Final = 1e-3  # [m] out of reach: less than that is nobody's concern
-LOG_PERIOD: Final = 0.1  # [s] of computing between two writes of a log, which is so at most twice that behind
 LOOKS: Final = 200  # ticks of a run in which the references of hybrid laws are checked
 BEYOND: Final = 0.01  # [rad | m] beyond a limit: more than an engine's soft stop gives way
-
-
-class RowLog(Protocol):
-    """A file that takes rows while a run goes on."""
-
-    def write(self, rows: Run) -> None:
-        """Append the ticks of a piece of the run."""
-        ...
 
 
 class Tape:
@@ -263,72 +248,6 @@ class Tape:
         message = (
             f"the simulation diverged at t = {t:.6g} s (tick {tick}): joint '{names[joint]}' was at "
             f"{speeds[joint]:.3g} {units[joint]}/s; try smaller gains, a higher rate or more substeps"
-            f"{', or error_max= where the target is far away' if may_bound(self._side.law) else ''}"
             f"{self._remarks(kept)}{self.out_of_reach(kept)}"
         )
         return Outcome(kind="diverged", message=message, tick=kept - 1, joint=names[joint])
-
-
-class OngoingRun(ABC):
-    """A run from its first tick to its end, or to where it breaks off."""
-
-    tape: Tape
-    _events: Schedule
-    _feed: Feed
-    _ticks: int  # of the whole run
-    _filled: int = 0  # ticks that have their reference
-
-    def go(self, advance: Callable[[int], None], log: RowLog | None) -> tuple[int, Outcome]:
-        """Run to the end.
-
-        Args:
-            advance: Called now and then with how many more ticks are done.
-            log: Where rows are written while it goes on.
-
-        Returns:
-            Number of rows recorded, and the outcome.
-        """
-        tape, k, written, since = self.tape, 0, 0, monotonic()
-        outcome: Outcome | None = None
-        while outcome is None and k < self._ticks:
-            try:
-                outcome = self._refused(k)
-                if outcome is None:
-                    k, outcome = self._go_on(k)
-            except Exception as error:
-                outcome = tape.failed(k, error)
-            if outcome is not None:
-                k = outcome.tick + 1
-            if outcome is not None or k == self._ticks or monotonic() - since >= LOG_PERIOD:
-                advance(k - written)
-                if log is not None:
-                    log.write(tape.piece(written, k, RUNNING))
-                written, since = k, monotonic()
-        return k, outcome or tape.completed()
-
-    @abstractmethod
-    def _go_on(self, k: int) -> tuple[int, Outcome | None]:
-        """Some ticks from k on: the one behind them, and the outcome if the run broke off in one of them."""
-
-    @abstractmethod
-    def _before(self) -> tuple[Float64Array, Mapping[str, Float64Array]]:
-        """(n,) where the arm is before a tick, and the parameters by path."""
-
-    def _refused(self, k: int) -> Outcome | None:
-        """How the run ends before the events of a tick that have no meaning there."""
-        try:
-            self._events.check(k, *self._before())
-        except RangeError as error:
-            return self.tape.refused(k, self._events.at(k), error)
-        return None
-
-    def _end_of_block(self, k: int, size: int) -> int:
-        """Up to where nothing changes from outside, in so many ticks from k on at most."""
-        stops = (self._ticks, self._events.next(k), self._feed.next_question(k))
-        return min(k + size, *(stop for stop in stops if stop is not None))
-
-    def _fill_reference(self, k: int, memory: Mapping[str, Any], state: Callable[[], Snapshot]) -> None:
-        """See that tick k has its reference, and ticks after it, at most up to where a stream is asked again."""
-        if self._feed.follow(memory, k, state) or k >= self._filled:
-            end = self._end_of_block(k, self._feed.block)
-            self._filled = k + self._feed.fill(self.tape.reference(k, end), k, state)

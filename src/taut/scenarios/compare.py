@@ -10,7 +10,7 @@ from taut.analysis.comparison import Comparison, Experiment, WrongModel, compare
 from taut.analysis.grading import GRADE_TOLERANCE, Grade, grade_law
 from taut.base.errors import UsageError, quoted_list, unknown_name
 from taut.base.types import ArrayLike
-from taut.control.describe import title
+from taut.control.combine import title
 from taut.control.law import Law
 from taut.control.trajectories.reference import as_reference
 from taut.loop import Loop

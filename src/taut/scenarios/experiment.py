@@ -18,7 +18,7 @@ from taut.control.trajectories.reference import Reference
 from taut.controller import compile
 from taut.loop import check_fit, duration_of_ticks, state_at_start
 from taut.maths.snapshot import snapshot
-from taut.runtime.events import Event, Schedule, sorted_events
+from taut.runtime.events import Event, Schedule
 from taut.scenarios.arms import read_arm
 from taut.scenarios.laws import read_control, read_law
 from taut.scenarios.plants import Plant, read_plant
@@ -35,9 +35,9 @@ class RunSection(Declared):
     """[run]: how long each run takes, from where, and with which noise."""
 
     duration: Field = Field(unit="s", above=0.0)
-    seed: Whole = Whole(0, doc="of the noise")
-    q0: Plain[Any] = Plain(default=None, doc='positions at the start, or "home"; the plant\'s home if left out')
-    v0: Plain[Any] = Plain(default=None, doc="velocities at the start; at rest if left out")
+    seed: Whole = Whole(0)  # of the noise
+    q0: Plain[Any] = Plain(default=None)  # positions at the start, or "home"; the plant's home if left out
+    v0: Plain[Any] = Plain(default=None)  # velocities at the start; at rest if left out
 
 
 def read_control_side_and_plant(root: Table) -> dict[str, Any]:
@@ -149,9 +149,8 @@ def _event(table: Table, rate: float, duration: float, sides: list[LawSide], pla
         event: Event = read(Event.push, table.table("push"), blame="t", t=table.get("t"))
     else:
         event = read(Event, table)
-    with table.blamed("t"):
-        due = sorted_events([event], rate, round(duration * rate) + 1)
+    ticks = round(duration * rate) + 1
     for side in sides:
-        with table.table("push").blamed("of") if "push" in table else table.blamed("set"):
-            Schedule(side, plant, {**side.parameters, **plant.parameters}, due)
+        with table.blamed("t"), table.table("push").blamed("of") if "push" in table else table.blamed("set"):
+            Schedule(side, plant, {**side.parameters, **plant.parameters}, [event], ticks)
     return event

@@ -12,12 +12,10 @@ from taut.arm.description import Arm
 from taut.base.checks import rate_in_hertz
 from taut.base.errors import UsageError, unknown_name
 from taut.base.plot_style import short
-from taut.control.combine import Wrapper
-from taut.control.describe import law_classes
+from taut.control.combine import Wrapper, law_classes
 from taut.control.law import Law
 from taut.control.limits import Limits
-from taut.control.sensing.filters import Difference, Kalman, LowPass
-from taut.control.sensing.sensing import Sensing
+from taut.control.sensing import Difference, Kalman, LowPass, Sensing
 from taut.control.side_by_side import SideBySide
 from taut.maths.constraints.constraint import Constraint
 from taut.scenarios.reading import Table, arguments, of_kind, read, reads

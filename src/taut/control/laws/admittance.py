@@ -15,15 +15,12 @@ from taut.control.closed_loop import ClosedLoop
 from taut.control.command import Command, Terms, Torque
 from taut.control.gains import Gain, GainValue
 from taut.control.law import Law, MemoryView, call
+from taut.control.laws.task_error import FRAMES, GainFrame, pulled
 from taut.control.laws.task_space import (
-    FRAMES,
     Bound,
-    GainFrame,
-    bound_of_error,
     check_damping,
     check_sensor,
     modal_damping,
-    pulled,
     task_gain,
     tool_loop,
     wrench_at,
@@ -108,7 +105,7 @@ class Admittance(Law):
     zeta: Gain = Gain(unit="1", shape="scalar", optional=True)
     model: Choice[ModelKind] = Choice("own", "measured")
     frame: Choice[GainFrame] = Choice(*FRAMES)
-    error_max: Gain = bound_of_error()
+    error_max: Gain = Gain(unit="m, rad", shape=2, accepts=("pair",), above=0.0, optional=True)
     deadband: Gain = Gain(unit="N, N m", shape=2, accepts=("pair",), optional=True)
     tool: str | None = None
 

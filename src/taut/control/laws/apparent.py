@@ -12,9 +12,8 @@ from taut.control.gains import GainValue
 from taut.control.law import Law
 from taut.control.laws.admittance import Admittance
 from taut.control.laws.impedance import Impedance
-from taut.control.laws.task_space import Compliance, GainFrame, bounded_inertia, modal_damping
+from taut.control.laws.task_space import TaskSpace, bounded_inertia, modal_damping
 from taut.control.laws.wrappers import EnergyTank
-from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.snapshot import Snapshot
 from taut.trace.linalg import factor_spd
 
@@ -79,14 +78,13 @@ def felt_impedance(law: Law, x: Snapshot) -> FeltImpedance | None:
 def _felt(
     law: Impedance | Admittance, x: Snapshot, K: GainValue, B: GainValue | None, D: GainValue | None
 ) -> FeltImpedance:
-    frame: GainFrame = law.frame
-    axes = Compliance.of("decoupled", frame, x, TaskMotion.at_rest(x, law.tool), law.tool, None)
+    axes = TaskSpace.of(law).at(x)
     stiffness = K.matrix(6)
     if D is not None:
         inertia = D.matrix(6)
     else:
         assert isinstance(law, Impedance)  # the other one always has D
-        inertia = axes.matrix_inwards(bounded_inertia(x, axes.error.J).Lambda)
+        inertia = axes.matrix_inwards(bounded_inertia(x, axes.J).Lambda)
     if B is not None:
         damping = B.matrix(6)
     else:

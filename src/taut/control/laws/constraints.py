@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
@@ -15,26 +15,16 @@ from taut.control.trajectories.reference import Hold, Reference, Sample
 from taut.control.trajectories.samples import Chunk
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.constraints.constraint import Constraint
-from taut.maths.constraints.rows import ConstraintRows, OfVelocity
+from taut.maths.constraints.rows import ConstraintRows
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import rotation_exp, rotation_log
 from taut.trace import math as tm
 
-__all__ = [
-    "along_constraint",
-    "check_constraint",
-    "check_forces",
-    "check_motion",
-    "check_place",
-    "check_surface",
-    "felt_along",
-    "of_one_body",
-]
+__all__ = ["along_constraint", "check_constraint", "check_place", "check_reference", "felt_along", "of_one_body"]
 
 DEPENDENT: Final = 3e-4  # of the largest singular value, rows of length 1; below it rounding is beyond 1e-9
 OUT_OF_RANGE: Final = 0.01  # [-] of a wrench, which a stream may state where the tool is, and not where it should be
 ELSEWHEN: Final = 0.1234567  # [s]
-MIN_SHOWN_PART: Final = 1e-5  # of the wrench, in words
 REFERENCE_INSTANTS: Final = 64  # at a motion before it is followed
 
 
@@ -42,12 +32,11 @@ def check_constraint(constraint: Constraint, x: Snapshot) -> None:
     """Its rows must be independent, and of joints that can move against them.
 
     Raises:
-        RangeError: A gradient of zero or of NaN, rows that depend on each other.
+        RangeError: A gradient of zero or of NaN, rows that depend on each other, or on what the joints cannot do.
     """
     rows = constraint.at(x)
-    A = np.asarray(rows.A if rows.A is not None else rows.A_q, dtype=np.float64)
     where = f"at the pose of '{x.arm.name}' there"
-    sizes = np.linalg.norm(A, axis=1)
+    sizes = np.linalg.norm(np.asarray(rows.A_q if rows.A is None else rows.A, dtype=np.float64), axis=1)
     for row, size in enumerate(sizes):
         if not np.isfinite(size) or size < 1e-12:
             got = "zero" if np.isfinite(size) else "not a number"
@@ -58,44 +47,13 @@ def check_constraint(constraint: Constraint, x: Snapshot) -> None:
                 name="constraint",
                 value=float(size),
             )
-    if len(A) > 1:
-        values = np.linalg.svd(A / sizes[:, None], compute_uv=False)
-        if len(A) > A.shape[1] or values[-1] < DEPENDENT * values[0]:
-            raise RangeError(
-                f"the {len(A)} rows of the constraint must be independent, and {where} they are not (singular values "
-                f"{', '.join(f'{value:.3g}' for value in values)}); leave out what says the same twice",
-                name="constraint",
-            )
-    A_q = np.asarray(rows.A_q, dtype=np.float64) / sizes[:, None]
-    values = np.linalg.svd(A_q, compute_uv=False)
-    if len(A_q) > x.n or values[-1] < DEPENDENT * max(1.0, values[0]):
+    values = np.linalg.svd(np.asarray(rows.A_q, dtype=np.float64) / sizes[:, None], compute_uv=False)
+    if rows.count > x.n or values[-1] < DEPENDENT * max(1.0, values[0]):
         raise RangeError(
-            f"the joints of '{x.arm.name}' cannot press against each row of the constraint {where}: A J has the "
-            f"singular values {', '.join(f'{value:.3g}' for value in values)}; start from another pose",
+            f"the {rows.count} rows of the constraint must be independent, and {where} they are not, or its joints "
+            f"cannot press against each (singular values of A J: {', '.join(f'{value:.3g}' for value in values)}); "
+            "leave out what says the same twice, or start from another pose",
             name="constraint",
-        )
-
-
-def check_surface(constraint: Constraint, x: Snapshot, tool: str | None) -> None:
-    """What is to be estimated is the normal of a surface, at the frame that the motion is of.
-
-    Raises:
-        UsageError: The first row holds rotations only, or is of another frame.
-    """
-    (frame,) = constraint.frame or (None,)
-    own, moved = (x.arm.tool if name is None else name for name in (frame, tool))
-    if own != moved:
-        raise UsageError(
-            f"estimate needs motion and constraint to be of one frame, and these are of '{moved}' and '{own}'",
-            name="estimate",
-        )
-    A = constraint.at(x).A
-    if A is None or np.linalg.norm(np.asarray(A, dtype=np.float64)[0, :3]) < 1e-9 or _of_velocities(constraint):
-        what = "is one of velocities" if _of_velocities(constraint) else "holds rotations only"
-        raise UsageError(
-            f"estimate is of a surface's normal, and the first row of the constraint {what}; put the surface first, "
-            "or leave it out",
-            name="estimate",
         )
 
 
@@ -108,9 +66,8 @@ def check_place(constraint: Constraint, x: Snapshot, tolerance: float) -> None:
     phi = np.asarray(constraint.at(x).phi, dtype=np.float64)
     row = int(np.argmax(np.abs(phi)))
     if abs(phi[row]) > tolerance:
-        which = "the constraint" if len(phi) == 1 else f"row {row} of the constraint"
         raise RangeError(
-            f"a hybrid run must start on its constraint, and {which} has phi = {phi[row]:.4g} there, more than the "
+            f"a hybrid run must start on its constraint, and row {row} has phi = {phi[row]:.4g} there, more than the "
             f"tolerance of {tolerance:g}; start from taut.dynamics.onto(constraint, arm, q), or approach first",
             name="q0",
             value=float(phi[row]),
@@ -118,204 +75,117 @@ def check_place(constraint: Constraint, x: Snapshot, tolerance: float) -> None:
         )
 
 
-def check_forces(constraint: Constraint, x: Snapshot, ref: Reference, *, later: bool = False) -> None:
-    """The forces of a reference are admissible.
-
-    Args:
-        constraint: The constraint.
-        x: Where the reference is followed from.
-        ref: The reference.
-        later: Whether that is somewhere else than at x: then what depends on the place is not looked at.
-
-    Raises:
-        UsageError: press where there is no surface; more or fewer multipliers than rows.
-        RangeError: A wrench outside the range of A^T, a pull at a contact.
-    """
-    for sample in ref.samples if isinstance(ref, Chunk) else [_first(ref)]:
-        if isinstance(sample, HybridMotion):
-            presses = ref.presses if isinstance(ref, Pressing) else bool(np.any(sample.press))
-            _check_force(constraint, x, sample, presses, later=later or isinstance(ref, Chunk))
-
-
-def _check_force(constraint: Constraint, x: Snapshot, sample: HybridMotion, presses: bool, *, later: bool) -> None:
-    rows = constraint.at(x)
-    lam = np.asarray(sample.lam, dtype=np.float64)
-    given = int(np.asarray(sample.given)[0])
-    if given not in (0, rows.count):
-        raise UsageError(
-            f"lam has {given} {'entry' if given == 1 else 'entries'}, and the constraint has {rows.count} "
-            f"{'row' if rows.count == 1 else 'rows'}; give one for each row",
-            name="lam",
-        )
-    _check_pressed(
-        rows.one_sided,
-        lam,
-        "lam",
-        lambda row: (
-            f"lam[{row}] must be <= 0 [N], for the contact can be pressed and not pulled; got {lam[row]:g}; "
-            "pressing is lam < 0, or press="
-        ),
-    )
-    F = np.asarray(sample.F_app, dtype=np.float64)
-    if rows.A is None:
-        if presses or np.any(F):
-            raise UsageError(
-                f"{'press' if presses else 'F_app'} is for a constraint of the tool; of joints or of several frames "
-                "give lam=, one for each row",
-                name="press" if presses else "F_app",
-            )
-        return
-    A = np.asarray(rows.A, dtype=np.float64)
-    what = "holds rotations only" if constraint.surface else "holds both ways"
-    if presses and (np.linalg.norm(A[0, :3]) < 1e-9 or not constraint.surface):
-        raise UsageError(
-            f"press is a force into a surface, and the first row of the constraint {what}; put the surface first, "
-            "with one_sided=True, or give lam=",
-            name="press",
-        )
-    if not later:
-        _check_range(A, F, rows.one_sided)
-
-
-def _of_velocities(constraint: Constraint) -> bool:
-    return isinstance(constraint.pieces[0], OfVelocity)
-
-
-def _check_range(A: Float64Array, F: Float64Array, one_sided: Sequence[bool], when: str = "") -> None:
-    size = float(np.linalg.norm(F))
-    if not size:
-        return
-    lam = np.asarray(np.linalg.lstsq(A.T, F, rcond=None)[0], dtype=np.float64)
-    rest = F - A.T @ lam
-    if np.linalg.norm(rest) > OUT_OF_RANGE * size:
-        raise RangeError(
-            f"F_app must lie in the range of A^T, for the constraint admits nothing else; of {_shown(F, size)} it "
-            f"admits {_shown(F - rest, size)}{when}, and not {_shown(rest, size)}",
-            name="F_app",
-        )
-    _check_pressed(
-        one_sided,
-        lam,
-        "F_app",
-        lambda row: (
-            f"F_app must press on a contact, and {_shown(F, size)} pulls at row {row}{when}, lam = {lam[row]:.4g}; "
-            "turn its sign"
-        ),
-    )
-
-
-def _check_pressed(one_sided: Sequence[bool], lam: Float64Array, name: str, sentence: Callable[[int], str]) -> None:
-    """No one-sided row is pulled at."""
-    for row, side in enumerate(one_sided):
-        if side and lam[row] > 0.0:
-            raise RangeError(sentence(row), name=name, value=float(lam[row]), rule="lam <= 0")
-
-
-def _shown(F: Float64Array, size: float) -> str:
-    """A wrench without what is nothing beside its size."""
-    some = np.where(np.abs(F) > MIN_SHOWN_PART * size, F, 0.0)
-    return f"[{', '.join(f'{x:.4g}' for x in some)}]"
-
-
-def check_motion(
+def check_reference(
     constraint: Constraint, x: Snapshot, ref: Reference, tool: str | None, tolerance: float, *, later: bool = False
 ) -> None:
-    """A motion that is known before it is followed keeps to the constraint, which admits F_app all along.
+    """A reference that is known before it is followed asks for forces that the constraint admits, and keeps to it.
 
-    It is a motion of the link that is constrained: of a chunk its samples are looked at, of a trajectory 64 instants.
-    Against a row of velocities, such as that of a wheel, its distance matters: the integral of A V.
+    Of a chunk its samples are looked at, of a trajectory 64 instants.
 
     Args:
         constraint: The constraint.
         x: Where and when it is followed from.
-        ref: The motion.
+        ref: The reference.
         tool: The frame that moves; None for the arm's tool.
         tolerance: Largest phi [m, rad].
-        later: Whether it is followed from a later time on that is not known: then not against what moves by itself.
+        later: Whether it is followed from a later time on, elsewhere: then not what depends on either.
 
     Raises:
-        RangeError: It leaves the constraint, or goes into it; or F_app leaves the range of A^T.
+        UsageError: press where there is no surface; more or fewer multipliers than rows.
+        RangeError: A wrench outside the range of A^T, a pull at a contact, a motion that leaves the constraint or
+            goes into it.
     """
-    if not of_one_body(constraint, x, tool):
-        return
-    assert constraint.frame is not None
-    beyond = x.T(tool).inverse() @ x.T(*constraint.frame)
-    velocities = np.array([isinstance(piece, OfVelocity) for piece in constraint.pieces for _ in range(piece.count)])
-    times, slipped, last = _times(ref), np.zeros(constraint.count), (0.0, np.zeros(constraint.count))
-    for t in times:
-        sample = _at(ref, t)
-        if not isinstance(sample, HybridMotion) or not isinstance(sample.motion, TaskMotion):
+    of_tool, here = of_one_body(constraint, x, tool), constraint.at(x).A
+    for t, sample in _known(ref):
+        if not isinstance(sample, HybridMotion):
             return
-        pose, now = sample.motion.pose @ beyond, float(x.t) + t
-        phi = constraint.of_pose(pose, now)
-        if later and np.any(phi != constraint.of_pose(pose, now + ELSEWHEN)):
-            return
-        row = int(np.argmax(np.abs(phi)))
-        if abs(phi[row]) > tolerance:
-            which = "" if len(phi) == 1 else f" in row {row}"
-            way = "into" if phi[row] < 0.0 and constraint.one_sided[row] else "off"
-            raise RangeError(
-                f"the motion must keep to the constraint, and at t = {t:g} s it is {abs(phi[row]):.4g} {way} it"
-                f"{which}, more than the tolerance of {tolerance:g}; give poses with phi = 0",
-                name="ref",
-                value=float(phi[row]),
-                rule=f"<= {tolerance:g}",
-            )
-        A, F_app = constraint.of_twist(pose, now)[0], np.asarray(sample.F_app, dtype=np.float64)
-        if np.any(F_app):
-            _check_range(A, F_app, constraint.one_sided, f" at t = {t:g} s")
-        speed = np.where(velocities, A @ _moved_to(sample.motion, pose.p), 0.0)
-        slipped = slipped + (0.5 * (t - last[0]) * (speed + last[1]) if t > 0.0 else 0.0)
-        last = t, speed
-        slip, when = (slipped, f"until t = {t:g} s") if len(times) > 1 else (speed, "in 1 s")
-        _check_slip(slip, when, tolerance)
+        presses = ref.presses if isinstance(ref, Pressing) else bool(np.any(sample.press))
+        _check_force(constraint, sample, presses=presses)
+        A, F_app = here, np.asarray(sample.F_app, dtype=np.float64)
+        known = not later and not isinstance(ref, Chunk)
+        if of_tool and isinstance(sample.motion, TaskMotion):
+            assert constraint.frame is not None
+            pose, now = sample.motion.pose @ x.T(tool).inverse() @ x.T(*constraint.frame), float(x.t) + t
+            phi = constraint.of_pose(pose, now)
+            known = not later or not np.any(phi != constraint.of_pose(pose, now + ELSEWHEN))
+            if known:
+                A = constraint.of_twist(pose, now)[0]
+                _check_on(phi, constraint.one_sided, t, tolerance)
+        if known and A is not None and np.any(F_app):
+            _check_admitted(np.asarray(A, dtype=np.float64), F_app, constraint.one_sided, t)
 
 
-def _check_slip(way: Float64Array, when: str, tolerance: float) -> None:
-    """A motion goes not far against rows of velocities: that of a trajectory, or in a second of what is held."""
-    row = int(np.argmax(np.abs(way)))
-    if abs(way[row]) > tolerance:
+def _check_force(constraint: Constraint, sample: HybridMotion, *, presses: bool) -> None:
+    """What a sample says of forces fits the constraint, wherever the arm is."""
+    given, count = int(np.asarray(sample.given)[0]), constraint.count
+    if given not in (0, count):
+        raise UsageError(f"lam must have one entry for each row of the constraint, {count}; got {given}", name="lam")
+    _check_pressed(constraint.one_sided, np.asarray(sample.lam, dtype=np.float64), "lam")
+    if constraint.frame is None and np.any(sample.F_app):
+        raise UsageError(
+            "F_app is for a constraint of the tool; of joints or of several frames give lam=", name="F_app"
+        )
+    if presses and (constraint.frame is None or constraint.moments[0] or not constraint.surface):
+        raise UsageError(
+            "press is a force into a surface, and the first row of the constraint is none; put the surface first, "
+            "with one_sided=True, or give lam=",
+            name="press",
+        )
+
+
+def _check_on(phi: Float64Array, one_sided: Sequence[bool], t: float, tolerance: float) -> None:
+    """A motion keeps to the constraint."""
+    row = int(np.argmax(np.abs(phi)))
+    if abs(phi[row]) > tolerance:
+        side = "into" if phi[row] < 0.0 and one_sided[row] else "off"
         raise RangeError(
-            f"the motion must keep to the constraint, and {when} it goes {abs(way[row]):.4g} against row {row}, "
-            f"which is one of velocities, more than the tolerance of {tolerance:g}; give twists with A V = 0, as "
-            "along a blade",
+            f"the motion must keep to the constraint, and at t = {t:g} s it is {abs(phi[row]):.4g} {side} it in row "
+            f"{row}, more than the tolerance of {tolerance:g}; give poses with phi = 0",
             name="ref",
-            value=float(way[row]),
+            value=float(phi[row]),
             rule=f"<= {tolerance:g}",
         )
 
 
-def _moved_to(motion: TaskMotion, p: Float64Array) -> Float64Array:
-    """(6,) its twist at another point of the same body."""
-    twist = np.asarray(motion.twist, dtype=np.float64)
-    return np.concatenate([twist[:3] + np.cross(twist[3:], p - motion.p), twist[3:]])
+def _check_admitted(A: Float64Array, F: Float64Array, one_sided: Sequence[bool], t: float) -> None:
+    """A wrench is one that a constraint admits."""
+    lam = np.asarray(np.linalg.lstsq(A.T, F, rcond=None)[0], dtype=np.float64)
+    admitted = A.T @ lam
+    if np.linalg.norm(F - admitted) > OUT_OF_RANGE * np.linalg.norm(F):
+        raise RangeError(
+            f"F_app must lie in the range of A^T, for the constraint admits nothing else; at t = {t:g} s it admits "
+            f"{(np.round(admitted, 3) + 0.0).tolist()} of {np.round(F, 3).tolist()}",
+            name="F_app",
+        )
+    _check_pressed(one_sided, lam, "F_app")
 
 
-def _times(ref: Reference) -> list[float]:
-    """When to look at a motion before it is followed [s]; never where it has no known end."""
+def _check_pressed(one_sided: Sequence[bool], lam: Float64Array, name: str) -> None:
+    """No one-sided row is pulled at."""
+    for row, side in enumerate(one_sided):
+        if side and lam[row] > 0.0:
+            raise RangeError(
+                f"{name} must press on a contact, lam <= 0 [N], and pulls at row {row} with lam = {lam[row]:.4g}; "
+                "turn its sign",
+                name=name,
+                value=float(lam[row]),
+                rule="lam <= 0",
+            )
+
+
+def _known(ref: Reference) -> Iterator[tuple[float, Sample | None]]:
+    """What is known of a reference before it is followed: time [s] and sample."""
+    if isinstance(ref, (Hold, Sample)):
+        yield 0.0, ref.sample if isinstance(ref, Hold) else ref
+        return
+    at, length = getattr(ref, "at", None), getattr(ref, "duration", None)
+    times = np.zeros(1)
     if isinstance(ref, Chunk):
-        return [float(t) for t in ref.times]
-    if isinstance(ref, (Hold, Sample)):
-        return [0.0]
-    length = getattr(ref, "duration", None)
-    if not isinstance(length, (int, float)) or not np.isfinite(length):
-        return []
-    return [float(t) for t in np.linspace(0.0, float(length), REFERENCE_INSTANTS)]
-
-
-def _first(ref: Reference) -> Sample | None:
-    if isinstance(ref, Hold):
-        return ref.sample
-    if isinstance(ref, Sample):
-        return ref
-    return ref.at(0.0) if isinstance(ref, (Chunk, Pressing)) or hasattr(ref, "at") else None
-
-
-def _at(ref: Reference, t: float) -> Sample | None:
-    if isinstance(ref, (Hold, Sample)):
-        return _first(ref)
-    at = getattr(ref, "at", None)
-    return None if at is None else at(t)
+        times = np.asarray(ref.times)
+    elif isinstance(length, (int, float)) and np.isfinite(length):
+        times = np.linspace(0.0, float(length), REFERENCE_INSTANTS)
+    if at is not None:
+        yield from ((float(t), at(float(t))) for t in times)
 
 
 def of_one_body(constraint: Constraint, x: Snapshot, tool: str | None) -> bool:
@@ -352,8 +222,8 @@ def along_constraint(
     """
     A, T = rows.A, x.T(frame)
     assert A is not None
-    d, asked = _lever(x, frame, tool), at_frame(x, frame, ref, tool)
-    factors = rows.factors
+    d, factors = _lever(x, frame, tool), rows.factors
+    asked = ref if d is None else _at_point(ref, d)
 
     def against(six: Vector) -> Vector:
         out: Vector = A.T @ factors.solve(A @ six)
@@ -369,12 +239,6 @@ def along_constraint(
         }
     )
     return made if d is None else _at_point(made, -d)
-
-
-def at_frame(x: Snapshot, frame: str | None, ref: TaskMotion, tool: str | None) -> TaskMotion:
-    """What a motion of the tool asks of the origin of another frame of the same body; R stays that of the tool."""
-    d = _lever(x, frame, tool)
-    return ref if d is None else _at_point(ref, d)
 
 
 def felt_along(x: Snapshot, rows: ConstraintRows, frame: str | None) -> Snapshot:

@@ -19,9 +19,8 @@ from taut.control.law import Law, MemoryView, call
 from taut.control.laws.constraints import (
     along_constraint,
     check_constraint,
-    check_forces,
-    check_motion,
     check_place,
+    check_reference,
     felt_along,
     of_one_body,
 )
@@ -195,28 +194,13 @@ class HybridMotionForce(Law):
             check_sensor(x, frame)
 
     def check_reference(self, x: Snapshot, ref: Reference, rate: float) -> None:  # noqa: ARG002
-        """The run starts on the constraint, forces can be applied against it, and the motion keeps to it.
-
-        Raises:
-            RangeError: A start or a motion off the constraint, a force that no contact admits.
-        """
-        self.check_contact(x, ref)
-        check_motion(self.constraint, x, ref, self.motion.controlled_frame, self.tolerance)
+        """The run starts on the constraint, forces can be applied against it, and the motion keeps to it."""
+        check_place(self.constraint, x, self.tolerance)
+        check_reference(self.constraint, x, ref, self.motion.controlled_frame, self.tolerance)
 
     def check_reference_later(self, x: Snapshot, ref: Reference, rate: float) -> None:  # noqa: ARG002
-        """The same of a phase that begins elsewhere, as far as it is known: the motion keeps to the constraint.
-
-        Raises:
-            RangeError: A motion off the constraint, a force that the contact admits at no place.
-        """
-        self.check_contact(x, ref, later=True)
-        check_motion(self.constraint, x, ref, self.motion.controlled_frame, self.tolerance, later=True)
-
-    def check_contact(self, x: Snapshot, ref: Reference, *, later: bool = False) -> None:
-        """A run starts on the constraint, and forces can be applied against it."""
-        if not later:
-            check_place(self.constraint, x, self.tolerance)
-        check_forces(self.constraint, x, ref, later=later)
+        """The same of a phase that begins elsewhere, as far as it is known."""
+        check_reference(self.constraint, x, ref, self.motion.controlled_frame, self.tolerance, later=True)
 
     def touches(self, x: Snapshot) -> Any:
         """Whether the arm keeps to the constraint: phi within the tolerance, and a force on it where one is measured.

@@ -9,22 +9,18 @@ from typing import Any, Literal
 import numpy as np
 
 from taut.base.errors import RangeError
-from taut.base.fields import Choice, Part
+from taut.base.fields import Choice
 from taut.base.types import Float64Array, Vector
 from taut.control.closed_loop import ClosedLoop
 from taut.control.command import Command, Terms, Torque
 from taut.control.gains import Gain
 from taut.control.law import Law, MemoryView
 from taut.control.laws.null_space import Posture, check_free, check_null, with_null_space
-from taut.control.laws.task_error import ERRORS, Coordinates, ErrorKind
+from taut.control.laws.task_error import FRAMES, GainFrame, TaskError
 from taut.control.laws.task_space import (
-    FRAMES,
     LOST,
     RATE,
-    Compliance,
-    GainFrame,
-    TaskSpace,
-    bound_of_error,
+    TaskLaw,
     bounded_inertia,
     check_damping,
     check_directions,
@@ -47,7 +43,7 @@ Feedback = Literal["wrench", "acceleration"]
 Coriolis = Literal["cancel", "keep"]
 
 
-class Impedance(Law):
+class Impedance(TaskLaw):
     """Impedance control: the tool answers a wrench like a mass, a damper and a spring.
 
     Law:          without D   tau = J^T (Lambda (a_des - J-dot v) + B V_e + K X_e) + h
@@ -95,40 +91,25 @@ class Impedance(Law):
         Section 10.5 impedance control. Hogan (1985), ASME J. Dynamic Systems 107.
     """
 
-    reference = TaskMotion
-    error: Choice[ErrorKind] = Choice(*ERRORS)
-    coordinates: Part[Coordinates | None] = Part(Coordinates, optional=True)
     K: Gain = task_gain(unit="N/m, N m/rad")
     B: Gain = task_gain(unit="N s/m, N m s/rad", optional=True)
     zeta: Gain = Gain(unit="1", shape="scalar", optional=True)
     D: Gain = task_gain(unit="kg, kg m^2", optional=True)
     feedback: Choice[Feedback] = Choice("wrench", "acceleration")
     frame: Choice[GainFrame] = Choice(*FRAMES)
-    error_max: Gain = bound_of_error()
     coriolis: Choice[Coriolis] = Choice("cancel", "keep")
     null: Law | None = Posture()
-    tool: str | None = None
 
     def check(self) -> None:
-        self.space.check(self)
+        super().check()
         check_null(self)
         check_damping(self, self.K, self.B, self.zeta, self.D)
         if self.D is None and self.feedback != "wrench":
             self.refuse("feedback", f"'{self.feedback}' is for an apparent inertia D; give D, or leave feedback out")
 
-    @property
-    def space(self) -> TaskSpace:
-        """Frame, error, axes and bound in one value."""
-        return TaskSpace.of(self)
-
-    @property
-    def dimensions(self) -> int:
-        """Entries of the error: 6, or those of the coordinates."""
-        return self.space.dimensions
-
     def check_state(self, x: Snapshot, rate: float) -> None:
         """The loop of feedback="acceleration" is stable; a wrist sensor is on the link that is controlled."""
-        check_directions(x, self.tool, self.space.at(x, TaskMotion.at_rest(x, self.tool)).error.J)
+        check_directions(x, self.tool, self.space.at(x).J)
         check_free(self, x, self.dimensions)
         if self.D is not None and self.feedback == "wrench":
             check_sensor(x, self.tool)
@@ -138,10 +119,9 @@ class Impedance(Law):
         """0 < eig(Lambda^-1 (D + B dt / 2)) < 2, where feedback="acceleration" needs it."""
         if self.D is None or self.feedback == "wrench":
             return
-        ref = TaskMotion.at_rest(x, self.tool)
-        c, D = self.space.at(x, ref), self.D.matrix(self.dimensions)
-        inverse = c.error.J @ x.M_factors.solve(c.error.J.T)
-        B = self.damping_matrix(c, bounded_inertia(x, c.error.J))
+        c, D = self.space.at(x), self.D.matrix(self.dimensions)
+        inverse = c.J @ x.M_factors.solve(c.J.T)
+        B = self.damping_matrix(c, bounded_inertia(x, c.J))
         sizes, axes = np.linalg.eigh(0.5 * (inverse + inverse.T))
         U = axes[:, sizes > LOST * sizes[-1]]  # the directions that the arm can move in at all
         ratios = np.linalg.eigvals(U.T @ inverse @ U @ (U.T @ c.matrix_outwards(D + B * (0.5 / rate)) @ U))
@@ -160,7 +140,7 @@ class Impedance(Law):
     def start(self, x: Snapshot, ref: TaskMotion) -> Mapping[str, Any]:
         if self.D is None or self.feedback == "wrench":
             return {}
-        return {"V_last": self.space.at(x, ref).error.J @ x.v}
+        return {"V_last": self.space.at(x, ref).J @ x.v}
 
     def closed_loop(self, x: Snapshot) -> ClosedLoop:
         """D V_e-dot + B V_e + K X_e = 0, with the arm's own inertia where D is not given."""
@@ -169,11 +149,11 @@ class Impedance(Law):
 
     def command(self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
         c, after = self.space.at(x, ref), dict[str, Any]()
-        inertia = bounded_inertia(x, c.error.J)
+        inertia = bounded_inertia(x, c.J)
         wrench = self.space.spring(self.K, c).mapped(c.wrench) + Terms(D=self.damping(c, inertia))
-        desired, motion = c.error.acceleration, Terms(feedforward=c.error.acceleration)
+        desired, motion = c.acceleration, Terms(feedforward=c.acceleration)
         if self.coriolis == "cancel":
-            motion = motion + Terms(nonlinear=-c.error.Jdot_v)
+            motion = motion + Terms(nonlinear=-c.Jdot_v)
         if self.D is None:
             F = wrench.mapped(c.outwards) + inertia.Lambda @ motion
         elif self.feedback == "wrench":
@@ -181,7 +161,7 @@ class Impedance(Law):
             a = (wrench + Terms(sensor=c.inwards(F_ext))).mapped(D.solve).mapped(c.outwards)
             F = inertia.Lambda @ (a + motion) - Terms(sensor=F_ext)
         else:  # eq. 10.49, with V-dot of the tick before
-            after["V_last"] = V = c.error.J @ x.v
+            after["V_last"] = V = c.J @ x.v
             V_dot = (V - memory.V_last) / dt
             F = wrench.mapped(c.outwards) + Terms(inertia=c.outwards(self.D @ c.inwards(desired - V_dot)))
             F = F + inertia.Lambda @ (motion + Terms(inertia=V_dot) - Terms(feedforward=desired))
@@ -190,11 +170,11 @@ class Impedance(Law):
         tau, null = with_null_space(self, tau, x, ref, memory, dt, inertia, self.dimensions, weight)
         return Torque(tau), {**after, **null}
 
-    def damping(self, c: Compliance, inertia: TaskInertia) -> Vector:
+    def damping(self, c: TaskError, inertia: TaskInertia) -> Vector:
         """(k,) B V_e in the axes of the gains, with B as it is given, or designed from zeta."""
         return self._times_B(c, inertia, c.V)
 
-    def damping_matrix(self, c: Compliance, inertia: TaskInertia) -> Float64Array:
+    def damping_matrix(self, c: TaskError, inertia: TaskInertia) -> Float64Array:
         """(k, k) B in the axes of the gains."""
         columns = [self._times_B(c, inertia, axis) for axis in np.eye(self.dimensions)]
         return np.asarray(np.column_stack(columns), dtype=np.float64)
@@ -208,10 +188,10 @@ class Impedance(Law):
     def dissipation(self, x: Snapshot, ref: TaskMotion) -> Any:
         """Power that damping takes from the arm [W], at most what it turns into heat; a moving X_des adds nothing."""
         c = self.space.at(x, ref)
-        wrench = self.damping(c, bounded_inertia(x, c.error.J))
-        return tm.minimum(c.V @ wrench, -(c.inwards(c.error.J @ x.v) @ wrench))
+        wrench = self.damping(c, bounded_inertia(x, c.J))
+        return tm.minimum(c.V @ wrench, -(c.inwards(c.J @ x.v) @ wrench))
 
-    def _times_B(self, c: Compliance, inertia: TaskInertia, V: Vector) -> Vector:
+    def _times_B(self, c: TaskError, inertia: TaskInertia, V: Vector) -> Vector:
         if self.B is not None:
             out: Vector = self.B @ V
             return out
@@ -219,15 +199,15 @@ class Impedance(Law):
         return modal_damping(factor_spd(D), self.K.matrix(self.dimensions), self.zeta.as_array(), V)
 
     def _within_reach(
-        self, x: Snapshot, ref: TaskMotion, c: Compliance, inertia: TaskInertia, F: Terms
+        self, x: Snapshot, ref: TaskMotion, c: TaskError, inertia: TaskInertia, F: Terms
     ) -> tuple[Terms, Any]:
         """The torque of F, eased and damped towards a target out of reach without error_max; the weight of `null`."""
         away = self.space.beyond_reach(x, ref)
         if away is None or self.error_max is not None:
-            return c.error.J.T @ F, 1.0
+            return c.J.T @ F, 1.0
         pull = eased(away, away.clear, c.X) * c.outwards(c.wrench(self.K @ c.X))
         bounded = F.total + away.clear * (within_speed(x, inertia, pull) - F.total)
-        tau = c.error.J.T @ F.up_to(bounded, "reach") + Terms(reach=-(away.clear * RATE) * (x.M @ x.v))
+        tau = c.J.T @ F.up_to(bounded, "reach") + Terms(reach=-(away.clear * RATE) * (x.M @ x.v))
         return tau, 1.0 - away.clear
 
 
@@ -239,7 +219,7 @@ def _advice(low: float, high: float, *, given: bool) -> str:
     return f"{'D and B' if given else 'D'} times {np.floor(100.0 * factor) / 100.0:g} would do there"
 
 
-class Stiffness(Law):
+class Stiffness(TaskLaw):
     """Stiffness control: a spring alone, with the arm's weight compensated.
 
     Law:          tau = J^T K X_e + g(q) - kd v                                  eq. 10.49 with K only
@@ -264,27 +244,9 @@ class Stiffness(Law):
         Section 10.5 impedance control. Salisbury (1980), IEEE CDC, active stiffness control.
     """
 
-    reference = TaskMotion
-    error: Choice[ErrorKind] = Choice(*ERRORS)
-    coordinates: Part[Coordinates | None] = Part(Coordinates, optional=True)
     K: Gain = task_gain(unit="N/m, N m/rad")
     kd: Gain = Gain(0.0, unit="N m s/rad | N s/m")
     frame: Choice[GainFrame] = Choice(*FRAMES)
-    error_max: Gain = bound_of_error()
-    tool: str | None = None
-
-    def check(self) -> None:
-        self.space.check(self)
-
-    @property
-    def space(self) -> TaskSpace:
-        """Frame, error, axes and bound in one value."""
-        return TaskSpace.of(self)
-
-    @property
-    def dimensions(self) -> int:
-        """Entries of the error: 6, or those of the coordinates."""
-        return self.space.dimensions
 
     def closed_loop(self, x: Snapshot) -> ClosedLoop:
         """M q_ddot + kd q_dot + J^T K X_e = 0."""
@@ -295,4 +257,4 @@ class Stiffness(Law):
         wrench = self.space.spring(self.K, c).mapped(c.wrench).mapped(c.outwards)
         if away is not None and self.error_max is None:
             wrench = wrench.up_to(eased(away, away.clear, c.X) * wrench.total, "reach")
-        return Torque(c.error.J.T @ wrench + Terms(gravity=x.g, D=-(self.kd @ x.v)))
+        return Torque(c.J.T @ wrench + Terms(gravity=x.g, D=-(self.kd @ x.v)))

@@ -17,8 +17,8 @@ from taut.control.gains import Gain, GainValue, Memory
 from taut.control.integral import Integral
 from taut.control.law import Law, MemoryView
 from taut.control.laws.null_space import Posture, check_free, check_null, with_null_space
-from taut.control.laws.task_error import ERRORS, Coordinates, ErrorKind, TaskError, task_error
-from taut.control.laws.task_space import TaskSpace, bound_of_error, eased, task_gain, tool_loop
+from taut.control.laws.task_error import TaskError, task_error
+from taut.control.laws.task_space import TaskLaw, eased, task_gain, tool_loop
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.singularity import ResolvedMotion, resolve
 from taut.maths.snapshot import Snapshot
@@ -31,7 +31,7 @@ Singularity = Literal["robust", "plain"]
 ANY: Final = ("scalar", "pair", "matrix")
 
 
-class TaskComputedTorque(Law):
+class TaskComputedTorque(TaskLaw):
     """Task-space feedback linearisation (computed torque of the end-effector).
 
     Law:          tau = J^T Lambda (a_des + kp X_e + ki int(X_e) + kd V_e - J-dot v) + h(q, v)          eq. 10.31
@@ -75,35 +75,20 @@ class TaskComputedTorque(Law):
         Section 10.2.3 task space motion control. Khatib (1987), IEEE Journal of Robotics and Automation 3 (1).
     """
 
-    reference = TaskMotion
-    error: Choice[ErrorKind] = Choice(*ERRORS)
-    coordinates: Part[Coordinates | None] = Part(Coordinates, optional=True)
     kp: Gain = task_gain(unit="1/s^2", accepts=ANY)
     kd: Gain = task_gain(unit="1/s", accepts=ANY)
     ki: Gain = task_gain(0.0, unit="1/s^3", accepts=ANY)
     integral: Part[Integral] = Part(Integral, default=Integral())
-    error_max: Gain = bound_of_error()
     null: Law | None = Posture()
-    tool: str | None = None
     singularity: Choice[Singularity] = Choice("robust", "plain")
     damping: Gain = Gain(unit="1/kg, 1/(kg m^2)", shape="scalar", optional=True)
     limited = Memory(doc="how far the limits near a singularity still act")
 
     def check(self) -> None:
-        self.space.check(self)
+        super().check()
         check_null(self)
         if self.damping is not None and self.singularity != "plain":
             self.refuse("damping", "is for singularity 'plain'; leave one of the two out")
-
-    @property
-    def space(self) -> TaskSpace:
-        """Frame, error and bound in one value."""
-        return TaskSpace.of(self)
-
-    @property
-    def dimensions(self) -> int:
-        """Entries of the error: 6, or those of the coordinates."""
-        return self.space.dimensions
 
     def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
         check_free(self, x, self.dimensions)
@@ -113,7 +98,7 @@ class TaskComputedTorque(Law):
         return tool_loop(self, x, lambda g: replace(self, kp=g.K, kd=g.D, ki=g.Ki), inertia=np.eye(self.dimensions))
 
     def command(self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
-        error = self.space.at(x, ref).error
+        error = self.space.at(x, ref)
         e_int, integral = self.integral.step(
             memory.integral, error.X, dt, ki=self.ki, cut=lambda: error.J @ tm.solve_spd(x.M_factors, x.tau_cut)
         )
@@ -196,7 +181,7 @@ class TaskVelocity(Law):
         return tool_loop(self, x, lambda g: replace(self, kp=g.D), inertia=np.eye(6), single_pole="always")
 
     def command(self, x: Snapshot, ref: TaskMotion) -> Command:
-        error = task_error("decoupled", x, ref, self.tool, None)
+        error = task_error(x, ref, self.tool)
         V = Terms(feedforward=ref.twist, lead=self.lead.as_array() * ref.acceleration, P=self.kp @ error.X)
         return Velocity(_joint_speeds(error.J, self.damping, V))
 
@@ -238,7 +223,7 @@ class TaskPosition(Law):
         return tool_loop(self, x, lambda g: replace(self, kp=g.D), inertia=np.eye(6), single_pole="always")
 
     def command(self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
-        error = task_error("decoupled", x.at(memory.q, np.zeros(x.n)), ref, self.tool, None)
+        error = task_error(x.at(memory.q, np.zeros(x.n)), ref, self.tool)
         V, lead = ref.twist + self.kp @ error.X, self.lead.as_array()
         speeds = _joint_speeds(error.J, self.damping, Terms(V=V, a=0.5 * lead * ref.acceleration))
         q = memory.q + dt * speeds.parts["V"]

@@ -1,4 +1,4 @@
-"""The error of a pose, desired minus actual, in the four ways of task space; and what a law needs beside it.
+"""The error of a pose, desired minus actual, in the four ways of task space, in the axes of a law's gains.
 
 All four vanish together, and differ where the error is large. The acceleration is in the same coordinates: of a law
 that makes the rate of `V` follow, V-dot = J a + Jdot_v, the error obeys what its docstring says.
@@ -14,28 +14,88 @@ import numpy as np
 
 from taut.base.errors import ShapeError
 from taut.base.fields import Declared, Plain
-from taut.base.types import Array, Matrix, Twist, Vector
+from taut.base.types import Array, Matrix, Rotation, Twist, Vector, Wrench
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.snapshot import Snapshot
-from taut.maths.spatial import adjoint, moved, pose_log, rotated, rotation_log
+from taut.maths.spatial import (
+    adjoint,
+    curve,
+    moved,
+    pose_log,
+    pose_log_rate,
+    rotated,
+    rotated_matrix,
+    rotation_log,
+    turned_back,
+)
 from taut.trace import math as tm
 from taut.trace.pose import Pose
 
-__all__ = ["ERRORS", "Coordinates", "ErrorKind", "TaskError", "check_coordinates", "dimensions", "task_error"]
+__all__ = ["ERRORS", "FRAMES", "Coordinates", "ErrorKind", "GainFrame", "TaskError", "pulled", "task_error"]
 
 ErrorKind = Literal["decoupled", "body", "space", "coordinates"]
 ERRORS: Final[tuple[ErrorKind, ...]] = ("decoupled", "body", "space", "coordinates")
+GainFrame = Literal["world", "task", "tool"]
+FRAMES: Final[tuple[GainFrame, ...]] = ("world", "task", "tool")
+NEVER: Final = 1e-24  # keeps a root from zero, where it has no slope
+SOMEWHERE: Final = Pose([0.4, -0.3, 0.5], rpy=[0.3, -0.4, 0.5])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TaskError:
-    """An error of k entries; k is 6 but for coordinates."""
+    """An error of k entries; k is 6 but for coordinates. X and V are in the axes of the gains, the rest is not."""
 
-    X: Vector  # (k,) the error [m, rad]
-    V: Vector  # (k,) desired minus actual velocity, in the coordinates of the error
-    acceleration: Vector  # (k,) what the desired motion asks for
+    X: Vector  # (k,) the error, desired minus actual [m, rad]
+    V: Vector  # (k,) desired minus actual velocity
+    acceleration: Vector  # (k,) what the desired motion asks for, in the coordinates of the error
     J: Matrix  # (k, n) velocity in these coordinates per joint speed
     Jdot_v: Vector  # (k,)
+    kind: ErrorKind = "decoupled"
+    frame: GainFrame = "world"  # of the gains, for "decoupled"
+    R: Rotation | None = None  # R_WC of the axes of the gains, None where they are the coordinates of the error
+
+    def inwards(self, six: Array) -> Array:
+        """What stands in the coordinates of the error, in the axes of the gains."""
+        return six if self.R is None else rotated(self.R.T, six)
+
+    def outwards(self, six: Array) -> Array:
+        """The way back."""
+        return six if self.R is None else rotated(self.R, six)
+
+    def matrix_inwards(self, C: Matrix) -> Matrix:
+        """(k, k) a symmetric matrix in the coordinates of the error, in the axes of the gains."""
+        return C if self.R is None else rotated_matrix(self.R.T, C)
+
+    def matrix_outwards(self, C: Matrix) -> Matrix:
+        """(k, k) the way back."""
+        return C if self.R is None else rotated_matrix(self.R, C)
+
+    def wrench(self, force: Array) -> Wrench:
+        """(k,) what pulls the tool where the potential X . force falls, in the axes of the gains."""
+        if self.kind == "coordinates":
+            return force
+        if self.kind == "decoupled":
+            return pulled(self.X, force, turning=self.frame == "tool")
+        out: Wrench = pose_log_rate(self.X if self.kind == "body" else -self.X).T @ force
+        return out
+
+
+def pulled(X: Vector, force: Vector, *, turning: bool) -> Wrench:
+    """(6,) what pulls the tool where the potential X . force falls, with X the decoupled error, desired minus actual.
+
+    -X-dot = A V of the tool at a resting reference, and the wrench is A^T force. For forces along X it is the force
+    itself; for a stiffness that differs by direction the rest is what makes the spring conservative.
+
+    Args:
+        X: (6,) in the axes of the gains.
+        force: (6,) likewise.
+        turning: Whether these axes are those of the tool, and turn with it.
+    """
+    w = X[3:]
+    moment = turned_back(w, curve(w), force[3:], -1.0 if turning else 1.0)
+    if turning:
+        moment = moment + tm.cross(X[:3], force[:3])
+    return tm.array([*force[:3], *moment])
 
 
 class Coordinates(Declared):
@@ -46,7 +106,7 @@ class Coordinates(Declared):
         angles: Entries that are angles [rad]: their errors are taken the short way round.
 
     Raises:
-        UsageError: No function, or angles that are no tuple of entries.
+        UsageError, ShapeError: Not 1 to 6 numbers, or angles that are no entries of them.
 
     Example:
         >>> height = Coordinates(function=lambda T: T.p[2:])
@@ -62,6 +122,19 @@ class Coordinates(Declared):
     def check(self) -> None:
         if not isinstance(self.angles, tuple) or not all(type(i) is int for i in self.angles):
             self.refuse("angles", f"must be a tuple of entries, such as (2,); got {self.angles!r}")
+        try:
+            shape = np.shape(self.function(SOMEWHERE))
+        except ValueError:  # rows of different lengths
+            shape = ()
+        if len(shape) != 1 or not 1 <= shape[0] <= 6:
+            self.refuse("function", f"must give 1 to 6 numbers, (k,); it gives shape {shape}", ShapeError)
+        if not set(self.angles) <= set(range(shape[0])):
+            self.refuse("angles", f"must be entries 0 to {shape[0] - 1}; got {self.angles}", ShapeError)
+
+    @property
+    def size(self) -> int:
+        """k."""
+        return len(self.function(SOMEWHERE))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Coordinates) and (self.function, self.angles) == (other.function, other.angles)
@@ -75,11 +148,6 @@ class Coordinates(Declared):
         return cls(function=_position)
 
     @classmethod
-    def planar(cls) -> Self:
-        """x, y and yaw, for arms that move in a plane. Singular where the tool's x axis is upright."""
-        return cls(function=_planar, angles=(2,))
-
-    @classmethod
     def position_and_rpy(cls) -> Self:
         """x, y, z, roll, pitch, yaw, as in Pose(rpy=). Singular at a pitch of a quarter turn."""
         return cls(function=_position_and_rpy, angles=(3, 4, 5))
@@ -90,15 +158,8 @@ class Coordinates(Declared):
         return cls(function=_cylindrical, angles=(1,))
 
 
-NEVER: Final = 1e-24  # keeps a root from zero, where it has no slope
-
-
 def _position(T: Pose) -> Array:
     return T.p
-
-
-def _planar(T: Pose) -> Array:
-    return tm.array([T.p[0], T.p[1], tm.atan2(T.R[1, 0], T.R[0, 0])])
 
 
 def _position_and_rpy(T: Pose) -> Array:
@@ -114,23 +175,32 @@ def _cylindrical(T: Pose) -> Array:
 
 
 def task_error(
-    kind: ErrorKind, x: Snapshot, ref: TaskMotion, tool: str | None, coordinates: Coordinates | None
+    x: Snapshot,
+    ref: TaskMotion,
+    tool: str | None = None,
+    *,
+    kind: ErrorKind = "decoupled",
+    coordinates: Coordinates | None = None,
+    frame: GainFrame = "world",
 ) -> TaskError:
-    """The error of the tool in the way that `kind` names."""
+    """The error of the tool in the way that `kind` names, in the axes of a frame of the gains."""
     if kind == "body":
         return _body(x, ref, tool)
     if kind == "space":
         return _space(x, ref, tool)
-    if kind == "coordinates":
-        assert coordinates is not None
+    if coordinates is not None:
         return _in_coordinates(x, ref, tool, coordinates)
     T = x.T(tool)
+    R = {"world": None, "task": ref.R, "tool": T.R}[frame]
+    X, V = tm.array([*(ref.p - T.p), *rotation_log(ref.R @ T.R.T)]), ref.twist - x.twist(tool)
     return TaskError(
-        X=tm.array([*(ref.p - T.p), *rotation_log(ref.R @ T.R.T)]),
-        V=ref.twist - x.twist(tool),
+        X=X if R is None else rotated(R.T, X),
+        V=V if R is None else rotated(R.T, V),
         acceleration=ref.acceleration,
         J=x.J(tool),
         Jdot_v=x.Jdot_v(tool),
+        frame=frame,
+        R=R,
     )
 
 
@@ -147,6 +217,7 @@ def _body(x: Snapshot, ref: TaskMotion, tool: str | None) -> TaskError:
         acceleration=Ad @ V_dot_D + _bracket(V, V_des),
         J=x.J(tool, axes="E"),
         Jdot_v=x.Jdot_v(tool, axes="E"),
+        kind="body",
     )
 
 
@@ -180,6 +251,7 @@ def _space(x: Snapshot, ref: TaskMotion, tool: str | None) -> TaskError:
         acceleration=_spatial_rate(ref.p, ref.twist, ref.acceleration),
         J=J_space,
         Jdot_v=_spatial_rate(T.p, V, x.Jdot_v(tool)),
+        kind="space",
     )
 
 
@@ -198,6 +270,7 @@ def _in_coordinates(x: Snapshot, ref: TaskMotion, tool: str | None, coordinates:
         acceleration=A_des @ ref.acceleration + _second(coordinates, ref.pose, ref.twist),
         J=A @ x.J(tool),
         Jdot_v=A @ x.Jdot_v(tool) + _second(coordinates, T, V),
+        kind="coordinates",
     )
 
 
@@ -223,35 +296,3 @@ def _second(coordinates: Coordinates, T: Pose, V: Twist) -> Vector:
 
     curved: Vector = tm.jacobian(rate, np.zeros(1))[:, 0]
     return curved
-
-
-def dimensions(kind: ErrorKind, coordinates: Coordinates | None) -> int:
-    """Entries of the error."""
-    if kind != "coordinates" or coordinates is None:
-        return 6
-    try:
-        return len(coordinates.function(SOMEWHERE))
-    except (TypeError, ValueError):  # no vector, which `check_coordinates` refuses
-        return 6
-
-
-SOMEWHERE: Final = Pose([0.4, -0.3, 0.5], rpy=[0.3, -0.4, 0.5])
-
-
-def check_coordinates(law: Declared, kind: ErrorKind, coordinates: Coordinates | None) -> None:
-    """Coordinates go with the error of that name, and give 1 to 6 numbers. Raises Refusal."""
-    if (kind == "coordinates") != (coordinates is not None):
-        law.refuse("coordinates", "is for error 'coordinates', which needs it; give both or neither")
-    if coordinates is None:
-        return
-    try:
-        shape = np.shape(coordinates.function(SOMEWHERE))
-    except ValueError:  # rows of different lengths
-        law.refuse(
-            "coordinates", "must be 1 to 6 numbers, (k,); the function gives rows of different lengths", ShapeError
-        )
-    if len(shape) != 1 or not 1 <= shape[0] <= 6:
-        law.refuse("coordinates", f"must be 1 to 6 numbers, (k,); it gives shape {shape}", ShapeError)
-    wrong = [i for i in coordinates.angles if not 0 <= i < shape[0]]
-    if wrong:
-        law.refuse("coordinates", f"has angles that are no entries 0 to {shape[0] - 1}; got {wrong[0]}", ShapeError)

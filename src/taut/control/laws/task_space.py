@@ -1,30 +1,31 @@
 """Task space of a law: the error of a pose, the axes of the gains, the spring and its bound, targets out of reach.
 
 Laws of the tool have the arguments `tool`, `error`, `coordinates`, `frame` and `error_max`; `TaskSpace.of(law)` is
-what these say, in one value. Everything is in the axes C of the gains: those of the world, of the reference ("task")
-or of the tool; with another error than "decoupled", in the coordinates of that error.
+what these say, in one value. Everything is in the axes of the gains: those of the world, of the reference ("task") or
+of the tool; with another error than "decoupled", in the coordinates of that error.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Literal, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 
 from taut.base.errors import MatchError, RangeError, count_of
-from taut.base.types import Array, Float64Array, Matrix, Rotation, Vector, Vector3, Wrench
+from taut.base.fields import Choice, Part
+from taut.base.types import Array, Float64Array, Matrix, Vector, Vector3, Wrench
 from taut.control.closed_loop import ClosedLoop, PlacedGains
 from taut.control.command import Terms
 from taut.control.gains import Gain, GainValue
 from taut.control.law import Law
-from taut.control.laws.task_error import Coordinates, ErrorKind, TaskError, check_coordinates, dimensions, task_error
+from taut.control.laws.task_error import ERRORS, Coordinates, ErrorKind, GainFrame, TaskError, task_error
 from taut.control.side_by_side import SideBySide
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.singularity import TOP_SPEED, Asked, Beyond, distance_beyond, spheres
 from taut.maths.snapshot import Snapshot
-from taut.maths.spatial import curve, pose_log_rate, rotated, rotated_matrix, turned_back
+from taut.maths.spatial import rotated
 from taut.maths.task_inertia import TaskInertia
 from taut.trace import math as tm
 from taut.trace.linalg import LTDL, times_square_root
@@ -33,21 +34,16 @@ if TYPE_CHECKING:
     from taut.control.tasks.task import Task
 
 __all__ = [
-    "FRAMES",
     "RATE",
     "Bound",
-    "Compliance",
-    "GainFrame",
+    "TaskLaw",
     "TaskSpace",
-    "bound_of_error",
     "bounded_inertia",
     "check_damping",
     "check_directions",
     "check_sensor",
     "far_away",
-    "may_bound",
     "modal_damping",
-    "pulled",
     "task_gain",
     "within_speed",
     "wrench_at",
@@ -55,8 +51,6 @@ __all__ = [
     "tool_loop",
 ]
 
-GainFrame = Literal["world", "task", "tool"]
-FRAMES: Final[tuple[GainFrame, ...]] = ("world", "task", "tool")
 EASED: Final = (0.05, 0.3)  # of the reach, and [rad]: what an error counts for at most, out of reach
 RATE: Final = 5.0  # [1/s] at which joints settle under a spring to a target out of reach
 HEAVY: Final = 10.0  # times the arm's mass, which no direction of its tool is made heavier than
@@ -67,11 +61,6 @@ def task_gain(default: Any = ..., *, unit: str, accepts: Iterable[str] = ("pair"
     """A gain on the error of a task: (linear, angular), one for each direction, or a matrix."""
     given = {} if default is ... else {"default": default}
     return Gain(**given, unit=unit, shape=more.pop("shape", "dimensions"), accepts=accepts, **more)
-
-
-def bound_of_error() -> Gain:
-    """error_max: (linear, angular), the largest error that a spring answers."""
-    return Gain(unit="m, rad", shape=2, accepts=("pair",), above=0.0, optional=True)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,39 +77,26 @@ class TaskSpace:
     def of(cls, law: Any) -> Self:
         """That of a law with these arguments; what it does not have is left as it is."""
         own = vars(law)
-        names = ("tool", "error", "frame", "coordinates", "error_max")
-        return cls(**{name: own[name] for name in names if name in own})
+        return cls(**{name: own[name] for name in cls.__dataclass_fields__ if name in own})
 
-    def check(self, law: Law) -> None:
-        """The relations between these arguments. Raises Refusal."""
-        check_coordinates(law, self.error, self.coordinates)
-        if self.frame != "world" and self.error != "decoupled":
-            law.refuse("frame", f"is for error 'decoupled'; '{self.error}' has axes of its own; leave frame out")
-        if self.error_max is not None and self.error == "coordinates":
-            law.refuse("error_max", "bounds the errors of a pose, and 'coordinates' has others; leave it out")
-
-    @property
-    def dimensions(self) -> int:
-        """Entries of the error: 6, or those of the coordinates."""
-        return dimensions(self.error, self.coordinates)
-
-    def at(self, x: Snapshot, ref: TaskMotion) -> Compliance:
-        """The error X, its rate V, and J in the coordinates of the error."""
-        return Compliance.of(self.error, self.frame, x, ref, self.tool, self.coordinates)
+    def at(self, x: Snapshot, ref: TaskMotion | None = None) -> TaskError:
+        """The error X, its rate V, and J in the coordinates of the error; of an arm that is to rest without `ref`."""
+        ref = TaskMotion.at_rest(x, self.tool) if ref is None else ref
+        return task_error(x, ref, self.tool, kind=self.error, coordinates=self.coordinates, frame=self.frame)
 
     @property
     def bound(self) -> Bound | None:
         """What bounds the spring."""
         return None if self.error_max is None else Bound.of(self.error_max)
 
-    def spring(self, K: GainValue, c: Compliance) -> Terms:
+    def spring(self, K: GainValue, error: TaskError) -> Terms:
         """The force of the spring in the axes of the gains, and what its bound takes of it."""
-        whole = Terms(P=K @ c.X)
-        return whole if self.bound is None else whole + Terms(bound=self.bound.force(K, c.X) - K @ c.X)
+        whole = Terms(P=K @ error.X)
+        return whole if self.bound is None else whole + Terms(bound=self.bound.force(K, error.X) - K @ error.X)
 
-    def energy(self, K: GainValue, c: Compliance) -> Any:
+    def energy(self, K: GainValue, error: TaskError) -> Any:
         """Energy of the spring [J]."""
-        X = c.X if self.bound is None else self.bound.stretch(c.X)
+        X = error.X if self.bound is None else self.bound.stretch(error.X)
         return 0.5 * (X @ (K @ X))
 
     def measured_wrench(self, x: Snapshot, inertia: TaskInertia) -> Wrench:
@@ -135,64 +111,46 @@ class TaskSpace:
             return out
         return F
 
+    @property
+    def asked(self) -> Asked | None:
+        """What an error says of the pose: all of it, its position, or nothing that is known."""
+        if self.coordinates is None:
+            return "pose"
+        return "position" if self.coordinates == Coordinates.position() else None
+
     def beyond_reach(self, x: Snapshot, ref: TaskMotion) -> Beyond | None:
         """How clearly a target is out of reach; None where an error does not say enough to know."""
-        asked = asked_of(self.error, self.coordinates)
-        found = None if asked is None else spheres(x.model, self.tool, asked)
+        found = None if self.asked is None else spheres(x.model, self.tool, self.asked)
         return Beyond.of(found, ref.p, ref.R) if found else None
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Compliance:
-    """The error of a pose in the axes of the gains, and the way back of wrenches."""
+class TaskLaw(Law, abstract=True):
+    """Base of laws that follow a motion of the tool with an error of task space: what these have in common."""
 
-    error: TaskError
-    kind: ErrorKind
-    frame: GainFrame
-    R: Rotation | None  # R_WC, None for the world and for other errors
-    X: Vector  # (k,) desired minus actual
-    V: Vector  # (k,)
+    reference = TaskMotion
+    error: Choice[ErrorKind] = Choice(*ERRORS)
+    coordinates: Part[Coordinates | None] = Part(Coordinates, optional=True)
+    error_max: Gain = Gain(unit="m, rad", shape=2, accepts=("pair",), above=0.0, optional=True)
+    tool: str | None = None
 
-    @classmethod
-    def of(
-        cls,
-        kind: ErrorKind,
-        frame: GainFrame,
-        x: Snapshot,
-        ref: TaskMotion,
-        tool: str | None,
-        coordinates: Coordinates | None,
-    ) -> Compliance:
-        """That of a tool and its reference."""
-        error = task_error(kind, x, ref, tool, coordinates)
-        R = {"world": None, "task": ref.R, "tool": x.T(tool).R}[frame] if kind == "decoupled" else None
-        X, V = (error.X, error.V) if R is None else (rotated(R.T, error.X), rotated(R.T, error.V))
-        return cls(error=error, kind=kind, frame=frame, R=R, X=X, V=V)
+    def check(self) -> None:
+        if (self.error == "coordinates") != (self.coordinates is not None):
+            self.refuse("coordinates", "is for error 'coordinates', which needs it; give both or neither")
+        if self.space.frame != "world" and self.error != "decoupled":
+            self.refuse("frame", f"is for error 'decoupled'; '{self.error}' has axes of its own; leave frame out")
+        if self.error_max is not None and self.error == "coordinates":
+            self.refuse("error_max", "bounds the errors of a pose, and 'coordinates' has others; leave it out")
 
-    def inwards(self, six: Array) -> Array:
-        """What the law computes in the coordinates of the error, in the axes of the gains."""
-        return six if self.R is None else rotated(self.R.T, six)
+    @property
+    def space(self) -> TaskSpace:
+        """Frame, error, axes and bound in one value."""
+        return TaskSpace.of(self)
 
-    def outwards(self, six: Array) -> Array:
-        """The way back."""
-        return six if self.R is None else rotated(self.R, six)
-
-    def matrix_outwards(self, C: Matrix) -> Matrix:
-        """(k, k) a symmetric matrix of the gains' axes in the coordinates of the error."""
-        return C if self.R is None else rotated_matrix(self.R, C)
-
-    def matrix_inwards(self, C: Matrix) -> Matrix:
-        """(k, k) the way back."""
-        return C if self.R is None else rotated_matrix(self.R.T, C)
-
-    def wrench(self, force: Array) -> Wrench:
-        """(k,) what pulls the tool where the potential X . force falls, in the axes of the gains."""
-        if self.kind == "coordinates":
-            return force
-        if self.kind in ("body", "space"):
-            out: Wrench = pose_log_rate(self.X if self.kind == "body" else -self.X).T @ force
-            return out
-        return pulled(self.X, force, turning=self.frame == "tool")
+    @property
+    def dimensions(self) -> int:
+        """Entries of the error: 6, or those of the coordinates."""
+        coordinates: Coordinates | None = self.__dict__["coordinates"]
+        return 6 if coordinates is None else coordinates.size
 
 
 def modal_damping(inertia: LTDL, K: Matrix, zeta: Any, V: Vector) -> Vector:
@@ -280,24 +238,6 @@ class Bound:
         ]
 
 
-def pulled(X: Vector, force: Vector, *, turning: bool) -> Wrench:
-    """(6,) what pulls the tool where the potential X . force falls, with X the decoupled error, desired minus actual.
-
-    -X-dot = A V of the tool at a resting reference, and the wrench is A^T force. For forces along X it is the force
-    itself; for a stiffness that differs by direction the rest is what makes the spring conservative.
-
-    Args:
-        X: (6,) in the axes of the gains.
-        force: (6,) likewise.
-        turning: Whether these axes are those of the tool, and turn with it.
-    """
-    w = X[3:]
-    moment = turned_back(w, curve(w), force[3:], -1.0 if turning else 1.0)
-    if turning:
-        moment = moment + tm.cross(X[:3], force[:3])
-    return tm.array([*force[:3], *moment])
-
-
 def _places(X: Vector) -> list[slice]:
     """The linear and the angular part; of three numbers the linear one alone."""
     return [slice(0, 3), slice(3, 6)][: len(X) // 3]
@@ -308,13 +248,6 @@ def _by_parts(X: Vector, shares: list[Any]) -> Vector:
 
 
 # -------------------------------------------------------------------- targets out of reach
-
-
-def asked_of(kind: ErrorKind, coordinates: Coordinates | None) -> Asked | None:
-    """What an error says of the pose: all of it, its position, or nothing that is known."""
-    if kind != "coordinates":
-        return "pose"
-    return "position" if coordinates == Coordinates.position() else None
 
 
 def eased(away: Beyond, share: Any, X: Vector) -> Any:
@@ -371,22 +304,13 @@ def far_away(law: Law | Task, x: Snapshot, rows: dict[str, Float64Array]) -> Flo
     return distance_beyond(spheres(x.model, law.controlled_frame, asked), rows["p"], rows["R"])
 
 
-def may_bound(law: Law | Task) -> bool:
-    """Whether a law, or one that it holds, has a spring that could be bounded and is not."""
-    own = isinstance(law, Law) and "error_max" in law.declared and vars(law)["error_max"] is None
-    return own or any(map(may_bound, law.children().values()))
-
-
 def _asked(law: Law) -> Asked | None:
     """What of the pose a law asks for, or the law that it holds."""
-    own = vars(law)
-    if "directions" in own:
-        return "pose" if own["directions"] == "all" else "position"
-    if "error" in own:
-        return asked_of(own["error"], own["coordinates"])
-    inner = [
-        child for child in law.children().values() if child.reference is TaskMotion and not child.ignores_reference
-    ]
+    if "directions" in law.declared:
+        return "pose" if vars(law)["directions"] == "all" else "position"
+    if isinstance(law, TaskLaw):
+        return law.space.asked
+    inner = [each for each in law.children().values() if each.reference is TaskMotion and not each.ignores_reference]
     return _asked(inner[0]) if inner else "pose"
 
 
@@ -394,7 +318,7 @@ def _asked(law: Law) -> Asked | None:
 
 
 def check_damping(law: Law, K: GainValue, B: GainValue | None, zeta: GainValue | None, D: GainValue | None) -> None:
-    """Exactly one of B and zeta; zeta needs a stiffness to oscillate on; D is divided by. Raises Refusal."""
+    """Exactly one of B and zeta; zeta needs a stiffness to oscillate on; D is divided by. Raises TautError."""
     if (B is None) == (zeta is None):
         law.refuse("zeta", "designs B from K and the inertia; give exactly one of B and zeta")
     if zeta is not None and smallest(K) <= 0.0:
@@ -445,9 +369,8 @@ def tool_loop(law: Law, x: Snapshot, gains: Callable[[PlacedGains], Law], **opti
         gains: The law with other gains.
         **options: Fields of `ClosedLoop`.
     """
-    space = TaskSpace.of(law)
-    at = space.at(x, TaskMotion.at_rest(x, space.tool))
-    J = np.asarray(at.inwards(at.error.J), dtype=np.float64)
+    error = TaskSpace.of(law).at(x)
+    J = np.asarray(error.inwards(error.J), dtype=np.float64)
     six = len(J) == len(AXES)
     names, units = (AXES, UNITS) if six else (tuple(f"y{i}" for i in range(len(J))), ("m",) * len(J))
     return ClosedLoop(x=x, J=J, names=names, units=units, gains=gains, **options)

@@ -9,7 +9,7 @@ from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 
-from taut.base.checks import finite_array, require_at_least, symmetric_psd
+from taut.base.checks import finite_array, require_range, symmetric_psd
 from taut.base.errors import UsageError
 from taut.base.fields import Part, Plain
 from taut.base.types import Rotation, Vector, Vector3
@@ -17,7 +17,7 @@ from taut.control.combine import Wrapper
 from taut.control.command import Command, Terms, Torque
 from taut.control.gains import Gain, GainValue, Memory
 from taut.control.law import MemoryView
-from taut.control.laws.constraints import check_surface
+from taut.control.laws.constraints import check_place, check_reference
 from taut.control.laws.force import ForceControl
 from taut.control.laws.hybrid import HybridMotionForce
 from taut.control.laws.task_space import check_sensor
@@ -25,7 +25,7 @@ from taut.control.trajectories.reference import Reference
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.constraints.constraint import Constraint
 from taut.maths.constraints.multipliers import Constrained
-from taut.maths.constraints.rows import ConstraintRows
+from taut.maths.constraints.rows import ConstraintRows, OfPoses
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import rotated
 from taut.trace import math as tm
@@ -93,7 +93,7 @@ class EnergyTank(Wrapper):
             if values.ndim == 2:
                 symmetric_psd("K", values)
             else:
-                require_at_least("K", values, 0.0)
+                require_range("K", values, minimum=0.0)
 
     def start(self, x: Snapshot, ref: Any) -> Mapping[str, Any]:  # noqa: ARG002
         return {"energy": self.capacity.as_array(), "now": self._wanted(x)}
@@ -264,13 +264,21 @@ class NormalEstimate(Wrapper):
             self.refuse("law", "must have a surface that one frame touches, and a motion of that frame")
 
     def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
-        (frame,) = self.law.constraint.frame or (None,)
+        constraint, moved = self.law.constraint, self.law.motion.controlled_frame or x.arm.tool
+        (frame,) = constraint.frame or (None,)
         check_sensor(x, frame)
-        check_surface(self.law.constraint, x, self.law.motion.controlled_frame)
+        if (frame or x.arm.tool) != moved or constraint.moments[0] or not isinstance(constraint.pieces[0], OfPoses):
+            raise UsageError(
+                f"NormalEstimate is of a surface's normal at the frame that moves, '{moved}': put the surface first, "
+                "of that frame, or leave the estimate out",
+                name="NormalEstimate",
+            )
 
     def check_references(self, x: Snapshot, ref: Reference, rate: float, *, later: bool = False) -> None:  # noqa: ARG002
         """Not the motion: it goes along the surface that is estimated, whatever it asks for against it."""
-        self.law.check_contact(x, ref, later=later)
+        if not later:
+            check_place(self.law.constraint, x, self.law.tolerance)
+        check_reference(self.law.constraint, x, ref, self.law.motion.controlled_frame, np.inf, later=later)
 
     def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
         constraint = self.law.constraint

@@ -11,7 +11,7 @@ import numpy as np
 
 from taut.base.checks import finite_scalar, positive_scalar
 from taut.base.errors import RangeError, UsageError, unknown_name
-from taut.control.describe import all_laws
+from taut.control.combine import all_laws
 from taut.control.law import Law
 from taut.control.tasks.guards import Guard, Lasting, contact
 from taut.control.trajectories.reference import Hold, Reference, Sample, Trajectory, as_reference

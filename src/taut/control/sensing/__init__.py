@@ -1,1 +1,0 @@
-"""What a controller makes of its measurements: filters, velocity, wrist wrench."""

@@ -1,0 +1,370 @@
+"""A run while it goes on, tick by tick or block by block: of a fused loop, or against a plant with its own state."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from time import monotonic
+from typing import Any, Final, Protocol
+
+import numpy as np
+
+from taut.base.errors import NumericalError, RangeError
+from taut.base.paths import subtree
+from taut.base.types import ArrayLike, Float64Array
+from taut.codegen.loop import compiled_loop
+from taut.codegen.program import Block
+from taut.control.limits import take_up
+from taut.control.tasks.feed import feed_of
+from taut.control.trajectories.feed import Feed
+from taut.control.trajectories.reference import Reference
+from taut.controller import Controller, take_up_change
+from taut.loop import DT, Loop, sensed_of
+from taut.maths.snapshot import Snapshot
+from taut.plant.contact import check_force_feedback
+from taut.record.info import Outcome
+from taut.record.run import Run
+from taut.runtime.events import Schedule
+from taut.runtime.host import PlantBase
+from taut.runtime.tape import Tape
+
+__all__ = ["FusedRun", "HostedRun", "OngoingRun", "RowLog"]
+
+RUNNING: Final = Outcome(kind="stopped", message="the run is still going on", tick=0)
+LOG_PERIOD: Final = 0.1  # [s] of computing between two writes of a log, which is so at most twice that behind
+FIRST_BLOCK: Final = 16  # ticks: how long one takes is not known yet
+
+
+class RowLog(Protocol):
+    """A file that takes rows while a run goes on."""
+
+    def write(self, rows: Run) -> None:
+        """Append the ticks of a piece of the run."""
+        ...
+
+
+class OngoingRun(ABC):
+    """A run from its first tick to its end, or to where it breaks off."""
+
+    tape: Tape
+    _events: Schedule
+    _feed: Feed
+    _ticks: int  # of the whole run
+    _filled: int = 0  # ticks that have their reference
+
+    def go(self, advance: Callable[[int], None], log: RowLog | None) -> tuple[int, Outcome]:
+        """Run to the end.
+
+        Args:
+            advance: Called now and then with how many more ticks are done.
+            log: Where rows are written while it goes on.
+
+        Returns:
+            Number of rows recorded, and the outcome.
+        """
+        tape, k, written, since = self.tape, 0, 0, monotonic()
+        outcome: Outcome | None = None
+        while outcome is None and k < self._ticks:
+            try:
+                outcome = self._refused(k)
+                if outcome is None:
+                    k, outcome = self._go_on(k)
+            except Exception as error:
+                outcome = tape.failed(k, error)
+            if outcome is not None:
+                k = outcome.tick + 1
+            if outcome is not None or k == self._ticks or monotonic() - since >= LOG_PERIOD:
+                advance(k - written)
+                if log is not None:
+                    log.write(tape.piece(written, k, RUNNING))
+                written, since = k, monotonic()
+        return k, outcome or tape.completed()
+
+    @abstractmethod
+    def _go_on(self, k: int) -> tuple[int, Outcome | None]:
+        """Some ticks from k on: the one behind them, and the outcome if the run broke off in one of them."""
+
+    @abstractmethod
+    def _before(self) -> tuple[Float64Array, Mapping[str, Float64Array]]:
+        """(n,) where the arm is before a tick, and the parameters by path."""
+
+    def _refused(self, k: int) -> Outcome | None:
+        """How the run ends before the events of a tick that have no meaning there."""
+        try:
+            self._events.check(k, *self._before())
+        except RangeError as error:
+            return self.tape.refused(k, self._events.at(k), error)
+        return None
+
+    def _end_of_block(self, k: int, size: int) -> int:
+        """Up to where nothing changes from outside, in so many ticks from k on at most."""
+        stops = (self._ticks, self._events.next(k), self._feed.next_question(k))
+        return min(k + size, *(stop for stop in stops if stop is not None))
+
+    def _fill_reference(self, k: int, memory: Mapping[str, Any], state: Callable[[], Snapshot]) -> None:
+        """See that tick k has its reference, and ticks after it, at most up to where a stream is asked again."""
+        if self._feed.follow(memory, k, state) or k >= self._filled:
+            end = self._end_of_block(k, self._feed.block)
+            self._filled = k + self._feed.fill(self.tape.reference(k, end), k, state)
+
+
+class FusedRun(OngoingRun):
+    """One run of a Loop.
+
+    Args:
+        loop: The loop.
+        q: (n,) true position at the start.
+        v: (n,) true velocity at the start.
+        seed: Seed of the noise.
+        events: What changes in it.
+    """
+
+    def __init__(self, loop: Loop, q: Float64Array, v: Float64Array, seed: int, events: Schedule) -> None:
+        self._loop, self._events = loop, events
+        side = loop.side
+        self._inputs, self._parameters = Block.of(loop.input_shapes()), Block.of(loop.parameter_shapes())
+        self._values = self._parameters.pack({**loop.parameters, DT: loop.dt})
+        self._numbers = self._parameters.views(self._values)  # by path
+        self._apply(0)
+        # One generator per measurement, by its name: neither how the run is cut into blocks nor what else is noisy
+        # changes the numbers.
+        self._noise = {name: np.random.default_rng([seed, *name.encode()]) for name in loop.plant.noise}
+        side.check_start(q, self._numbers, loop.ref)
+        check_force_feedback(side, loop.plant, q, self._numbers)
+        block, packed = self._parameters, self._values  # the feed holds these, and not the run, which holds the feed
+        self._feed = feed_of(side, loop.ref, q, lambda: block.views(packed))
+        self._drawn = 1  # the noise of row 0 is drawn at the start
+        self._ticks, self._size = loop.ticks, FIRST_BLOCK  # of the run, and of the next block
+        first = np.zeros((1, self._inputs.size))
+        memory = self._started(q, v, first)
+        self._memory = Block.of({path: np.shape(value) for path, value in memory.items()})
+        self._state = self._memory.pack(memory)
+        blocks, example = (self._inputs, self._parameters, self._memory), (first[0], self._values, self._state)
+        self._run = compiled_loop(loop, blocks, example)
+        self.tape = Tape(side, loop.plant, loop.ticks, self._inputs, self._run.outputs)
+        self.tape.input_rows[0] = first[0]
+
+    def _started(self, q: Float64Array, v: Float64Array, first: Float64Array) -> dict[str, Any]:
+        """Memory in the first tick, whose reference and noise (1, ...) are filled in here, before there is a tape."""
+        views, parameters = self._inputs.views(first), self._numbers
+        self._draw(views)
+        row, plant = self._inputs.views(first[0]), self._loop.plant_at_start(q, v, parameters)
+        self._feed.fill(subtree(views, "ref"), 0, lambda: self._seen(plant, None, row))
+        return self._loop.start(q, v, row, parameters)
+
+    def _apply(self, tick: int) -> Float64Array | None:
+        """Events that act at a tick; if a blend takes up the change, the parameters without what it is to take up."""
+        side, new, views = self._loop.side, self._events.at(tick), self._numbers
+        before = self._values.copy() if side.blends(new) else None
+        for path, value in new.items():
+            views[path][...] = value
+            if before is not None and path not in side.parameters:  # what happens to the plant acts at once
+                self._parameters.views(before)[path][...] = value
+        return before
+
+    def _take_up(self, k: int, before: Float64Array) -> None:
+        """Let tick k command what it would have without a change of the controller's parameters."""
+        asked = []
+        for values in (before, self._values):
+            state, row = self._state.copy(), np.zeros((1, self._run.outputs.size))
+            self._run.run(self.tape.input_rows[k : k + 1], values, state, row)
+            asked.append(self._memory.views(state)["limits.asked"])
+        take_up(self._memory.views(self._state), *asked)
+
+    def _draw(self, views: dict[str, Float64Array]) -> None:
+        for name, column in subtree(views, "noise").items():
+            column[...] = self._noise[name].standard_normal(column.shape)
+
+    def _before(self) -> tuple[Float64Array, Mapping[str, Float64Array]]:
+        return self._memory.views(self._state)["plant.q"].copy(), self._numbers
+
+    def _go_on(self, k: int) -> tuple[int, Outcome | None]:
+        """One block, which takes about half as long as a log may be behind."""
+        began = monotonic()
+        end, done = self._block(k, self._prepare(k))
+        if done < end - k:
+            return end, self._diverged(k + done)
+        growth = min(16.0, 0.5 * LOG_PERIOD / max(monotonic() - began, 1e-9))
+        self._size = max(1, int((end - k) * growth))
+        return end, None
+
+    def _block(self, k: int, end: int) -> tuple[int, int]:
+        """The ticks from k on: where the block ends, and how many of them ended in finite memory.
+
+        Where another reference begins in between, the block is taken back and ends there, since what is followed
+        from there on is known only then.
+        """
+        inputs, outputs, before = self.tape.input_rows, self.tape.output_rows, self._state.copy()
+        done = self._run.run(inputs[k:end], self._values, self._state, outputs[k:end])
+        last = self._feed.ends(self.tape.outputs, k, k + done)
+        if last is None or last == end:
+            return end, done
+        self._state[:] = before
+        return last, self._run.run(inputs[k:last], self._values, self._state, outputs[k:last])
+
+    def _diverged(self, k: int) -> Outcome:
+        """How a run ended whose step after row k was not finite: by a sensor, by the law, or by itself."""
+        error = self._run.raised
+        if isinstance(error, NumericalError):  # plain Python raises where compiled code gives infinity
+            return self.tape.without_numbers(k, error)
+        if error is not None:
+            return self.tape.failed(k, error)
+        row, memory = self._inputs.views(self.tape.input_rows[k]), self._memory.views(self._state)
+        side, parameters = self._loop.side, self._numbers
+        with np.errstate(all="ignore"):
+            measured = self._loop.measured(subtree(memory, "plant"), row, parameters)
+        try:
+            side.check_finite({name: measured[name] for name in ("q", *side.takes) if name in measured}, k)
+        except RangeError as fault:
+            if self.tape.is_sane(k):
+                return self.tape.without_numbers(k, fault)
+        return self.tape.diverged(k)
+
+    def _prepare(self, k: int) -> int:
+        """Events that act at tick k, then noise and reference of the block, whose end is returned."""
+        before = self._apply(k)
+        self._draw_up_to(k + 1)
+        row = self._inputs.views(self.tape.input_rows[k])
+        memory = self._memory.views(self._state)
+        plant, sensing = subtree(memory, "plant"), subtree(memory, "sensing")
+
+        def state() -> Snapshot:
+            return self._seen(plant, sensing, row)
+
+        self._fill_reference(k, memory, state)
+        end = min(self._end_of_block(k, self._size), self._filled)
+        self._draw_up_to(end)
+        if before is not None and k > 0:  # in the first tick there is nothing yet to go on from
+            self._take_up(k, before)
+        return end
+
+    def _draw_up_to(self, end: int) -> None:
+        """The noise of the ticks before `end`, as far as it was not drawn for a block that was taken back."""
+        if self._drawn < end:
+            self._draw({path: column[self._drawn : end] for path, column in self.tape.inputs.items()})
+            self._drawn = end
+
+    def _seen(
+        self, plant: Mapping[str, Any], sensing: Mapping[str, Any] | None, inputs: Mapping[str, Any]
+    ) -> Snapshot:
+        """What the controller sees in a tick, for the source of a stream."""
+        measured = self._loop.measured(plant, inputs, self._numbers)
+        return self._loop.side.seen(measured, sensing, self._numbers, float(inputs["t"]))
+
+
+class HostedRun(OngoingRun):
+    """One run against a host plant.
+
+    Args:
+        ctrl: The controller; its own memory is not touched.
+        plant: The plant.
+        ref: The reference.
+        ticks: Number of control ticks.
+        q: (n,) true position at the start.
+        v: (n,) true velocity at the start.
+        seed: Seed of the noise.
+        events: What changes in it.
+    """
+
+    def __init__(
+        self,
+        ctrl: Controller,
+        plant: PlantBase,
+        ref: Reference,
+        ticks: int,
+        q: Float64Array,
+        v: Float64Array,
+        seed: int,
+        events: Schedule,
+    ) -> None:
+        side = ctrl.side
+        self._plant, self._ticks, self._side, self._events = plant, ticks, side, events
+        self._own = dict(plant.parameters)  # events last as long as the run
+        self._kernel = ctrl.recording_kernel(sensed_of(side, plant), ticks)
+        plant.reset(q, v, side.dt, seed)
+        n = side.arm.n
+        shapes: dict[str, tuple[int, ...]] = {"q": (n,), "v": (n,), "tau": (n,)}
+        shapes |= self._kernel.blocks.layout["outputs"].shapes
+        shapes |= {name: np.shape(value) for name, value in plant.extra().items()}
+        wanted = self._kernel.blocks.layout["inputs"].shapes
+        kept = {path: shape for path, shape in wanted.items() if path.startswith("ref.")}
+        self.tape = Tape(side, plant, ticks, Block.of({"t": (), **kept}), Block.of(shapes))
+        side.check_start(q, {**ctrl.parameters, **self._events.at(0)}, ref)
+        blocks = self._kernel.blocks  # the feed holds these, and not the run, which holds the feed
+        self._feed = feed_of(side, ref, q, lambda: blocks.views("parameters"))
+        self._memory = self._kernel.blocks.views("memory")
+        # Where each number goes from and to in every tick, found once.
+        inputs = self._kernel.blocks.views("inputs")
+        self._measured = [(path, inputs[path]) for path in ("q", *side.takes) if path in ("q", *plant.measures)]
+        self._wanted = [(self.tape.inputs[path], inputs[path]) for path in kept]
+        outputs = self._kernel.blocks.views("outputs")
+        self._given = [(view, self.tape.outputs[path]) for path, view in outputs.items()]
+        self._command = outputs["command"]
+
+    def go(self, advance: Callable[[int], None], log: RowLog | None) -> tuple[int, Outcome]:
+        """Run to the end; the plant has its own parameters again after it."""
+        try:
+            return super().go(advance, log)
+        finally:
+            self._plant.set_parameters({p: self._own[p] for p in self._events.paths if p in self._own})
+
+    def _before(self) -> tuple[Float64Array, Mapping[str, Float64Array]]:
+        return self._plant.state()[0], self._kernel.blocks.views("parameters")
+
+    def _go_on(self, k: int) -> tuple[int, Outcome | None]:
+        return k + 1, self._tick(k)
+
+    def _tick(self, k: int) -> Outcome | None:
+        tape, plant, kernel = self.tape, self._plant, self._kernel
+        before = self._apply(self._events.at(k))
+        out = tape.outputs
+        out["q"][k], out["v"][k] = plant.state()
+        measured = plant.measure()
+        self._reference(k, measured)
+        for path, view in self._measured:
+            view[...] = measured[path]
+        for rows, view in self._wanted:
+            view[...] = rows[k]
+        try:
+            if not kernel.ready:
+                kernel.start()
+            elif before is not None:
+                take_up_change(kernel, before)
+            kernel.tick()
+        except (NumericalError, RangeError) as error:  # a tick without a command: it is not recorded
+            if tape.is_sane(k):
+                return tape.without_numbers(k, error)
+            outcome = tape.diverged(k)
+            return Outcome(kind="diverged", message=f"{outcome.message}; {error}", tick=k - 1, joint=outcome.joint)
+        for view, rows in self._given:
+            rows[k] = view
+        out["tau"][k] = plant.advance(self._command)
+        for name, value in plant.extra().items():
+            out[name][k] = value
+        trouble = plant.trouble()
+        if trouble is None:
+            return None
+        words, joint = trouble
+        who = None if joint is None else self._side.arm.joint_names[joint]
+        where = f" at t = {tape.inputs['t'][k]:.6g} s (tick {k})" + (f", joint '{who}'" if who else "")
+        message = f"the simulation diverged{where}: {words}{self.tape.out_of_reach(k + 1)}"
+        return Outcome(kind="diverged", message=message, tick=k, joint=who)
+
+    def _apply(self, values: Mapping[str, ArrayLike]) -> Float64Array | None:
+        """New values of parameters; those of the controller before, where a blend takes up the change."""
+        before = self._kernel.blocks.parameters.copy() if self._side.blends(values) else None
+        for path, value in values.items():
+            if path in self._side.parameters:
+                self._kernel.blocks.views("parameters")[path][...] = value
+        self._plant.set_parameters({path: value for path, value in values.items() if path in self._own})
+        return before
+
+    def _reference(self, k: int, measured: dict[str, Float64Array]) -> None:
+        """Fill the reference of the next ticks, at most up to where a stream is asked again."""
+
+        def state() -> Snapshot:
+            parameters = self._kernel.blocks.views("parameters")
+            sensing = subtree(self._memory, "sensing") if self._kernel.ready else None
+            return self._side.seen(measured, sensing, parameters, k * self._side.dt)
+
+        self._fill_reference(k, self._memory, state)
