@@ -34,8 +34,7 @@ from taut.book.models import (
 from taut.book.page import BY_HAND, ODE, Row, Shown, entry, law_diagram, legend, panels, row
 from taut.book.single_joint import WANTED, angles
 from taut.control.law import Law
-from taut.control.laws.friction import FrictionCompensation
-from taut.control.laws.joint import PID, ComputedTorque, FeedForward
+from taut.control.laws.joint import PID, ComputedTorque, FeedForward, FrictionCompensation
 from taut.control.trajectories.joint import Sine
 from taut.control.trajectories.reference import JointMotion
 from taut.maths.snapshot import snapshot

@@ -18,8 +18,7 @@ from taut.book.models import M, controller, link, on_link
 from taut.book.page import Shown, entry, legend, panels, row
 from taut.book.single_joint import ConstantTorque
 from taut.control.law import Law
-from taut.control.laws.friction import Dither, RaisedGains
-from taut.control.laws.joint import PID
+from taut.control.laws.joint import PID, Dither, RaisedGains
 from taut.control.trajectories.reference import JointMotion
 from taut.maths.snapshot import snapshot
 from taut.maths.task_inertia import rotor_share

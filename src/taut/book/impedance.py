@@ -19,8 +19,8 @@ from taut.book.models import M, engine, link, looped, panda, simulated, ticked, 
 from taut.book.multi_joint import Q, V
 from taut.book.page import MUJOCO, Shown, compared, entry, legend, panels, row
 from taut.control.command import Torque
-from taut.control.gains import Gain, Memory
-from taut.control.law import Law, MemoryView
+from taut.control.gains import Gain, Memory, MemoryView
+from taut.control.law import Law
 from taut.control.laws.admittance import Admittance
 from taut.control.laws.impedance import Impedance
 from taut.control.laws.task import TaskComputedTorque

@@ -16,8 +16,7 @@ from taut.base.plot_style import DASHED, INK, colour, prepared
 from taut.base.types import Float64Array
 from taut.book.models import TWO_LINKS, engine, looped, panda, simulated, ticked, total, two_links
 from taut.book.page import MUJOCO, TWO_BY_HAND, Row, Shown, compared, entry, legend, panels, row
-from taut.control.laws.friction import FrictionCompensation
-from taut.control.laws.joint import PID, ComputedTorque, GravityPID
+from taut.control.laws.joint import PID, ComputedTorque, FrictionCompensation, GravityPID
 from taut.control.trajectories.joint import Sine
 from taut.control.trajectories.reference import JointMotion
 from taut.maths.snapshot import snapshot

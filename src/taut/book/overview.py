@@ -11,8 +11,7 @@ from scipy.signal import butter, lfilter
 from taut.base.plot_style import COLOURS, INK, SMALL, colour, prepared
 from taut.book.models import WRONG_R, B, M, controller, link, on_link, rms, ticked, total, weight
 from taut.book.page import Shown, arrow, block, box, canvas, entry, legend, panels, row, words
-from taut.control.laws.friction import FrictionCompensation
-from taut.control.laws.joint import PID, ComputedTorque
+from taut.control.laws.joint import PID, ComputedTorque, FrictionCompensation
 from taut.control.sensing import Difference, Sensing
 from taut.control.trajectories.joint import Sine
 from taut.control.trajectories.reference import JointMotion

@@ -37,8 +37,7 @@ from taut.book.page import BY_HAND, ODE, ROOTS, Shown, arrow, entry, frame, law_
 from taut.control.command import Torque
 from taut.control.gains import Gain
 from taut.control.law import Law
-from taut.control.laws.friction import FrictionCompensation
-from taut.control.laws.joint import PID
+from taut.control.laws.joint import PID, FrictionCompensation
 from taut.control.trajectories.joint import Sine
 from taut.control.trajectories.reference import JointMotion, Sample
 from taut.linear.joint_loop import error_dynamics, second_order

@@ -16,8 +16,8 @@ from taut.base.errors import MatchError, UsageError, count_of
 from taut.base.fields import Field
 from taut.base.types import Vector
 from taut.control.command import Command, Terms, Torque
-from taut.control.gains import Gain, Memory
-from taut.control.law import Law, MemoryView, call
+from taut.control.gains import Gain, Memory, MemoryView
+from taut.control.law import Law, call
 from taut.control.trajectories.reference import Sample
 from taut.maths import dynamics as dyn
 from taut.maths.singularity import ResolvedMotion

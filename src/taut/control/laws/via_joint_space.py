@@ -12,8 +12,8 @@ from taut.base.fields import Choice, Field
 from taut.base.types import Array, ArrayLike, Matrix, Vector
 from taut.control.closed_loop import ClosedLoop
 from taut.control.command import Command
-from taut.control.gains import Gain, Memory
-from taut.control.law import Law, MemoryView, call
+from taut.control.gains import Gain, Memory, MemoryView
+from taut.control.law import Law, call
 from taut.control.trajectories.reference import JointMotion, Sample
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths import dynamics as dyn
