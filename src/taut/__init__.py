@@ -38,10 +38,10 @@ if TYPE_CHECKING:
     from taut.arm.servo import load_servo as load_servo
     from taut.base.errors import StabilityWarning as StabilityWarning
     from taut.base.errors import TautError as TautError
-    from taut.codegen.casadi import to_casadi as to_casadi
     from taut.codegen.inverse_kinematics import IkResult as IkResult
     from taut.codegen.inverse_kinematics import inverse_kinematics as inverse_kinematics
     from taut.codegen.kernel import native as native
+    from taut.codegen.program import to_casadi as to_casadi
     from taut.control.command import Position as Position
     from taut.control.command import Terms as Terms
     from taut.control.command import Torque as Torque
@@ -63,8 +63,8 @@ if TYPE_CHECKING:
     from taut.control.trajectories.reference import stream as stream
     from taut.control.trajectories.samples import chunk as chunk
     from taut.control.trajectories.task_reference import TaskMotion as TaskMotion
-    from taut.controller.compile import compile as compile
     from taut.controller.controller import Controller as Controller
+    from taut.controller.controller import compile as compile
     from taut.linear.joint_loop import error_dynamics as error_dynamics
     from taut.linear.linear_system import LinearSystem as LinearSystem
     from taut.linear.linearise import linearise as linearise
@@ -74,9 +74,9 @@ if TYPE_CHECKING:
     from taut.maths.snapshot import snapshot as snapshot
     from taut.plant.contact import RigidContact as RigidContact
     from taut.plant.rigid import RigidPlant as RigidPlant
+    from taut.record.info import Outcome as Outcome
     from taut.record.log.reading import load_run as load_run
     from taut.record.metrics import Metrics as Metrics
-    from taut.record.outcome import Outcome as Outcome
     from taut.record.report import report as report
     from taut.record.run import Run as Run
     from taut.runtime.events import Event as Event

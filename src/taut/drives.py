@@ -11,15 +11,15 @@ if TYPE_CHECKING:
     from taut.base.fields import Choice as Choice
     from taut.base.fields import Field as Field
     from taut.maths.task_inertia import rotor_share as rotor_share
-    from taut.plant.drives.actuation import Actuation as Actuation
-    from taut.plant.drives.actuation import Ripple as Ripple
-    from taut.plant.drives.drivetrain import FrictionLaw as FrictionLaw
-    from taut.plant.drives.drivetrain import Transmission as Transmission
-    from taut.plant.drives.motor import ElectricMotor as ElectricMotor
-    from taut.plant.drives.motor import Motor as Motor
-    from taut.plant.drives.motor import MotorInput as MotorInput
-    from taut.plant.drives.motor import MotorModel as MotorModel
-    from taut.plant.drives.motor import MotorStep as MotorStep
-    from taut.plant.drives.motor import TorqueLoop as TorqueLoop
+    from taut.plant.actuation import Actuation as Actuation
+    from taut.plant.actuation import ElectricMotor as ElectricMotor
+    from taut.plant.actuation import Motor as Motor
+    from taut.plant.actuation import MotorInput as MotorInput
+    from taut.plant.actuation import MotorModel as MotorModel
+    from taut.plant.actuation import MotorStep as MotorStep
+    from taut.plant.actuation import Ripple as Ripple
+    from taut.plant.actuation import TorqueLoop as TorqueLoop
+    from taut.plant.drivetrain import FrictionLaw as FrictionLaw
+    from taut.plant.drivetrain import Transmission as Transmission
 
 __getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

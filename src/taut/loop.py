@@ -6,7 +6,7 @@ This is what is fused into native code, swept, linearised and tuned. Every param
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping, MutableMapping
+from collections.abc import Mapping
 from typing import Any, Final, Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -14,8 +14,8 @@ import numpy as np
 from taut.arm.angles import require_radians
 from taut.arm.description import Arm, Payload
 from taut.base.checks import finite_array, positive_scalar, read_only
-from taut.base.errors import MatchError, RangeError, ShapeError, UsageError, count_of, unknown_name
-from taut.base.paths import subtree
+from taut.base.errors import MatchError, RangeError, ShapeError, UsageError, count_of
+from taut.base.paths import Parameters, subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.control.lawside import LawSide
 from taut.control.trajectories.reference import Hold, Reference, as_reference
@@ -25,7 +25,7 @@ from taut.maths.model import model_of
 from taut.maths.snapshot import MEASUREMENTS
 from taut.plant.contact import check_force_feedback
 from taut.plant.environments.environment import COMMAND, of_plant
-from taut.plant.sensors.sensors import Sensors
+from taut.plant.sensors import Sensors
 
 __all__ = [
     "AnyPlant",
@@ -34,7 +34,6 @@ __all__ = [
     "check_fit",
     "require_no_reference",
     "sensed_of",
-    "without_environment",
 ]
 
 Values = Mapping[str, Any]
@@ -395,25 +394,12 @@ class Loop:
         return self.side.law.reference.of(subtree(inputs, "ref"))
 
 
-def without_environment(path: str) -> UsageError:
-    """A push, or what else is set of an environment, needs one in the plant."""
-    return UsageError(
-        f"'{path}' is of the plant's environment, and this plant has none; give it one, such as "
-        "taut.RigidPlant(arm, environment=taut.environments.Push(...)) for Event.push",
-        name=path,
-    )
-
-
-class LoopParameters(MutableMapping[str, Float64Array]):
+class LoopParameters(Parameters):
     """Parameters of a loop by path; a new value is checked like the first one."""
 
     def __init__(self, side: LawSide, plant: AnyPlant, values: Mapping[str, Float64Array]) -> None:
+        super().__init__("the loop", {path: read_only(value) for path, value in values.items()})
         self._side, self._plant = side, plant
-        self._values = {path: read_only(value) for path, value in values.items()}
-
-    def __getitem__(self, path: str) -> Float64Array:
-        self._require(path)
-        return self._values[path]
 
     def __setitem__(self, path: str, value: ArrayLike) -> None:
         new = self.checked(path, value)
@@ -428,35 +414,8 @@ class LoopParameters(MutableMapping[str, Float64Array]):
             ShapeError: Another shape.
             RangeError: NaN, infinite or negative.
         """
-        self._require(path)
-        if path in self._side.parameters:
-            return read_only(self._side.checked_parameter(path, value))
-        return read_only(self._plant.checked_parameter(path, value))
-
-    def __contains__(self, path: object) -> bool:
-        return path in self._values
-
-    def get(self, path: str, default: Any = None) -> Any:
-        """The value of a parameter, or the default where there is no such parameter."""
-        return self._values.get(path, default)
-
-    def _require(self, path: str) -> None:
-        if path in self._values:
-            return
-        if path.partition(".")[0] == "environment" and not any(
-            name.startswith("environment.") for name in self._values
-        ):
-            raise without_environment(path)
-        raise unknown_name("the loop", "parameter", path, self._values)
-
-    def __delitem__(self, path: str) -> None:
-        raise UsageError(f"parameter '{path}' cannot be removed; set it", name=path)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._values)
-
-    def __len__(self) -> int:
-        return len(self._values)
+        owner = self._side if self._known(path) in self._side.parameters else self._plant
+        return read_only(owner.checked_parameter(path, value))
 
 
 def duration_of_ticks(duration: object, dt: float) -> float:

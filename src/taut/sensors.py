@@ -13,12 +13,12 @@ if TYPE_CHECKING:
     from taut.control.sensing import LowPass as LowPass
     from taut.control.sensing import Notch as Notch
     from taut.control.sensing import Wrist as Wrist
-    from taut.plant.sensors.kinds import Accelerometer as Accelerometer
-    from taut.plant.sensors.kinds import Encoder as Encoder
-    from taut.plant.sensors.kinds import Tachometer as Tachometer
-    from taut.plant.sensors.kinds import TorqueSensor as TorqueSensor
-    from taut.plant.sensors.kinds import WrenchSensor as WrenchSensor
-    from taut.plant.sensors.sensor import Sensor as Sensor
-    from taut.plant.sensors.sensors import Sensors as Sensors
+    from taut.plant.sensors import Accelerometer as Accelerometer
+    from taut.plant.sensors import Encoder as Encoder
+    from taut.plant.sensors import Sensor as Sensor
+    from taut.plant.sensors import Sensors as Sensors
+    from taut.plant.sensors import Tachometer as Tachometer
+    from taut.plant.sensors import TorqueSensor as TorqueSensor
+    from taut.plant.sensors import WrenchSensor as WrenchSensor
 
 __getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

@@ -229,7 +229,7 @@ def test_a_flat_body_that_a_file_rounded_stays_possible() -> None:
         (lambda arm: arm.with_body("joint1", inertia=np.diag([9.0, 1, 1])), ModelError, "planar2: the body of joint 'joint1': inertia violates the triangle inequality (Ixx 9 > Iyy + Izz 2)"),
         (lambda arm: arm.with_body("joint1", inertia=[[1, 1, 0], [0, 1, 0], [0, 0, 1]]), ModelError, "planar2: the body of joint 'joint1': inertia must be symmetric"),
         (lambda arm: arm.with_body("joint9", mass=1.0), UnknownNameError, "arm 'planar2' has no joint 'joint9'; did you mean 'joint2' or 'joint1'?"),
-        (lambda arm: arm.with_joints(friction=1.0), UnknownNameError, "a joint has no field 'friction'; it has 'lower', 'upper', 'velocity', 'effort', 'viscous', 'coulomb', 'static', 'stribeck', 'stribeck_shape', 'load_motor', 'load_external', 'load_motor_static' and 3 more"),
+        (lambda arm: arm.with_joints(friction=1.0), UnknownNameError, "a joint has no field 'friction'; it has 'lower', 'upper', 'velocity', 'effort', 'viscous', 'coulomb', 'static', 'stribeck', 'stribeck_shape', 'load_motor', 'load_external', 'load_motor_static', 'load_external_static', 'gear', 'rotor_inertia'"),
         (lambda arm: arm.with_joints(viscous=-1.0), RangeError, "viscous[0] (joint 'joint1') must be >= 0; got -1.0"),
         (lambda arm: arm.with_joints(viscous=[1.0, 2.0, 3.0]), ShapeError, "viscous must be one number or 2, one per joint; got shape (3,)"),
         (lambda arm: arm.with_joints(viscous="lots"), ShapeError, "viscous must be numbers; got 'lots'"),

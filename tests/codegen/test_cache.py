@@ -18,7 +18,7 @@ import pytest
 
 import taut
 from taut import math as tm
-from taut.codegen import cache, llvm, native
+from taut.codegen import llvm, native
 from taut.trace.graph import Op
 
 KEY = bytes(range(32))
@@ -29,7 +29,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A cache of this test alone, which has warned of nothing yet."""
     folder = tmp_path / "cache"
     monkeypatch.setenv("TAUT_CACHE_DIR", str(folder))
-    monkeypatch.setattr(cache, "_WARNED", set())
+    monkeypatch.setattr(native, "_WARNED", set())
     return folder
 
 
@@ -72,7 +72,7 @@ def test_an_entry_that_is_cut_off_anywhere_is_made_anew(folder: Path) -> None:
     whole = entry.read_bytes()
     for length in [*range(0, len(whole), 1000), 5, 37, 38, len(whole) - 1]:
         entry.write_bytes(whole[:length])
-        assert cache.load(bytes.fromhex(entry.name)) is None
+        assert native.load(bytes.fromhex(entry.name)) is None
     assert not compile_one().cached
     assert entry.read_bytes() == whole
     assert compile_one().cached
@@ -87,7 +87,7 @@ def test_an_entry_with_a_flipped_bit_is_made_anew(folder: Path) -> None:
             damaged = bytearray(whole)
             damaged[place] ^= 1 << bit
             entry.write_bytes(damaged)
-            assert cache.load(bytes.fromhex(entry.name)) is None
+            assert native.load(bytes.fromhex(entry.name)) is None
     assert not compile_one().cached
     assert entry.read_bytes() == whole
 
@@ -100,7 +100,7 @@ def test_an_entry_under_the_name_of_another_one_is_made_anew(folder: Path) -> No
     [second] = set(entries(folder)) - {first}
     right = second.read_bytes()
     second.write_bytes(first.read_bytes())
-    assert cache.load(bytes.fromhex(second.name)) is None
+    assert native.load(bytes.fromhex(second.name)) is None
     assert not compile_one(3.0).cached
     assert second.read_bytes() == right
 
@@ -121,7 +121,7 @@ def test_a_controller_does_not_run_the_code_of_another_arm(folder: Path) -> None
 def test_an_entry_that_llvm_does_not_take_is_made_anew(folder: Path) -> None:
     compile_one()
     [entry] = entries(folder)
-    cache.store(bytes.fromhex(entry.name), b"no object code at all")
+    native.store(bytes.fromhex(entry.name), b"no object code at all")
     assert not compile_one().cached
     assert compile_one().cached
 
@@ -217,7 +217,7 @@ def test_a_user_without_a_home_compiles_each_time(monkeypatch: pytest.MonkeyPatc
 
     for name in ("TAUT_CACHE_DIR", "XDG_CACHE_HOME", "LOCALAPPDATA"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(cache, "_WARNED", set())
+    monkeypatch.setattr(native, "_WARNED", set())
     monkeypatch.setattr(Path, "home", homeless)
     message = (
         r"^the cache folder cannot be used \(Could not determine home directory\.\); code is compiled each time$"
@@ -233,11 +233,11 @@ def test_the_variable_moves_the_cache(tmp_path: Path, monkeypatch: pytest.Monkey
     assert len(entries(tmp_path / "a" / "b")) == 1
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("TAUT_CACHE_DIR", "~/mine")
-    assert cache.cache_folder() == tmp_path / "mine"
+    assert native.cache_folder() == tmp_path / "mine"
     monkeypatch.delenv("TAUT_CACHE_DIR")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
     if sys.platform.startswith("linux"):
-        assert cache.cache_folder() == tmp_path / "xdg" / "taut"
+        assert native.cache_folder() == tmp_path / "xdg" / "taut"
 
 
 @pytest.mark.parametrize("part", ["__version__", "LEVEL"])
@@ -263,10 +263,10 @@ def test_another_processor_has_another_key(folder: Path, monkeypatch: pytest.Mon
 
 
 def test_entries_are_kept_whole(folder: Path) -> None:
-    assert cache.load(KEY) is None
+    assert native.load(KEY) is None
     for content in (b"", b"abc", bytes(100_000)):
-        cache.store(KEY, content)
-        assert cache.load(KEY) == content
+        native.store(KEY, content)
+        assert native.load(KEY) == content
 
 
 # -------------------------------------------------------------------- many at once

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import taut
-from taut.plant.drives.actuation import Actuation
-from taut.plant.sensors.sensors import Sensors
+from taut.plant.actuation import Actuation
+from taut.plant.sensors import Sensors
 
 ARM = taut.load_arm("planar2")
 DRY = ARM.with_joints(coulomb=[0.0, 0.3])

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 import taut
 from taut.base.types import Float64Array
-from taut.plant.work import WORK
+from taut.plant.motion import WORK
 
 CLOSES = 1e-9  # of the sum of all parts' magnitudes
 DT = 1e-4

@@ -12,7 +12,7 @@ from plant_laws import TINY, Array, run
 
 import taut
 from taut.maths.model import model_of
-from taut.plant.sensors.sensors import Sensors
+from taut.plant.sensors import Sensors
 
 ARM = taut.load_arm("planar2")
 GEARED = ARM.with_gears(ratio=[100.0, 50.0], motor_inertia=1e-6)

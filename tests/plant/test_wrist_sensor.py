@@ -12,7 +12,7 @@ from plant_laws import Array, run
 from test_sensor_kinds import F_PUSH, Push, read
 
 import taut
-from taut.plant.sensors.sensors import Sensors
+from taut.plant.sensors import Sensors
 
 ARM = taut.load_arm("planar3")
 TOOL = taut.Payload(mass=0.7, com=(0.01, -0.02, 0.06), inertia=(2e-3, 3e-3, 2e-3, 1e-4, 2e-4, -3e-4))

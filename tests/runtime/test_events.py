@@ -134,7 +134,7 @@ BAD: list[tuple[taut.Event, type[taut.TautError], str]] = [
     (taut.Event(t=0.005, set={"law.level": np.nan}), taut.errors.RangeError, "law.level must be finite [N m]; got nan"),
     (taut.Event(t=0.0101, set={"law.level": 1.0}), taut.errors.RangeError, "an event at t = 0.0101 s would never act: the run ends at 0.01 s; leave it out, or make the run longer"),
     (taut.Event(t=0.005, set={"law.level": 1.0, "plant.none": 1.0}), taut.errors.UnknownNameError, "has no parameter 'plant.none'"),
-    (taut.Event.push(t=0.005, peak=[5.0, 0.0, 0.0]), taut.errors.UsageError, "'environment.t' is of the plant's environment, and this plant has none; give it one, such as taut.RigidPlant(arm, environment=taut.environments.Push(...)) for Event.push"),
+    (taut.Event.push(t=0.005, peak=[5.0, 0.0, 0.0]), taut.errors.UnknownNameError, "the loop has no parameter 'environment.t'"),
 ]  # fmt: skip
 
 

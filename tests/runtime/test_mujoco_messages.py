@@ -67,7 +67,7 @@ def test_options_are_checked(options: dict[str, object], kind: type[taut.TautErr
 
 
 def test_a_plant_takes_an_arm() -> None:
-    words = "arm must be an Arm from taut.load_arm; got str"
+    words = "arm must be an Arm; got 'panda'"
     assert said(lambda: taut.MujocoPlant("panda"), taut.errors.UsageError) == words
 
 

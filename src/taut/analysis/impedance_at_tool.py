@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from taut.base.checks import finite_array, require_positive
+from taut.base.checks import finite_array, require_range
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.paths import subtree
 from taut.base.result import Cell, Content, Result, Table
@@ -26,9 +26,8 @@ from taut.control.laws.joint import (
 )
 from taut.control.laws.task import TaskComputedTorque
 from taut.control.laws.via_joint_space import ViaJointSpace
-from taut.linear.equilibrium import WITHIN
 from taut.linear.linear_system import Complex, LinearSystem
-from taut.linear.linearise import linearise
+from taut.linear.linearise import WITHIN, linearise
 from taut.loop import Loop
 from taut.maths.model import PayloadValues
 from taut.maths.snapshot import Snapshot
@@ -125,7 +124,7 @@ class ToolImpedance(Result):
                 name="specified",
             )
         w = np.atleast_1d(finite_array("omega", omega, unit="rad/s"))
-        require_positive("omega", w, unit="rad/s")
+        require_range("omega", w, above=0.0, unit="rad/s")
         return _inverse(self.specified.admittance(w, self.direction))
 
     def content(self) -> Content:

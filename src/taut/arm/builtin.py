@@ -14,7 +14,7 @@ import numpy as np
 
 from taut.arm.description import Arm, CommandKind
 from taut.arm.loaders.tree import LinkInertia, Tree, TreeJoint, TreeLink, TreeVisual, assemble
-from taut.base.checks import finite_scalar, positive_scalar, require_at_least
+from taut.base.checks import finite_scalar, positive_scalar
 from taut.base.errors import RangeError
 from taut.base.types import Float64Array
 from taut.trace.pose import Pose
@@ -59,8 +59,7 @@ def one_joint(*, M: float = 0.5, m: float = 1.0, r: float = 0.1, b: float = 0.1)
 def one_joint_tree(*, M: float = 0.5, m: float = 1.0, r: float = 0.1, b: float = 0.1) -> Tree:
     """The links and joints of `one_joint`."""
     M, m = positive_scalar("M", M, unit="kg m^2"), positive_scalar("m", m, unit="kg")
-    r, b = finite_scalar("r", r, unit="m"), finite_scalar("b", b, unit="N m s/rad")
-    require_at_least("b", np.array(b), 0.0, unit="N m s/rad")
+    r, b = finite_scalar("r", r, unit="m"), finite_scalar("b", b, unit="N m s/rad", minimum=0.0)
     about_com = M - m * r * r
     if about_com <= 0.0:
         raise RangeError(

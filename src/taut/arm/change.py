@@ -18,8 +18,7 @@ from taut.base.checks import (
     entry_names,
     finite_array,
     finite_scalar,
-    require_at_least,
-    require_positive,
+    require_range,
     vector,
     whole_number,
 )
@@ -147,10 +146,9 @@ def joints_replaced(arm: Arm, values: Mapping[str, ArrayLike | Mapping[str, floa
         if name not in JOINT_FIELDS:
             raise unknown_name("a joint", "field", name, JOINT_FIELDS)
         columns[name] = column = _column(arm, name, given)
-        if name in POSITIVE:
-            require_positive(name, column, joints=arm.joint_names)
-        elif name not in LIMITS:
-            require_at_least(name, column, 0.0, joints=arm.joint_names)
+        above, minimum = 0.0 if name in POSITIVE else -math.inf, -math.inf if name in LIMITS else 0.0
+        infinite = name in LIMITS
+        require_range(name, column, joints=arm.joint_names, minimum=minimum, above=above, infinite=infinite)
     joints, problems = [], []
     for i, joint in enumerate(arm.joints):
         changed: dict[str, Any] = {
@@ -215,8 +213,8 @@ def geared(arm: Arm, ratio: ArrayLike | Mapping[str, float], motor_inertia: Arra
                 columns[name][arm.joint_index(joint)] = finite_scalar(f"{name}['{joint}']", one)
         else:
             columns[name][chosen] = _column(arm, name, value)[chosen]
-    require_positive("ratio", columns["ratio"], joints=arm.joint_names)
-    require_at_least("motor_inertia", columns["motor_inertia"], 0.0, unit="kg m^2", joints=arm.joint_names)
+    require_range("ratio", columns["ratio"], above=0.0, joints=arm.joint_names)
+    require_range("motor_inertia", columns["motor_inertia"], minimum=0.0, unit="kg m^2", joints=arm.joint_names)
     rotor = arm.rotor_inertia.copy()
     rotor[chosen] = reflected_inertia(columns["ratio"], columns["motor_inertia"])[chosen]
     return joints_replaced(arm, {"gear": columns["ratio"], "rotor_inertia": rotor})
@@ -248,8 +246,8 @@ def _column(arm: Arm, name: str, given: ArrayLike | Mapping[str, float]) -> Floa
             column = [getattr(joint, name) for joint in arm.joints]
         for joint, value in given.items():
             column[arm.joint_index(joint)] = value
-        return vector(name, column, arm.n, joints=arm.joint_names, allow_infinite=name in LIMITS)
-    numbers = finite_array(name, given, allow_infinite=name in LIMITS, joints=arm.joint_names)
+        return finite_array(name, column, shape=(arm.n,), joints=arm.joint_names, infinite=name in LIMITS)
+    numbers = finite_array(name, given, infinite=name in LIMITS, joints=arm.joint_names)
     if numbers.shape not in ((), (arm.n,)):
         raise ShapeError(f"{name} must be one number or {arm.n}, one per joint; got shape {numbers.shape}", name=name)
     return np.broadcast_to(numbers, (arm.n,))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Final
 
 import numpy as np
 
-from taut.base.checks import entry_names, finite_array, read_only, require_at_least, require_positive
+from taut.base.checks import entry_names, finite_array, read_only
 from taut.base.errors import RangeError, ShapeError
 from taut.base.types import ArrayLike, Float64Array
 
@@ -91,13 +92,12 @@ class Friction:
             if given is None and name in AT_REST:
                 kept[name] = kept[AT_REST[name]]
                 continue
-            values = finite_array(f"friction.{name}", given, unit=unit)
+            above = 0.0 if name == "stribeck_shape" else -math.inf
+            values = finite_array(f"friction.{name}", given, unit=unit, minimum=0.0, above=above)
             if values.ndim > 1 or not values.size:
                 raise ShapeError(
                     f"friction.{name} must be one number or one per joint; got shape {values.shape}", name=name
                 )
-            check = require_positive if name == "stribeck_shape" else _not_negative
-            check(f"friction.{name}", values, unit=unit)
             kept[name] = values
         _require_one_size(kept)
         for name, moving in AT_REST.items():
@@ -122,10 +122,6 @@ class Friction:
 
 
 FRICTION_FIELDS: Final = tuple(field.name for field in fields(Friction))
-
-
-def _not_negative(name: str, values: Float64Array, *, unit: str) -> None:
-    require_at_least(name, values, 0.0, unit=unit)
 
 
 def _require_one_size(kept: Mapping[str, Float64Array]) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from taut.base.checks import finite_array, require_at_least, require_positive
+from taut.base.checks import finite_array, require_range
 from taut.base.errors import ShapeError, warn
 from taut.base.types import ArrayLike, Float64Array
 
@@ -46,8 +46,8 @@ def reflected_inertia(ratio: ArrayLike, motor_inertia: ArrayLike) -> Float64Arra
         Chapter, section 10.2.1.5 the effect of gearing.
     """
     G, rotor = _two("ratio", ratio, "motor_inertia", motor_inertia)
-    require_positive("ratio", G)
-    require_at_least("motor_inertia", rotor, 0.0, unit="kg m^2")
+    require_range("ratio", G, above=0.0)
+    require_range("motor_inertia", rotor, minimum=0.0, unit="kg m^2")
     return np.asarray(G**2 * rotor)
 
 
@@ -71,8 +71,8 @@ def matched_ratio(link_inertia: ArrayLike, motor_inertia: ArrayLike) -> Float64A
         Chapter, section 10.2.1.5 the effect of gearing.
     """
     link, rotor = _two("link_inertia", link_inertia, "motor_inertia", motor_inertia)
-    require_positive("link_inertia", link, unit="kg m^2")
-    require_positive("motor_inertia", rotor, unit="kg m^2")
+    require_range("link_inertia", link, above=0.0, unit="kg m^2")
+    require_range("motor_inertia", rotor, above=0.0, unit="kg m^2")
     return np.asarray(np.sqrt(link / rotor))
 
 

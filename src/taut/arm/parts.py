@@ -7,7 +7,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from taut.base.checks import finite_array, finite_scalar, read_only, require_at_least, symmetric_psd, vector
+from taut.base.checks import finite_array, finite_scalar, read_only, symmetric_psd, vector
 from taut.base.errors import RangeError
 from taut.base.types import Array, ArrayLike, Float64Array, Matrix, Matrix3, Point3
 from taut.trace import math as tm
@@ -142,8 +142,7 @@ class Payload:
     inertia: Float64Array = field(default_factory=lambda: np.zeros(6))
 
     def __post_init__(self) -> None:
-        mass = finite_scalar("payload.mass", self.mass, unit="kg")
-        require_at_least("payload.mass", np.array(mass), 0.0, unit="kg")
+        mass = finite_scalar("payload.mass", self.mass, unit="kg", minimum=0.0)
         com = vector("payload.com", self.com, 3, unit="m")
         six = finite_array("payload.inertia", self.inertia, unit="kg m^2")
         if six.shape == (3, 3):
@@ -180,9 +179,7 @@ def checked_payload_entry(path: str, value: ArrayLike) -> Float64Array:
     """A new mass, com or inertia of a payload, by the last name in its path."""
     name = path.rpartition(".")[2]
     if name == "mass":
-        mass = np.asarray(finite_scalar(path, value, unit="kg"))
-        require_at_least(path, mass, 0.0, unit="kg")
-        return mass
+        return np.asarray(finite_scalar(path, value, unit="kg", minimum=0.0))
     if name == "com":
         return vector(path, value, 3, unit="m")
     return Payload(inertia=vector(path, value, 6, unit="kg m^2")).inertia

@@ -21,7 +21,7 @@ import numpy as np
 
 from taut.arm.friction import FRICTION_FIELDS, Friction
 from taut.arm.gears import MOST_ROTOR, OTHER_UNIT
-from taut.base.checks import finite_scalar, readable_file, require_at_least, require_positive
+from taut.base.checks import finite_scalar, positive_scalar, readable_file
 from taut.base.errors import ModelError, Problem, ShapeError, UsageError, quoted_list, unknown_name
 from taut.base.types import Float64Array
 
@@ -112,13 +112,11 @@ class Servo:
             if np.ndim(getattr(self.friction, name)):
                 shape = np.shape(getattr(self.friction, name))
                 raise ShapeError(f"a servo's friction.{name} must be one number; got shape {shape}", name=name)
-        rotor = finite_scalar("rotor_inertia", self.rotor_inertia, unit="kg m^2")
-        require_at_least("rotor_inertia", np.asarray(rotor), 0.0, unit="kg m^2")
+        rotor = finite_scalar("rotor_inertia", self.rotor_inertia, unit="kg m^2", minimum=0.0)
         object.__setattr__(self, "rotor_inertia", rotor)
         for name, unit in (("torque_constant", "N m/A"), ("resistance", "ohm"), ("voltage", "V")):
             if getattr(self, name) is not None:
-                value = finite_scalar(name, getattr(self, name), unit=unit)
-                require_positive(name, np.asarray(value), unit=unit)
+                value = positive_scalar(name, getattr(self, name), unit=unit)
                 object.__setattr__(self, name, value)
 
     @property

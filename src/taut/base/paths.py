@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping, MutableMapping
 from typing import Any, NoReturn, TypeVar
 
-from taut.base.errors import unknown_name
+from taut.base.checks import read_only
+from taut.base.errors import UsageError, unknown_name
+from taut.base.types import ArrayLike, Float64Array
 
-__all__ = ["Named", "flatten", "subtree", "unflatten"]
+__all__ = ["Named", "Parameters", "flatten", "subtree", "unflatten"]
 
 
 T = TypeVar("T")
@@ -77,3 +80,42 @@ class Named(dict[str, T]):
 
     def __reduce__(self) -> tuple[type[Named[T]], tuple[str, str, dict[str, T]]]:
         return type(self), (self._owner, self._kind, dict(self))
+
+
+class Parameters(MutableMapping[str, Float64Array]):
+    """Run-time parameters by path; a new value is checked like the first one.
+
+    Args:
+        owner: What has them, for the message: "the loop".
+        values: Their numbers by path.
+    """
+
+    def __init__(self, owner: str, values: Mapping[str, Float64Array]) -> None:
+        self._owner, self._values = owner, dict(values)
+
+    def __getitem__(self, path: str) -> Float64Array:
+        return read_only(self._values[self._known(path)])
+
+    @abstractmethod
+    def __setitem__(self, path: str, value: ArrayLike) -> None: ...
+
+    def _known(self, path: str) -> str:
+        if path not in self._values:
+            raise unknown_name(self._owner, "parameter", path, self._values)
+        return path
+
+    def __contains__(self, path: object) -> bool:
+        return path in self._values
+
+    def get(self, path: str, default: Any = None) -> Any:
+        """The value of a parameter, or the default where there is no such parameter."""
+        return self[path] if path in self._values else default
+
+    def __delitem__(self, path: str) -> None:
+        raise UsageError(f"parameter '{path}' cannot be removed; set it", name=path)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)

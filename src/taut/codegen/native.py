@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import functools
 import hashlib
 import importlib.util
 import itertools
+import os
 import platform
+import stat
 import sys
+import tempfile
 import threading
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,11 +22,21 @@ from typing import Any, Final
 
 from taut.base import __version__
 from taut.base.errors import TautError, warn
-from taut.codegen import cache
 from taut.codegen.llvm import LIBM
 from taut.trace import graph
 
-__all__ = ["LEVEL", "QUICK", "NativeModule", "available", "compiled", "level_for", "warn_of_plain_python"]
+__all__ = [
+    "LEVEL",
+    "QUICK",
+    "NativeModule",
+    "available",
+    "cache_folder",
+    "compiled",
+    "level_for",
+    "load",
+    "store",
+    "warn_of_plain_python",
+]
 
 LEVEL: Final = 2  # of LLVM's code generator; 3 gives nothing, 1 is no faster to compile
 QUICK: Final = 0  # a fifth of the time to compile, three times that to run
@@ -146,7 +161,7 @@ def compiled(
     """
     level = LEVEL if level is None else level
     keys = [hashlib.sha256(_platform_key() + bytes([k]) + content).digest() for k in dict.fromkeys((level, LEVEL))]
-    key, kept = keys[0], next(filter(None, map(cache.load, reversed(keys))), None)
+    key, kept = keys[0], next(filter(None, map(load, reversed(keys))), None)
     with _LOCK:
         if kept is not None:
             try:
@@ -157,7 +172,7 @@ def compiled(
         module = _linked(code, names, cached=False)
     if verify is not None:
         verify(module)
-    cache.store(key, code)
+    store(key, code)
     return module
 
 
@@ -187,3 +202,110 @@ def _linked(code: bytes, names: Sequence[str], *, cached: bool) -> NativeModule:
     number = next(_LIBRARY_NUMBERS)
     library = builder.link(_jit(number // LIBRARIES), f"taut{number}")
     return NativeModule({name: int(library[name]) for name in names}, cached, len(code), library)
+
+
+# -------------------------------------------------------------------- the cache: whole entries or none, and only ours
+
+MAGIC: Final = b"taut2\n"  # then a digest of the rest: the key, and the content
+DIGEST: Final = 32  # bytes of SHA-256
+ENVIRONMENT: Final = "TAUT_CACHE_DIR"
+
+
+def cache_folder() -> Path:
+    """Where compiled code is kept; the variable TAUT_CACHE_DIR moves it."""
+    given = os.environ.get(ENVIRONMENT)
+    if given:
+        return Path(given).expanduser()
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local")) / "taut" / "cache"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "taut"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "taut"
+
+
+def _private(info: os.stat_result) -> bool:
+    """Whether nobody else can write a file or folder: what is loaded from it will run."""
+    if sys.platform == "win32":  # the folder stands in the user's own profile, with its access list
+        return True
+    return info.st_uid == os.getuid() and not info.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+
+
+def _usable_folder(*, make: bool) -> Path | None:
+    """The folder, if it is there and ours alone; otherwise one warning says why not."""
+    try:
+        folder = cache_folder()
+        if not folder.exists():
+            if not make:
+                return None
+            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        info = folder.stat()
+    except (OSError, RuntimeError) as cause:  # RuntimeError: a user without a home folder
+        _warn_once(f"the cache folder{_named(cause)} cannot be used ({_reason(cause)}); code is compiled each time")
+        return None
+    if not stat.S_ISDIR(info.st_mode):
+        _warn_once(f"the cache folder '{folder}' is no folder; code is compiled each time; set {ENVIRONMENT}")
+        return None
+    if not _private(info):
+        _warn_once(
+            f"the cache folder '{folder}' can be written by others, so no code is loaded from it; "
+            f"chmod 700 it, or set {ENVIRONMENT}"
+        )
+        return None
+    return folder
+
+
+def _named(cause: Exception) -> str:
+    return f" '{cause.filename}'" if isinstance(cause, OSError) and cause.filename else ""
+
+
+def _reason(cause: Exception) -> str:
+    return str((cause.strerror if isinstance(cause, OSError) else None) or cause)
+
+
+_WARNED: Final[set[str]] = set()
+
+
+def _warn_once(text: str) -> None:
+    if text not in _WARNED:
+        _WARNED.add(text)
+        warnings.warn(text, RuntimeWarning, stacklevel=4)
+
+
+def load(key: bytes) -> bytes | None:
+    """The entry of this key, or None where there is none that is whole, ours, and stored under this key."""
+    folder = _usable_folder(make=False)
+    if folder is None:
+        return None
+    try:
+        with (folder / key.hex()).open("rb") as file:
+            if not _private(os.fstat(file.fileno())):
+                return None
+            data = file.read()
+    except OSError:
+        return None
+    head = len(MAGIC) + DIGEST
+    if not data.startswith(MAGIC) or hashlib.sha256(data[head:]).digest() != data[len(MAGIC) : head]:
+        return None  # cut off or damaged: it is compiled again and replaced
+    if not data.startswith(key, head):
+        return None  # the entry of another key, copied to this name
+    return data[head + len(key) :]
+
+
+def store(key: bytes, content: bytes) -> None:
+    """Keep an entry. It appears whole or not at all, also with many processes at once."""
+    folder = _usable_folder(make=True)
+    if folder is None:
+        return
+    body = key + content
+    data = MAGIC + hashlib.sha256(body).digest() + body
+    name: str | None = None
+    try:
+        handle, name = tempfile.mkstemp(dir=folder, prefix="writing-")
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+        Path(name).replace(folder / key.hex())
+    except OSError as cause:
+        if name is not None:
+            with contextlib.suppress(OSError):
+                Path(name).unlink()
+        _warn_once(f"the cache folder '{folder}' cannot be written ({_reason(cause)}); code is compiled each time")

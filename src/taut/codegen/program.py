@@ -7,7 +7,9 @@ native loop and the record.
 from __future__ import annotations
 
 import hashlib
+import importlib
 import math
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,19 +18,28 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from taut.base.errors import TautError, TraceError, raised_location
+from taut.base.errors import TautError, TraceError, UsageError, missing_extra, raised_location
 from taut.base.types import Float64Array
 from taut.trace.array import traced_array
 from taut.trace.graph import NONE, Graph, Op
 from taut.trace.scalar import Condition, Scalar, to_node, tracing
 
-__all__ = ["Block", "Field", "Function", "Program", "Values", "failure", "trace"]
+__all__ = ["Block", "Field", "Function", "Program", "Values", "failure", "to_casadi", "trace"]
 
 Values: TypeAlias = Mapping[str, Any]
 Function: TypeAlias = Callable[[Values, Values, Values], tuple[Values, Values]]
 """(inputs, parameters, memory) -> (outputs, new memory), each by path; for floats and for symbols."""
 
 CONST, INPUT = int(Op.CONST), int(Op.INPUT)
+_FUNCTIONS: Final[Mapping[int, Callable[..., Any]]] = {
+    int(Op.ADD): np.add, int(Op.SUB): np.subtract, int(Op.MUL): np.multiply, int(Op.DIV): np.divide,
+    int(Op.NEG): np.negative, int(Op.SQRT): np.sqrt, int(Op.SIN): np.sin, int(Op.COS): np.cos,
+    int(Op.ASIN): np.arcsin, int(Op.ACOS): np.arccos, int(Op.ATAN2): np.arctan2, int(Op.EXP): np.exp,
+    int(Op.LOG): np.log, int(Op.TANH): np.tanh, int(Op.ABS): np.abs, int(Op.FLOOR): np.floor,
+    int(Op.MIN): np.minimum, int(Op.MAX): np.maximum, int(Op.LT): np.less,
+    int(Op.LE): np.less_equal, int(Op.EQ): np.equal, int(Op.AND): np.logical_and, int(Op.OR): np.logical_or,
+    int(Op.NOT): np.logical_not,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -125,6 +136,25 @@ class Program:
                 return name, index
             index -= block.size
         raise AssertionError(index)
+
+    def evaluated(self, inputs: Any, select: Callable[..., Any] = np.where) -> tuple[list[Any], list[Any]]:
+        """Outputs and new memory, node by node, of numbers, arrays, or what else NumPy's functions take.
+
+        Args:
+            inputs: One for each double of inputs, parameters and memory.
+            select: What chooses between two values by a condition.
+        """
+        graph, values = self.graph, dict[int, Any]()
+        for i in self.live:
+            op = graph.ops[i]
+            if op == CONST:
+                values[i] = graph.value[i]
+            elif op == INPUT:
+                values[i] = inputs[graph.a[i]]
+            else:
+                function = select if op == Op.SELECT else _FUNCTIONS[op]
+                values[i] = function(*(values[x] for x in graph.operands(i)))
+        return [values[i] for i in self.output_nodes], [values[i] for i in self.memory_nodes]
 
     @cached_property
     def content(self) -> bytes:
@@ -228,3 +258,29 @@ def _nodes(graph: Graph, values: Mapping[str, Any]) -> tuple[int, ...]:
                 raise TraceError(f"{path}[{k}] is NaN whatever the law is given", name=path, rule="no NaN")
             nodes.append(to_node(graph, x.number() if isinstance(x, Condition) else x))
     return tuple(nodes)
+
+
+def to_casadi(program: Program, name: str = "taut") -> Any:
+    """A program as a `casadi.Function` (inputs, parameters, memory) -> (outputs, new memory), flat columns.
+
+    Args:
+        program: A traced program.
+        name: Name of the function.
+
+    Raises:
+        MissingExtraError: CasADi is not installed.
+        UsageError: It is no program.
+    """
+    try:
+        casadi: Any = importlib.import_module("casadi")
+    except ImportError as cause:
+        raise missing_extra("a program as a CasADi function", "casadi", "oracles") from cause
+    if not isinstance(program, Program):  # callers without a type checker
+        raise UsageError(f"to_casadi takes a traced program, such as ctrl.program; got {type(program).__name__}")
+    blocks = {"inputs": program.inputs, "parameters": program.parameters, "memory": program.memory}
+    symbols = [casadi.SX.sym(word, block.size) for word, block in blocks.items()]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)  # of shapes that NumPy's functions will give: all are scalars
+        ends = program.evaluated(casadi.vertsplit(casadi.vertcat(*symbols)), casadi.if_else)
+    columns = [casadi.vertcat(*end) for end in ends]
+    return casadi.Function(name, symbols, columns, list(blocks), ["outputs", "new_memory"])

@@ -7,7 +7,7 @@ and behind each of them the direction: how much each number grows.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection
 from typing import Any, Final
 
 import numpy as np
@@ -20,7 +20,6 @@ from taut.codegen.native import QUICK, available, compiled
 from taut.codegen.program import Block, Function, Program, Values
 from taut.trace.array import traced_array
 from taut.trace.derivative import tangents
-from taut.trace.graph import Op
 from taut.trace.scalar import Condition, active_graph, to_node, to_symbol
 
 __all__ = ["TANGENT", "StepTangent", "tangent_block", "with_tangent"]
@@ -129,11 +128,23 @@ class StepTangent:
     def _plain_rows(
         self, inputs: Float64Array, parameters: Float64Array, memory: Float64Array
     ) -> tuple[Float64Array, Float64Array]:
-        out, new = _evaluated(self._period.step, inputs, parameters, memory)
+        outputs, new = _evaluated(self._period.step, inputs, parameters, memory)
         if self._period.inner is not None:
             for _ in range(self._period.repeats):
                 _, new = _evaluated(self._period.inner, inputs, parameters, new)
-        return out, new
+        return outputs, new
+
+
+def _evaluated(program: Program, *blocks: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """A program at many rows at once, each node an array of NumPy's."""
+    rows = np.concatenate(blocks, axis=1)
+    with np.errstate(all="ignore"):
+        ends = program.evaluated(rows.T)
+    made = [np.zeros((len(rows), len(end))) for end in ends]
+    for out, end in zip(made, ends, strict=True):
+        for k, value in enumerate(end):
+            out[:, k] = value
+    return made[0], made[1]
 
 
 def _rows_text(sizes: list[int], repeats: int) -> str:
@@ -160,38 +171,3 @@ def _rows_text(sizes: list[int], repeats: int) -> str:
     return w.function(
         "void @rows(i64 %count, ptr %inputs, ptr %parameters, ptr %memory, ptr %after, ptr %outputs) nounwind"
     )
-
-
-# -------------------------------------------------------------------- node by node
-
-_FUNCTIONS: Final[Mapping[int, Callable[..., Any]]] = {
-    int(Op.ADD): np.add, int(Op.SUB): np.subtract, int(Op.MUL): np.multiply, int(Op.DIV): np.divide,
-    int(Op.NEG): np.negative, int(Op.SQRT): np.sqrt, int(Op.SIN): np.sin, int(Op.COS): np.cos,
-    int(Op.ASIN): np.arcsin, int(Op.ACOS): np.arccos, int(Op.ATAN2): np.arctan2, int(Op.EXP): np.exp,
-    int(Op.LOG): np.log, int(Op.TANH): np.tanh, int(Op.ABS): np.abs, int(Op.FLOOR): np.floor,
-    int(Op.MIN): np.minimum, int(Op.MAX): np.maximum, int(Op.SELECT): np.where, int(Op.LT): np.less,
-    int(Op.LE): np.less_equal, int(Op.EQ): np.equal, int(Op.AND): np.logical_and, int(Op.OR): np.logical_or,
-    int(Op.NOT): np.logical_not,
-}  # fmt: skip
-
-
-def _evaluated(
-    program: Program, inputs: Float64Array, parameters: Float64Array, memory: Float64Array
-) -> tuple[Float64Array, Float64Array]:
-    """A program at many rows at once, each node an array of NumPy's."""
-    graph, columns = program.graph, np.concatenate([inputs, parameters, memory], axis=1)
-    values: dict[int, Any] = {}
-    with np.errstate(all="ignore"):
-        for i in program.live:
-            op = graph.ops[i]
-            if op == Op.CONST:
-                values[i] = graph.value[i]
-            elif op == Op.INPUT:
-                values[i] = columns[:, graph.a[i]]
-            else:
-                values[i] = _FUNCTIONS[op](*(values[x] for x in graph.operands(i)))
-    ends = [np.zeros((len(columns), len(nodes))) for nodes in (program.output_nodes, program.memory_nodes)]
-    for end, nodes in zip(ends, (program.output_nodes, program.memory_nodes), strict=True):
-        for k, i in enumerate(nodes):
-            end[:, k] = values[i]
-    return ends[0], ends[1]

@@ -167,7 +167,6 @@ class Gain(Field):
         maximum: Largest allowed entry.
         optional: Whether it may be None.
         hint: What to do instead of zero, for the message.
-        doc: One sentence; the entry of the docstring's Args serves where it is left out.
 
     Example:
         >>> import taut
@@ -191,7 +190,6 @@ class Gain(Field):
         maximum: float = math.inf,
         optional: bool = False,
         hint: str = "",
-        doc: str = "",
     ) -> None:
         if accepts is None:
             accepts = () if shape == "scalar" else ("scalar", "matrix")
@@ -205,7 +203,6 @@ class Gain(Field):
             maximum=maximum,
             optional=optional,
             hint=hint,
-            doc=doc,
         )
 
     if TYPE_CHECKING:

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, MutableMapping
 from enum import Enum
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import numpy as np
 
 from taut.arm.angles import require_radians
 from taut.base.checks import finite_array
-from taut.base.errors import UsageError, unknown_name
-from taut.base.paths import subtree
+from taut.base.errors import UsageError
+from taut.base.paths import Parameters, subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.kernel import Kernel
 from taut.control.lawside import HELD, KNOWN, LawSide
 from taut.controller.kernel import not_finite
 
-__all__ = ["Parameters", "State", "StateMachine", "take_up_change"]
+__all__ = ["ControllerParameters", "State", "StateMachine", "take_up_change"]
 
 
 class State(Enum):
@@ -145,23 +144,17 @@ def take_up_change(kernel: Kernel, before: Float64Array) -> None:
     take_up(kernel.blocks.views("memory"), *asked)
 
 
-class Parameters(MutableMapping[str, Float64Array]):
-    """Run-time parameters by path. A new value is checked like the first one and acts from the next tick.
+class ControllerParameters(Parameters):
+    """Parameters of a controller, which act from the next tick.
 
     What has a meaning in some poses only is checked at that of the last tick.
     """
 
     def __init__(self, side: LawSide, machine: StateMachine) -> None:
-        self._side, self._machine = side, machine
         self.views = machine.kernel.blocks.views("parameters")
         """The numbers that the compiled code reads."""
-
-    def __getitem__(self, path: str) -> Float64Array:
-        if path not in self._side.parameters:
-            raise unknown_name("the controller", "parameter", path, self._side.parameters)
-        value = self.views[path].copy()
-        value.flags.writeable = False
-        return value
+        super().__init__("the controller", {path: self.views[path] for path in side.parameters})
+        self._side, self._machine = side, machine
 
     def __setitem__(self, path: str, value: ArrayLike) -> None:
         checked = self._side.checked_parameter(path, value)
@@ -170,22 +163,6 @@ class Parameters(MutableMapping[str, Float64Array]):
             q = blocks.layout["inputs"].views(blocks.seen)["q"].copy()
             self._side.check_change(q, self.views, {path: checked})
         self._machine.change(path, checked)
-
-    def __contains__(self, path: object) -> bool:
-        return path in self._side.parameters
-
-    def get(self, path: str, default: Any = None) -> Any:
-        """The value of a parameter, or the default where there is no such parameter."""
-        return self[path] if path in self._side.parameters else default
-
-    def __delitem__(self, path: str) -> None:
-        raise UsageError(f"parameter '{path}' cannot be removed; set it", name=path)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._side.parameters)
-
-    def __len__(self) -> int:
-        return len(self._side.parameters)
 
     def __repr__(self) -> str:
         return "{" + ", ".join(f"'{path}': {short(value)}" for path, value in self.items()) + "}"

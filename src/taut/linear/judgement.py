@@ -24,8 +24,8 @@ from taut.base.types import ArrayLike, Float64Array
 from taut.control.combine import all_laws
 from taut.control.laws.joint import FrictionCompensation
 from taut.control.lawside import LawSide
-from taut.linear.equilibrium import Rest, equilibrium, observed_states, standing_states
 from taut.linear.linear_system import Complex, LinearSystem, Mode, balancing
+from taut.linear.linearise import Rest, equilibrium, observed_states, standing_states
 from taut.linear.period import EMPTY, RESOLUTION, STEP, Period, Point, Side, smooth_plant
 from taut.loop import AnyPlant, HasLawSide, Loop
 from taut.maths.snapshot import snapshot

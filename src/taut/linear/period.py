@@ -2,7 +2,7 @@
 
 `Period` is the loop that simulates, differentiated by central differences: quick to make, for it is compiled anyway.
 `LoopMap` has the exact derivative of the same map, by automatic differentiation of the loop's program, and inputs.
-`taut.linear.equilibrium` searches with either.
+`equilibrium` of `taut.linear.linearise` searches with either.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from taut.loop import DT, AnyPlant, Loop, ModelPlant, Values
 from taut.maths import dynamics as dyn
 from taut.maths.model import model_of
 from taut.maths.spatial import rotation_exp
-from taut.plant.drives.actuation import Actuation
+from taut.plant.actuation import Actuation
 from taut.plant.environments.environment import COMMAND, disturbance_shapes
 from taut.plant.environments.hands import Push
 from taut.plant.rigid import RigidPlant
-from taut.plant.sensors.sensors import Sensors
+from taut.plant.sensors import Sensors
 from taut.trace import math as tm
 
 __all__ = [
@@ -51,6 +51,7 @@ __all__ = [
     "beside",
     "finite_derivative",
     "loop_map",
+    "mean_of",
     "small_rotations",
     "smooth_plant",
     "starting",
@@ -327,18 +328,23 @@ def starting(loop: Loop, map_: LoopMap, q: Float64Array) -> Point:
     return Point(inputs=inputs, parameters=values, memory=memory)
 
 
-def beside(map_: PeriodMap, at: Point, found: Derivative, states: Iterable[int]) -> Derivative:
-    """The mean derivative of two points on either side, for a point that itself has none.
-
-    A law that takes the length of an error that is zero, or compares two energies that are, has such a point.
-    """
+def beside(map_: PeriodMap, at: Point, states: Iterable[int]) -> tuple[Derivative, Derivative]:
+    """The derivatives at two points, to either side of a point in some states."""
     coordinates = map_.state_coordinates
     values, which = coordinates.numbers(at.memory), list(states)
     by = np.zeros(len(coordinates))
     by[which] = BESIDE * (1.0 + np.abs(values[which])) * np.cos(np.arange(len(which)))
     places = (coordinates.moved(at.memory, change) for change in (by, -by))
     one, other = (map_.derivative(dataclasses.replace(at, memory=memory)) for memory in places)
-    means = {name: 0.5 * (getattr(one, name) + getattr(other, name)) for name in "ABCD"}
+    return one, other
+
+
+def mean_of(found: Derivative, sides: tuple[Derivative, Derivative]) -> Derivative:
+    """The derivative at a point that itself has none: the mean of those beside it.
+
+    A law that takes the length of an error that is zero, or compares two energies that are, has such a point.
+    """
+    means = {name: 0.5 * (getattr(sides[0], name) + getattr(sides[1], name)) for name in "ABCD"}
     return dataclasses.replace(found, **means)
 
 
@@ -350,16 +356,15 @@ def finite_derivative(map_: PeriodMap, at: Point) -> Derivative:
     """
     found, names = map_.derivative(at), map_.state_coordinates.names
     if not all(np.isfinite(x).all() for x in (found.A, found.B, found.C, found.D)):
-        found = beside(map_, at, found, range(len(names)))
-    for matrix in (found.residual[np.newaxis].T, found.A, found.B):
-        wrong = ~np.isfinite(matrix).all(axis=1)
-        if wrong.any():
-            name = names[int(np.argmax(wrong))]
-            raise RangeError(
-                f"the loop has no derivative here: '{name}' after a period, or how it depends on the others, is not "
-                "finite; linearise at another pose",
-                name=name,
-            )
+        found = mean_of(found, beside(map_, at, range(len(names))))
+    wrong = ~np.isfinite(np.column_stack([found.residual, found.A, found.B])).all(axis=1)
+    if wrong.any():
+        name = names[int(np.argmax(wrong))]
+        raise RangeError(
+            f"the loop has no derivative here: '{name}' after a period, or how it depends on the others, is not "
+            "finite; linearise at another pose",
+            name=name,
+        )
     return found
 
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final, Protocol, runtime_checkable
+from typing import Any, Final, Protocol, Self, runtime_checkable
 
 import numpy as np
 
 from taut.arm.description import Arm
 from taut.base.errors import RangeError, UsageError
-from taut.base.fields import Declared, Field, Part
+from taut.base.fields import Declared, Field, Part, Parts
 from taut.base.paths import subtree
-from taut.base.types import ArrayLike, Float64Array, Vector
+from taut.base.types import Float64Array, Vector
 from taut.control.combine import all_laws
 from taut.control.laws.constraints import check_constraint
 from taut.control.lawside import LawSide
@@ -22,7 +22,7 @@ from taut.maths.constraints.impulses import Touch
 from taut.maths.constraints.rows import Piece
 from taut.maths.model import model_of
 from taut.maths.snapshot import Snapshot, snapshot
-from taut.plant.drives.actuation import Actuation
+from taut.plant.actuation import Actuation
 
 __all__ = ["CLOSED", "Contacts", "RigidContact", "RigidTouch", "check_force_feedback", "each_contact"]
 
@@ -99,9 +99,6 @@ class RigidContact(Declared):
         if self.restitution is not None and not any(self.constraint.one_sided):
             self.refuse("restitution", "is for a constraint with one_sided=True, and this one holds both ways")
 
-    def __add__(self, other: RigidContact | Constraint) -> tuple[RigidContact, ...]:
-        return (self, *each_contact(other))
-
 
 def each_contact(given: object) -> tuple[RigidContact, ...]:
     """Contacts from what a plant is given: one, a bare constraint, or a sequence of them.
@@ -139,12 +136,11 @@ class Place:
         return tuple(i for touch in self.touch for i in touch.beside)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Contacts:
+class Contacts(Declared):
     """The contacts of a plant, their rows one after the other; the tangents of friction come after all of them."""
 
-    arm: Arm
-    parts: tuple[RigidContact, ...]
+    arm: Part[Arm] = Part(Arm)
+    parts: Parts[tuple[RigidContact, ...]] = Parts(RigidContact)  # type: ignore[arg-type]  # a tuple of them
 
     @cached_property
     def count(self) -> int:
@@ -223,29 +219,23 @@ class Contacts:
 
     # ---------------------------------------------------------------- parameters
 
-    def _prefix(self, c: int) -> str:
-        return "" if len(self.parts) == 1 else f"{c}."
+    def declared_parts(self) -> dict[str, Declared]:
+        """The contacts by their number, of which a single one has none in its paths."""
+        return {str(c): part for c, part in enumerate(self.parts)}
 
-    def parameters(self) -> dict[str, Float64Array]:
-        """Run-time parameters by path below "contact"."""
-        return {
-            f"{self._prefix(c)}{name}": value
-            for c, part in enumerate(self.parts)
-            for name, value in part.parameters().items()
-        }
+    def _below(self, name: str) -> str:
+        return "" if len(self.parts) == 1 else f"{name}."
+
+    def _with_parts(self, parts: Mapping[str, Any]) -> Self:
+        return self._replaced({"parts": tuple(({**self.declared_parts(), **parts}).values())})
 
     def value(self, c: int, name: str, parameters: Values) -> Any:
         """Of one contact; None where there is none."""
-        return parameters.get(f"contact.{self._prefix(c)}{name}")
-
-    def checked(self, path: str, value: ArrayLike) -> Float64Array:
-        """A new value, checked as when it was made."""
-        head, _, name = path.rpartition(".")
-        return np.asarray(self.parts[int(head or 0)].changed(name, value, name=f"contact.{path}").parameters()[name])
+        return parameters.get(f"contact.{self._below(str(c))}{name}")
 
     # ---------------------------------------------------------------- checks
 
-    def check(self) -> None:
+    def check_points(self) -> None:
         """Whether the arm has the frames, and friction its points.
 
         Raises:

@@ -1,4 +1,12 @@
-"""How a rigid arm moves in one step: under stiff drives, or under torques that motors, gears and friction pass on."""
+"""How a rigid arm moves in one step: under stiff drives, or under torques that motors, gears and friction pass on.
+
+Where the power of the drives goes is the work of each part of a step, joint by joint. A torque's work is its product
+with the way that its joint goes in the step, dt v+, as the integrator moves it. What a step of finite length adds to
+that has a name too: `integration`, which tends to zero with dt.
+
+    electric = copper + magnetic + motor + conversion                          where the motor is an electric one
+    motor    = rotor + viscous + dry + gears + spring + damping + link + integration
+"""
 
 from __future__ import annotations
 
@@ -9,25 +17,38 @@ from typing import Any, Final
 
 import numpy as np
 
-from taut.arm.description import CommandKind
 from taut.base.paths import subtree
 from taut.base.types import Array, Vector
 from taut.maths import dynamics as dyn
 from taut.maths.adds import compensation
 from taut.maths.friction import dry_friction, friction_torque
 from taut.maths.model import Model, PayloadValues, model_of
+from taut.plant.actuation import MotorStep, aim
 from taut.plant.contact_step import ContactStep, contact_step
-from taut.plant.drives.drivetrain import FrictionLaw, FrictionLimits
-from taut.plant.drives.stiff_drive import aim
+from taut.plant.drivetrain import FrictionLaw, FrictionLimits
 from taut.plant.environments.environment import WRENCH, joint_forces, touch
 from taut.plant.parts import PlantParts
-from taut.plant.work import work_of_step
 from taut.trace import math as tm
 
-__all__ = ["WORK_OF_IT", "Motion", "payload_of"]
+__all__ = ["WORK", "WORK_OF_IT", "Motion", "payload_of"]
 
 Values = Mapping[str, Any]
 WORK_OF_IT: Final = "work.environment"  # [J] done on the arm by what touches it
+WORK: Final = {
+    "electric": "taken from the supply",
+    "copper": "heat of the windings",
+    "magnetic": "stored in the windings",
+    "conversion": "of the step: the back-EMF is that of its start",
+    "motor": "done by the motors, and by what the plant adds",
+    "rotor": "stored in the rotors' motion",
+    "viscous": "lost to viscous friction",
+    "dry": "lost to dry friction",
+    "gears": "lost in the gears",
+    "spring": "stored in elastic transmissions",
+    "damping": "lost in elastic transmissions",
+    "link": "done on the links",
+    "integration": "of the step: from torques of its start and ways of its end",
+}
 
 
 def payload_of(parameters: Values) -> PayloadValues:
@@ -55,10 +76,12 @@ class Motion:
     Args:
         parts: The arm, its drives, and what touches it.
         sweeps: Of projected Gauss-Seidel in a step.
+        energy: Whether to keep account of work.
     """
 
     parts: PlantParts
     sweeps: int
+    energy: bool
 
     @cached_property
     def model(self) -> Model:
@@ -69,6 +92,23 @@ class Motion:
     def link_model(self) -> Model:
         """The same without its rotors, whose inertia is a parameter."""
         return model_of(self.parts.arm.with_joints(rotor_inertia=0.0))
+
+    @cached_property
+    def work(self) -> tuple[str, ...]:
+        """The parts of the work that are accounted for, in the order of `WORK`."""
+        if not self.energy:
+            return ()
+        train, motor = self.parts.drivetrain, self.parts.actuation.motor
+        there = {
+            **dict.fromkeys(("motor", "link", "integration"), True),
+            **dict.fromkeys(() if motor is None else motor.work, True),
+            "rotor": self.parts.arm.rotor_inertia.any(),
+            "viscous": train.viscous,
+            "dry": train.friction is not None and train.friction.dry,
+            "gears": train.lossy,
+            **dict.fromkeys(("spring", "damping"), train.compliant),
+        }
+        return tuple(name for name in WORK if there.get(name))
 
     def compensation(self, q: Vector, v: Vector, parameters: Values) -> Array:
         """(n,) what the plant adds to a torque command itself, friction apart."""
@@ -99,10 +139,17 @@ class Motion:
         after = {f"environment.{name}": x for name, x in touched.items()}
         return {"F_ext": wrench, "t": t, WORK_OF_IT: memory[WORK_OF_IT], **after}
 
-    def driven_step(self, takes: CommandKind, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]:
+    def step(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]:
+        """Memory after a step under what stands at the drives."""
+        taken = self._torque_step if self.parts.takes == "torque" else self._driven_step
+        return taken(memory, parameters, dt)
+
+    def _driven_step(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]:
         """Stiff drives: their loop decides the motion, and the torque is what that takes."""
         q, v = memory["q"], memory["v"]
-        q_new, v_new = aim(takes, self.parts.arm, memory["held"], q, v, parameters["actuation.bandwidth"], dt)
+        q_new, v_new = aim(
+            self.parts.takes, self.parts.arm, memory["held"], q, v, parameters["actuation.bandwidth"], dt
+        )
         a = (v_new - v) / dt
         out, t = dict(memory), memory.get("t", 0.0)
         wrench, outside, touched = self._outside(q, v, memory, parameters, t, dt)
@@ -123,10 +170,7 @@ class Motion:
             tau = tau - friction_torque(self.parts.drivetrain.values(parameters), v, tau, load)
         return out | {"q": q_new, "v": v_new, "tau": tau, "tau_link": link}
 
-    def torque_step(
-        self, memory: Values, parameters: Values, dt: Any, *, smooth: bool, work: tuple[str, ...]
-    ) -> dict[str, Any]:
-        """Memory after a step under what stands at the drives: by the fourth-order scheme where it is `smooth`."""
+    def _torque_step(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]:
         q, v, t = memory["q"], memory["v"], memory.get("t", 0.0)
         q_m, v_m = memory.get("q_motor", q), memory.get("v_motor", v)
         added = self.compensation(q, v, parameters)
@@ -137,7 +181,7 @@ class Motion:
         if self.parts.environment is not None:
             assert wrench is not None
             out |= self._touched(memory, wrench, touched, t + dt)
-        if smooth:
+        if self.parts.smooth:
             q_new, v_new, done = self._rk4(q, v, given.tau, memory, parameters, t, dt)
             moved = _Moved(q=q_new, v=v_new, f=np.zeros(self.parts.arm.n), spring=tau)
         else:
@@ -158,14 +202,50 @@ class Motion:
         out["tau_link"] = tau + moved.f - lost  # what of the motor's torque arrives behind the gear
         if rotor is not None:
             out["tau_link"] = out["tau_link"] - rotor * (v_end - v_m) / dt
-        if work:
-            ways = out.get("q_motor", moved.q) - q_m, moved.q - q
-            done = work_of_step(
-                self.parts.drivetrain, memory, out, ways,
-                tau=tau, given=given.tau, f=moved.f, limits=moved.limits, lost=lost, through=out["tau_link"],
-                spring=moved.spring, rotor=rotor, parameters=parameters, electric=given.work, dt=dt,
-            )  # fmt: skip
-            out |= {f"work.{name}": memory[f"work.{name}"] + done[name] for name in work}
+        if self.work:
+            done = self._work(memory, out, given, moved, tau, lost, parameters, dt)
+            out |= {f"work.{name}": memory[f"work.{name}"] + done[name] for name in self.work}
+        return out
+
+    def _work(
+        self,
+        memory: Values,
+        after: Values,
+        given: MotorStep,
+        moved: _Moved,
+        tau: Vector,
+        lost: Vector,
+        parameters: Values,
+        dt: Any,
+    ) -> dict[str, Vector]:
+        """(n,) [J] of each part in one step; tau is the motors' torque with what the plant adds, lost is viscous."""
+        train, rotor, f = self.parts.drivetrain, parameters.get("plant.rotor_inertia"), moved.f
+        q, v_m, v_end = memory["q"], memory.get("v_motor", memory["v"]), after.get("v_motor", moved.v)
+        motor_way, link_way = after.get("q_motor", moved.q) - memory.get("q_motor", q), moved.q - q
+        of_law = f if moved.limits is None else moved.limits.share_of_law(f)
+        out: dict[str, Vector] = {
+            **given.work,
+            "conversion": given.tau * (v_m * dt - motor_way),
+            "motor": tau * motor_way,
+            "viscous": lost * motor_way,
+            "dry": -of_law * motor_way,
+            "gears": -(f - of_law) * motor_way,
+            "link": train.merged(after["tau_link"], moved.spring) * link_way,
+            "integration": tm.zeros(self.parts.arm.n),
+        }
+        if rotor is not None:
+            stored = 0.5 * rotor * (v_end * v_end - v_m * v_m)
+            out |= {"rotor": stored, "integration": rotor * (v_end - v_m) * motor_way / dt - stored}
+        if train.compliant:
+            assert train.transmission is not None
+            p = subtree(parameters, "actuation.transmission")
+            K = train.merged(tm.zeros(self.parts.arm.n), p["stiffness"] + tm.zeros(self.parts.arm.n))
+            delta, wound = memory["q_motor"] - q, motor_way - link_way
+            z = train.transmission.beyond_play(delta, p)
+            z_end = train.transmission.beyond_play(delta + motor_way - link_way, p)
+            stored = 0.5 * K * (z_end * z_end - z * z)
+            out |= {"spring": stored, "damping": (moved.spring - K * z) * wound}
+            out["integration"] = out["integration"] + K * z * wound - stored
         return out
 
     def _euler(self, tau: Vector, force: Vector | None, memory: Values, parameters: Values, dt: Any) -> _Moved:

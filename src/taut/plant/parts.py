@@ -2,38 +2,77 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Any, Final, Literal
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from taut.arm.description import COMMANDS, Arm, CommandKind
 from taut.arm.friction import AT_REST, check_at_rest
 from taut.arm.parts import checked_payload_entry
-from taut.base.checks import finite_array, one_of, require_at_least, require_positive
+from taut.base.checks import finite_array, in_compiled_shape, require_range
 from taut.base.errors import RangeError, ShapeError, UsageError, unknown_name
-from taut.base.fields import Declared
-from taut.base.paths import flatten
+from taut.base.fields import Choice, Declared, Part, Plain
+from taut.base.paths import flatten, subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.maths.adds import Adds
+from taut.maths.dynamics import jacobian, mass_matrix
+from taut.maths.model import PayloadValues, model_of
+from taut.plant.actuation import Actuation
 from taut.plant.contact import Contacts
-from taut.plant.drives.actuation import Actuation
-from taut.plant.drives.drivetrain import Drivetrain, FrictionLaw, require_rotors
+from taut.plant.drivetrain import Drivetrain, FrictionLaw, require_rotors
 from taut.plant.environments.environment import Environment, require_environment
-from taut.plant.sensors.sensors import Sensors
+from taut.plant.sensors import Sensors
 
-__all__ = ["PlantParts"]
+__all__ = ["PlantParts", "Steps"]
+
+Values = Mapping[str, Any]
 
 STIFFNESS: Final = "actuation.transmission.stiffness"  # which is infinite for a joint that is rigid
 ROTOR: Final = "plant.rotor_inertia"
 FRICTION: Final = "plant.friction."
+ROUNDING: Final = 1e-9  # [-] of the length of a step
 OF_WRENCHES: Final = ((6,), (6, 6))  # one number of these is of the position alone
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PlantParts:
+class Steps(NamedTuple):
+    """The steps of an integrator in a control period."""
+
+    period: float  # [s]
+    number: int
+
+    @property
+    def dt(self) -> float:
+        """Length of a step [s]."""
+        return self.period / self.number
+
+    def shorter(self, factor: float) -> str:
+        """How to take so many times as many steps."""
+        count = math.ceil(factor * self.number * (1.0 - ROUNDING))
+        return f"steps of {self.period / count:.9g} s (substeps={count}, or the timestep of MuJoCo)"
+
+    def require(self, fast: float, name: str, what: str, instead: str) -> None:
+        """Refuse steps in which something moves by more than its own time.
+
+        Args:
+            fast: Length of a step over that time [-].
+            name: Of what is too fast.
+            what: The beginning of the sentence.
+            instead: Another way to fix it.
+
+        Raises:
+            RangeError: They are too long.
+        """
+        if fast > 1.0 + ROUNDING:
+            raise RangeError(
+                f"{what}, too fast for steps of {self.dt:g} s; give the plant {self.shorter(fast)}, or {instead}",
+                name=name,
+            )
+
+
+class PlantParts(Declared):
     """A true arm, its drives and sensors, and what touches it.
 
     Args:
@@ -47,39 +86,31 @@ class PlantParts:
         environment: What touches the tool.
         contacts: What holds the arm rigidly.
         smooth: Whether the integrator needs smooth forces.
-        scene: Whether an engine knows of more that may touch the tool.
+        scene: Whether an engine knows of more that may touch the tool, and moves the arm where drives are stiff.
 
     Raises:
         UsageError, ShapeError: What does not go together, or is of another kind or size.
     """
 
-    name: str
-    arm: Arm
-    friction: Literal["arm"] | FrictionLaw | None
-    takes: CommandKind
-    adds: Adds
-    actuation: Actuation
-    sensors: Sensors
-    environment: Environment | None
-    contacts: Contacts | None = None
-    smooth: bool = False
-    scene: bool = False
+    name: Plain[str] = Plain(str)
+    arm: Part[Arm] = Part(Arm)
+    friction: Plain[Any] = Plain(optional=True)
+    takes: Choice[CommandKind] = Choice(*COMMANDS)
+    adds: Part[Adds] = Part(Adds)
+    actuation: Part[Actuation] = Part(Actuation)
+    sensors: Part[Sensors] = Part(Sensors)
+    environment: Part[Environment | None] = Part(Environment, optional=True)
+    contacts: Part[Contacts | None] = Part(Contacts, optional=True)
+    smooth: Plain[bool] = Plain(bool, default=False)
+    scene: Plain[bool] = Plain(bool, default=False)
 
-    def __post_init__(self) -> None:
-        one_of("takes", self.takes, COMMANDS)
-        kinds: dict[str, tuple[type, str]] = {
-            "arm": (Arm, "an Arm from taut.load_arm"),
-            "actuation": (Actuation, "taut.drives.Actuation(...)"),
-            "sensors": (Sensors, "taut.sensors.Sensors(...)"),
-        }
-        for name, (kind, words) in kinds.items():
-            if not isinstance(getattr(self, name), kind):
-                raise UsageError(f"{name} must be {words}; got {type(getattr(self, name)).__name__}", name=name)
+    def check(self) -> None:
+        """What goes together."""
         if not isinstance(self.friction, FrictionLaw) and self.friction not in ("arm", None):
-            raise UsageError(
-                f"friction must be 'arm', None or a taut.drives.FrictionLaw; got {self.friction!r}; another friction "
-                "is the arm's: arm.with_friction(...)",
-                name="friction",
+            self.refuse(
+                "friction",
+                f"must be 'arm', None or a taut.drives.FrictionLaw; got {self.friction!r}; another friction is the "
+                "arm's: arm.with_friction(...)",
             )
         if self.environment is not None:
             require_environment("environment", self.environment)
@@ -89,7 +120,7 @@ class PlantParts:
         self.actuation.check_size(names, "actuation.")
         self.sensors.check_arm(self.arm, touched=self.touched)
         if isinstance(self.friction, FrictionLaw):
-            self.friction.check_size(names, "plant.friction.")
+            self.friction.check_size(names, FRICTION)
             if self.adds.friction:
                 raise UsageError("the plant adds the arm's friction, and has a law of its own; keep one", name="adds")
         require_rotors(self.arm, self.drivetrain.compliant)
@@ -100,7 +131,7 @@ class PlantParts:
                 name="torque_loop",
             )
         if self.contacts is not None:
-            self.contacts.check()
+            self.contacts.check_points()
         if self.smooth:
             self._check_smooth()
 
@@ -186,41 +217,29 @@ class PlantParts:
         if path not in self.values:
             raise unknown_name(f"plant '{self.name}'", "parameter", path, self.values)
         shape, new = self.values[path].shape, self._checked(path, value)
-        one_for_all = new.ndim == 0 and not (path.startswith("environment.") and shape in OF_WRENCHES)
-        if new.shape == shape or one_for_all:
-            return np.broadcast_to(new, shape)
-        if shape == (6, 6) and new.shape == (6,):
-            return np.diag(new)
-        raise ShapeError(
-            f"{path} has shape {shape}; got shape {new.shape}; make the plant with a value of the new shape",
-            name=path,
-        )
+        if path.startswith("environment.") and shape in OF_WRENCHES and new.ndim == 0:
+            raise ShapeError(f"{path} has shape {shape}; got one number, which is of the position alone", name=path)
+        return in_compiled_shape(path, new, shape)
 
     def _checked(self, path: str, value: ArrayLike) -> Float64Array:
         """By the declaration of what has it."""
-        head, _, rest = path.partition(".")
         if path.startswith(("plant.payload.", "sensors.wrench.tool.")):
             return checked_payload_entry(path, value)
-        if head == "environment":
-            assert self.environment is not None
-            return np.asarray(self.environment.changed(rest, value, name=path).parameters()[rest])
-        if head == "contact":
-            assert self.contacts is not None
-            return self.contacts.checked(rest, value)
-        owners: dict[str, Declared] = {"actuation": self.actuation, "sensors": self.sensors}
-        if path.startswith(FRICTION) and isinstance(self.drivetrain.friction, FrictionLaw):
-            head, rest, owners = "", path.removeprefix(FRICTION), {"": self.drivetrain.friction}
-        if head in owners:
-            new = owners[head].checked_parameter(rest, value, name=path, joints=self.arm.joint_names)
-            owners[head].changed(rest, new, name=path)
+        head, _, rest = path.partition(".")
+        owner = self.contacts if head == "contact" else getattr(self, head, None)
+        if path.startswith(FRICTION):
+            owner, rest = self.drivetrain.friction, path.removeprefix(FRICTION)
+        if isinstance(owner, Declared):
+            new = owner.checked_parameter(rest, value, name=path, joints=self.arm.joint_names)
+            owner.changed(rest, new, name=path)
             if path == STIFFNESS:
                 self._check_kept_apart(new)
             return new
         new = finite_array(path, value)
         if path == f"{FRICTION}stribeck_shape":
-            require_positive(path, new)
+            require_range(path, new, above=0.0)
         else:
-            require_at_least(path, new, 0.0, joints=self.arm.joint_names if new.shape == (self.arm.n,) else None)
+            require_range(path, new, minimum=0.0, joints=self.arm.joint_names if new.shape == (self.arm.n,) else None)
         if path == ROTOR and new.shape in ((), (self.arm.n,)):
             require_rotors(self.arm, self.drivetrain.compliant, np.broadcast_to(new, (self.arm.n,)))
         return new
@@ -253,3 +272,118 @@ class PlantParts:
             rest = values.get(FRICTION + at_rest)
             if rest is not None:
                 check_at_rest(rest, values.get(FRICTION + moving, 0.0), at_rest, prefix=FRICTION)
+
+    # ---------------------------------------------------------------- the length of steps
+
+    def require_short_steps(self, parameters: Values, steps: Steps) -> None:
+        """Refuse steps that are too long for a motor, an inner loop or a transmission, with the arm at home.
+
+        Args:
+            parameters: By path, as the run begins with them.
+            steps: The steps.
+
+        Raises:
+            RangeError: They are; the sentence says what is enough.
+        """
+        train, actuation = self.drivetrain, self.actuation
+        if actuation.motor is None and actuation.torque_loop is None and not train.compliant:
+            return
+        n, names = train.arm.n, train.arm.joint_names
+        p = {path: np.broadcast_to(value, (n,)) for path, value in subtree(parameters, "actuation").items()}
+        rotor = np.broadcast_to(parameters.get("plant.rotor_inertia", 0.0), (n,))
+        links = mass_matrix(model_of(train.arm.with_joints(rotor_inertia=0.0)), train.arm.home)
+        geared = np.diag(np.linalg.inv(links + np.diag(rotor))).copy()  # acceleration per torque of each motor
+        for i in train.compliant:
+            geared[i] = 1.0 / rotor[i]
+        if actuation.motor is not None:
+            # Its torque falls with speed, as a damper's does, and is that of the speed when a step begins.
+            fast = actuation.motor.braking(train.arm.gear, subtree(p, "motor")) * geared * steps.dt
+            i = int(np.argmax(fast))
+            steps.require(
+                fast[i],
+                "motor",
+                f"the motor of joint '{names[i]}' loses torque with speed so steeply that its joint answers in "
+                f"{steps.dt / max(fast[i], 1e-300):.3g} s",
+                "the joint its rotor's inertia, by gears",
+            )
+        if actuation.torque_loop is not None:
+            share = 1.0 - rotor * geared  # of the motor's torque that a rigid gear passes on at once
+            share[list(train.compliant)] = 0.0
+            _require_slow_torque_loop(names, p, share, steps)
+        if train.compliant:
+            joints = list(train.compliant)
+            # A gear that a motor drives passes the rotor's inertia on in its efficiency's measure.
+            light = rotor * p.get("transmission.efficiency", 1.0)
+            both = (
+                1.0 / light[joints] + np.diag(np.linalg.inv(links))[joints]
+            )  # acceleration of motor and link per torque
+            omega = np.sqrt(p["transmission.stiffness"][joints] * both)
+            fast = np.maximum(omega, 2.0 * p["transmission.damping"][joints] * both) * steps.dt
+            i = int(np.argmax(fast))
+            steps.require(
+                fast[i],
+                "stiffness",
+                f"the transmission of joint '{names[joints[i]]}' oscillates at {omega[i]:.3g} rad/s",
+                "a softer spring or less damping",
+            )
+
+    def require_short_contact(self, q: Float64Array, parameters: Values, steps: Steps) -> None:
+        """Refuse steps that are too long for a ready-made environment, at the start of a run.
+
+        An oscillation of omega with damping delta, both taken at the beginning of a step, is stable in semi-implicit
+        Euler while omega^2 dt^2 + 2 delta dt < 4. Half of that is let through, since the tool's inertia changes.
+
+        Args:
+            q: (n,) positions at the start.
+            parameters: By path, as the run begins with them.
+            steps: The steps.
+
+        Raises:
+            RangeError: They are; the sentence says what is enough.
+        """
+        assert self.environment is not None
+        stiff = self.takes != "torque" and not self.scene  # drives that nothing moves
+        mobility = np.zeros((6, 6)) if stiff else self._mobility(q, parameters)
+        omega, damping = self.environment.rates(mobility, subtree(parameters, "environment"))
+        a, b = (omega * steps.dt) ** 2, damping * steps.dt
+        steps.require(
+            0.5 * (b + np.sqrt(b * b + 2.0 * a)),
+            "environment",
+            f"environment: what touches the tool oscillates at {omega:.3g} rad/s and is braked at {damping:.3g} 1/s",
+            "a softer environment",
+        )
+
+    def _mobility(self, q: Float64Array, parameters: Values) -> Float64Array:
+        """(6, 6) acceleration of the tool per wrench; the rotor of a compliant joint moves by itself."""
+        train = self.drivetrain
+        n = train.arm.n
+        rotor = np.broadcast_to(parameters.get("plant.rotor_inertia", 0.0), (n,))
+        model = model_of(train.arm.with_joints(rotor_inertia=0.0))
+        M = mass_matrix(model, q, PayloadValues.of(subtree(parameters, "plant.payload")))
+        M = M + np.diag([rotor[i] if i in train.rigid else 0.0 for i in range(n)])
+        J = jacobian(model, q)
+        mobility: Float64Array = J @ np.linalg.solve(M, J.T)
+        return mobility
+
+
+def _require_slow_torque_loop(names: Sequence[str], p: Values, share: Float64Array, steps: Steps) -> None:
+    """It reads what the motor gave in the last step, which alternates where kp share is too large.
+
+    A lag of left = exp(-omega dt) over a step, and mean = (1 - left) / (omega dt), has a root at -1 for
+    kp share (1 + left - 2 mean) = 1 + left; without a lag for kp share = 1.
+    """
+    kp = p["torque_loop.kp"]
+    left, mean = np.zeros_like(kp), np.zeros_like(kp)
+    if "bandwidth" in p:
+        left = np.exp(-p["bandwidth"] * steps.dt)
+        mean = (1.0 - left) / (p["bandwidth"] * steps.dt)
+    largest = (1.0 + left) / np.maximum(share * (1.0 + left - 2.0 * mean), 1e-300)
+    i = int(np.argmax(kp / largest))
+    if kp[i] < largest[i]:
+        return
+    slower = f"the plant {steps.shorter(2.0)}" if "bandwidth" in p else "the drive a bandwidth"
+    raise RangeError(
+        f"actuation.torque_loop.kp of joint '{names[i]}' must be below {largest[i]:.3g} for steps of {steps.dt:g} "
+        f"s, since the loop reads the torque of the step before; lower it, or give {slower}",
+        name="torque_loop",
+    )

@@ -24,16 +24,14 @@ from taut.maths.constraints.constraint import Constraint
 from taut.maths.friction import FRICTION_SWEEPS
 from taut.maths.model import Model, model_of
 from taut.maths.snapshot import Snapshot
+from taut.plant.actuation import Actuation, delayed
 from taut.plant.contact import Contacts, RigidContact, each_contact
 from taut.plant.contact_step import REPORTED, contact_start
-from taut.plant.drives.actuation import Actuation, delayed
-from taut.plant.drives.drivetrain import FrictionLaw
+from taut.plant.drivetrain import FrictionLaw
 from taut.plant.environments.environment import Environment
 from taut.plant.motion import WORK_OF_IT, Motion, payload_of
-from taut.plant.parts import PlantParts
-from taut.plant.sensors.sensors import Sensors
-from taut.plant.step_length import Steps, require_short_contact, require_short_steps
-from taut.plant.work import work_parts
+from taut.plant.parts import PlantParts, Steps
+from taut.plant.sensors import Sensors
 from taut.trace import math as tm
 
 __all__ = ["RigidPlant"]
@@ -83,7 +81,7 @@ class RigidPlant:
             before those that it holds are solved for exactly. What a further one would change is the run's column
             friction_residual [N m | N].
         energy: Keep account of the work of each part of the drives: columns work.motor, work.dry, ... [J], see
-            `taut.plant.work`.
+            `taut.plant.motion`.
 
     Raises:
         UsageError: Options that do not go together, or are of another kind.
@@ -138,10 +136,6 @@ class RigidPlant:
         """What holds the arm rigidly, in one order of rows."""
         return self.parts.contacts
 
-    @cached_property
-    def _work_parts(self) -> tuple[str, ...]:
-        return work_parts(self.parts.drivetrain, self.actuation.motor) if self.energy else ()
-
     def like(self, *, arm: Arm | None = None, sensors: Sensors | None = None) -> RigidPlant:
         """A plant of the same arguments but these."""
         return dataclasses.replace(self, arm=arm or self.arm, sensors=sensors or self.sensors)
@@ -175,7 +169,7 @@ class RigidPlant:
 
     @cached_property
     def _motion(self) -> Motion:
-        return Motion(parts=self.parts, sweeps=self.sweeps)
+        return Motion(parts=self.parts, sweeps=self.sweeps, energy=self.energy)
 
     @property
     def parameters(self) -> dict[str, Float64Array]:
@@ -219,8 +213,8 @@ class RigidPlant:
             memory |= train.start(q, v, full, parameters)
             if train.dry and len(train.rigid) > 1:
                 memory["friction_residual"] = 0.0
-            memory |= {f"work.{name}": tm.zeros(n) for name in self._work_parts}
-            require_short_steps(train, self.actuation, parameters, steps)
+            memory |= {f"work.{name}": tm.zeros(n) for name in self._motion.work}
+            self.parts.require_short_steps(parameters, steps)
         taps = self.actuation.taps(dt)
         if taps:
             memory["delay"] = tm.stack([{"torque": weight, "velocity": rest, "position": q}[self.takes]] * taps)
@@ -228,8 +222,7 @@ class RigidPlant:
             touched = self.environment.start(dyn.pose(self.model, q))
             memory |= {f"environment.{name}": value for name, value in touched.items()}
             memory |= {"t": 0.0, WORK_OF_IT: 0.0}
-            driven = self.takes != "torque"
-            require_short_contact(self.environment, train, q, parameters, steps, driven=driven)
+            self.parts.require_short_contact(q, parameters, steps)
             memory["F_ext"], _ = self._motion.touch(q, v, memory, parameters, 0.0, steps.dt)
         if self.contacts is not None:
             memory |= self._touching(q, v, memory)
@@ -276,11 +269,7 @@ class RigidPlant:
 
     def advance(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]:
         """Memory after one step of the integrator, dt long, under what stands at the drives."""
-        if self.takes == "torque":
-            smooth = self.integrator == "rk4"
-            out = self._motion.torque_step(memory, parameters, dt, smooth=smooth, work=self._work_parts)
-        else:
-            out = self._motion.driven_step(self.takes, memory, parameters, dt)
+        out = self._motion.step(memory, parameters, dt)
         if self.sensors.needs_acceleration:
             out["a"] = (out["v"] - memory["v"]) / dt
         return out

@@ -30,8 +30,7 @@ from taut.maths.model import PayloadValues
 from taut.maths.snapshot import Snapshot
 from taut.plant.contact import each_contact
 from taut.plant.rigid import RigidPlant
-from taut.record.film.surroundings import Around, Shape, Thing
-from taut.record.info import Change, PartInfo, RunInfo, Stability, versions
+from taut.record.info import Around, Change, PartInfo, RunInfo, Shape, Stability, Thing, versions
 from taut.record.progress import Progress
 from taut.record.run import Run
 from taut.runtime.events import Event, Schedule, listed

@@ -132,7 +132,7 @@ class Manipulability(Law):
 
 
 def check_null(law: Law) -> None:
-    """The field `null` of a law: what moves the free motion follows no reference. Raises Refusal."""
+    """The field `null` of a law: what moves the free motion follows no reference. Raises TautError."""
     null = vars(law)["null"]
     if null is not None and not null.ignores_reference:
         follows = f"{type(null).__name__} follows a {null.reference.__name__}"

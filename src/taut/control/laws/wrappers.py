@@ -9,7 +9,7 @@ from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 
-from taut.base.checks import finite_array, require_at_least, symmetric_psd
+from taut.base.checks import finite_array, require_range, symmetric_psd
 from taut.base.errors import UsageError
 from taut.base.fields import Part, Plain
 from taut.base.types import Rotation, Vector, Vector3
@@ -93,7 +93,7 @@ class EnergyTank(Wrapper):
             if values.ndim == 2:
                 symmetric_psd("K", values)
             else:
-                require_at_least("K", values, 0.0)
+                require_range("K", values, minimum=0.0)
 
     def apparent_impedance(self, x: Snapshot) -> ApparentImpedance | None:
         return None if self.stiffness is not None else super().apparent_impedance(x)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import numpy as np
 
 from taut.base.checks import finite_array
 from taut.base.errors import RangeError, UsageError
-from taut.base.fields import Choice, Declared, Field, Part
-from taut.base.types import Array, ArrayLike, Float64Array, Twist, Wrench
+from taut.base.fields import Declared, Field, Part
+from taut.base.types import ArrayLike, Float64Array, Twist, Wrench
 from taut.maths.spatial import left_jacobian_inverse, rotated, rotation_log
 from taut.plant.environments.environment import Environment, applied, fastest
 from taut.trace import math as tm
@@ -65,7 +64,7 @@ class Spring(Environment):
         >>> import taut
         >>> spring = Spring(stiffness=(500.0, 20.0), at=taut.Pose([0.4, 0.0, 0.3]))
         >>> sorted(spring.parameters())
-        ['at.p', 'at.xyzw', 'stiffness']
+        ['stiffness']
     """
 
     stiffness: Field = Field(unit="N/m | N m/rad", shape=6, accepts=("scalar", "pair", "matrix"), minimum=0.0)
@@ -79,55 +78,30 @@ class Spring(Environment):
                 "slack", "is the free length of a cord of one stiffness [N/m]; leave it out, or give stiffness 300"
             )
 
-    def parameters(self) -> dict[str, Float64Array]:
-        """Run-time parameters by name, those of the place among them."""
-        own = Declared.parameters(self)
-        return own if self.at is None else own | {"at.p": np.asarray(self.at.p), "at.xyzw": self.at.xyzw}
-
     def start(self, T_WE: Pose) -> dict[str, Any]:
         """Memory at the start: where the tool is, if that is where it is at rest."""
         return {} if self.at is not None else {"p": T_WE.p, "R": T_WE.R}
 
     def wrench(
-        self,
-        T_WE: Pose,
-        twist: Twist,  # noqa: ARG002
-        t: Any,  # noqa: ARG002
-        memory: Values,
-        parameters: Values,
-        dt: Any,  # noqa: ARG002
+        self, T_WE: Pose, twist: Twist, t: Any, memory: Values, parameters: Values, dt: Any
     ) -> tuple[Wrench, dict[str, Any]]:
         """(6,) [N, N m] on the arm, and the memory as it was."""
         K = parameters["stiffness"]
-        at_rest = memory["p"] if self.at is None else parameters["at.p"]
+        at_rest, R_WA = (memory["p"], memory["R"]) if self.at is None else (self.at.p, self.at.R)
         way = T_WE.p - at_rest
         if np.ndim(K) == 0:
             if self.slack is not None:
                 length = tm.maximum(tm.norm(way), TINY)
                 way = way * tm.maximum(1.0 - parameters["slack"] / length, 0.0)
             return tm.array([*(-K * way), 0.0, 0.0, 0.0]), dict(memory)
-        R_WA = memory["R"] if self.at is None else _rotation(parameters["at.xyzw"])
         phi = rotation_log(R_WA.T @ T_WE.R)
         pull = applied(K, tm.array([*(R_WA.T @ way), *phi]))
         moment = left_jacobian_inverse(phi).T @ pull[3:]
         return rotated(R_WA, tm.array([*(-pull[:3]), *(-moment)])), dict(memory)
 
-    def changed(self, path: str, value: Any, *, name: str = "") -> Self:
-        """The same with another value of a parameter, checked as when it was made."""
-        if self.at is not None and path in ("at.p", "at.xyzw"):
-            at = Pose(value, R=self.at.R) if path == "at.p" else Pose(self.at.p, xyzw=value)
-            return dataclasses.replace(self, at=at)
-        return Declared.changed(self, path, value, name=name)
-
     def rates(self, mobility: Float64Array, parameters: Values) -> tuple[float, float]:
         """Natural frequency of the tool in it [rad/s]; it has no damping."""
         return float(np.sqrt(fastest(mobility, parameters["stiffness"]))), 0.0
-
-
-def _rotation(xyzw: Array) -> Array:
-    """(3, 3) of a quaternion of unit length."""
-    v = tm.skew(xyzw[:3])
-    return tm.eye(3) + 2.0 * (xyzw[3] * v + v @ v)  # type: ignore[no-any-return]
 
 
 class Damper(Environment):
@@ -140,12 +114,10 @@ class Damper(Environment):
 
     Args:
         damping: One number of the position alone [N s/m], (linear, angular) [N s/m, N m s/rad], six, or a matrix
-            (6, 6).
-        frame: The axes that it is given in: "world", or "tool" for those that turn with the tool.
+            (6, 6), in world axes.
 
     Raises:
         ShapeError, RangeError: Numbers of another shape, negative, not finite, a matrix that is not symmetric.
-        UsageError: Other axes.
 
     Example:
         >>> Damper(damping=(20.0, 0.5)).parameters()["damping"].tolist()
@@ -153,36 +125,16 @@ class Damper(Environment):
     """
 
     damping: Field = Field(unit="N s/m | N m s/rad", shape=6, accepts=("scalar", "pair", "matrix"), minimum=0.0)
-    frame: Choice[str] = Choice("world", "tool")
 
     def wrench(
-        self,
-        T_WE: Pose,
-        twist: Twist,
-        t: Any,  # noqa: ARG002
-        memory: Values,  # noqa: ARG002
-        parameters: Values,
-        dt: Any,  # noqa: ARG002
+        self, T_WE: Pose, twist: Twist, t: Any, memory: Values, parameters: Values, dt: Any
     ) -> tuple[Wrench, dict[str, Any]]:
         """(6,) [N, N m] on the arm."""
-        if self.frame == "world":
-            return -applied(parameters["damping"], twist), {}
-        return rotated(T_WE.R, -applied(parameters["damping"], rotated(T_WE.R.T, twist))), {}
+        return -applied(parameters["damping"], twist), {}
 
     def rates(self, mobility: Float64Array, parameters: Values) -> tuple[float, float]:
         """How fast it brakes the tool [1/s]."""
-        if self.frame == "world":
-            return 0.0, fastest(mobility, parameters["damping"])
-        return 0.0, fastest(mobility, _bound(parameters["damping"]))
-
-
-def _bound(gain: ArrayLike) -> Float64Array:
-    """(6,) a damping in world axes that is no less than this one, however the tool is turned."""
-    values = np.asarray(gain, dtype=np.float64)
-    if values.ndim < 2:
-        return np.repeat([values[:3].max(), values[3:].max()], 3) if values.ndim else values
-    blocks = [np.linalg.eigvalsh(values[i : i + 3, i : i + 3]).max() for i in (0, 3)]
-    return 2.0 * np.repeat(blocks, 3)  # of a positive matrix, twice its blocks is no less than it
+        return 0.0, fastest(mobility, parameters["damping"])
 
 
 class StiffWall(Environment):
@@ -237,13 +189,7 @@ class StiffWall(Environment):
         return own if self.friction is not None else {name: x for name, x in own.items() if name != "sliding_damping"}
 
     def wrench(
-        self,
-        T_WE: Pose,
-        twist: Twist,
-        t: Any,  # noqa: ARG002
-        memory: Values,  # noqa: ARG002
-        parameters: Values,
-        dt: Any,  # noqa: ARG002
+        self, T_WE: Pose, twist: Twist, t: Any, memory: Values, parameters: Values, dt: Any
     ) -> tuple[Wrench, dict[str, Any]]:
         """(6,) [N, N m] on the arm."""
         p, n, v = parameters, parameters["normal"], twist[:3]

@@ -12,8 +12,8 @@ from taut.base.types import Float64Array
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds
 from taut.maths.model import PayloadValues, model_of
-from taut.plant.drives.actuation import Actuation
-from taut.plant.sensors.sensors import Sensors
+from taut.plant.actuation import Actuation
+from taut.plant.sensors import Sensors
 from taut.runtime.robots.mujoco.rig import PlantInMujoco, Rig, index, whole_steps
 from taut.runtime.robots.mujoco.scene import SceneView
 from taut.trace.pose import Pose

@@ -8,7 +8,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
@@ -16,11 +16,10 @@ from taut.arm.description import BASE, Arm, Payload
 from taut.arm.loaders.mjspec import Bone, Meshes, add_links, add_shape, bones
 from taut.arm.parts import inertia_matrix
 from taut.base.checks import in_compiled_shape, read_only
-from taut.base.errors import ShapeError
-from taut.base.quantity import Quantity, keep_quantities
+from taut.base.fields import Declared, Field
 from taut.base.types import ArrayLike, Float64Array
 from taut.maths.adds import Adds
-from taut.plant.drives.drivetrain import Drivetrain
+from taut.plant.drivetrain import Drivetrain
 from taut.plant.parts import PlantParts
 from taut.runtime.robots.mujoco.rig import Guard, Rig, index
 from taut.runtime.robots.mujoco.scene import Scene, attach_scene, refused
@@ -65,8 +64,7 @@ CONTACT_GROUP: Final = 3  # the group of what touches, which MuJoCo's viewers hi
 LOAD: Final = ("mass", "com", "inertia")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SpringTip:
+class SpringTip(Declared):
     """A tip on a spring, that is pushed back along the tool's z axis: what touches the scene in a MujocoPlant.
 
     Law:          mass z'' + damping z' + stiffness z = the force of what it touches along the tool's -z axis, with z
@@ -85,29 +83,14 @@ class SpringTip:
         ShapeError: More than one number.
 
     Example:
-        >>> SpringTip(stiffness=1000.0).travel.item()
+        >>> SpringTip(stiffness=1000.0).travel
         0.02
     """
 
-    title: ClassVar[str] = "tip"
-    quantities: ClassVar[Mapping[str, Quantity]] = {
-        "stiffness": Quantity(unit="N/m", rule="> 0", instead="for a rigid tool leave the tip out"),
-        "damping": Quantity(unit="N s/m", rule=">= 0"),
-        "mass": Quantity(unit="kg", rule="> 0", instead="0.01 is little"),
-        "travel": Quantity(unit="m", rule="> 0", instead="for a rigid tool leave the tip out"),
-    }
-
-    stiffness: ArrayLike
-    damping: ArrayLike = 10.0
-    mass: ArrayLike = 0.02
-    travel: ArrayLike = 0.02
-
-    def __post_init__(self) -> None:
-        keep_quantities(self)
-        for name in self.quantities:
-            shape = getattr(self, name).shape
-            if shape:
-                raise ShapeError(f"tip.{name} must be one number; got shape {shape}", name=name)
+    stiffness: Field = Field(unit="N/m", above=0.0, run_time=False, hint="for a rigid tool leave the tip out")
+    damping: Field = Field(10.0, unit="N s/m", minimum=0.0, run_time=False)
+    mass: Field = Field(0.02, unit="kg", above=0.0, run_time=False, hint="0.01 is little")
+    travel: Field = Field(0.02, unit="m", above=0.0, run_time=False, hint="for a rigid tool leave the tip out")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -308,12 +291,12 @@ def _add_tip(tool: mujoco.MjsBody, tip: SpringTip, name: str, radius: float) -> 
     """The body of the tip, on that of the tool."""
     import mujoco
 
-    mass = float(tip.mass)  # type: ignore[arg-type]  # checked when it was made
+    mass = tip.mass
     body = tool.add_body(name=name)
     body.mass, body.inertia, body.explicitinertial = mass, [0.4 * mass * radius**2] * 3, True
     joint = body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0.0, 0.0, -1.0])
-    joint.stiffness, joint.damping = [float(tip.stiffness), 0.0, 0.0], [float(tip.damping), 0.0, 0.0]  # type: ignore[arg-type]
-    joint.limited, joint.range = mujoco.mjtLimited.mjLIMITED_TRUE, [0.0, float(tip.travel)]  # type: ignore[arg-type]
+    joint.stiffness, joint.damping = [tip.stiffness, 0.0, 0.0], [tip.damping, 0.0, 0.0]
+    joint.limited, joint.range = mujoco.mjtLimited.mjLIMITED_TRUE, [0.0, tip.travel]
     joint.solimp_limit = TIP_STOP
     return body
 

@@ -17,11 +17,11 @@ from taut.base.types import ArrayLike, Float64Array
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds, compensation
 from taut.maths.model import PayloadValues, model_of
-from taut.plant.drives.actuation import Actuation, delayed
+from taut.plant.actuation import Actuation, delayed
 from taut.plant.environments.environment import Environment
 from taut.plant.motion import WORK_OF_IT
 from taut.plant.parts import PlantParts
-from taut.plant.sensors.sensors import Sensors
+from taut.plant.sensors import Sensors
 from taut.runtime.robots.mujoco.attached import AttachedPlant, attached
 from taut.runtime.robots.mujoco.model import (
     INTEGRATORS,
@@ -199,8 +199,8 @@ class MujocoPlant(PlantInMujoco):
             or train.lossy
             or (isinstance(left, Friction) and (left.falls or left.loaded))
         ):
-            self._stage = JointStage(rig, drives, train, what, takes)
-        self._touching = None if environment is None else EnvironmentStage(rig, environment, train)
+            self._stage = JointStage(rig, numbers)
+        self._touching = None if environment is None else EnvironmentStage(rig, numbers)
         adds_torque = (what.gravity or what.coriolis) and self._stage is None
         self._compensation = Compensation(arm, what) if adds_torque else None
         self._link, self._readings = LinkTorque(rig), SensorStage(arm, seen)

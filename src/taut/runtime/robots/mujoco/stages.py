@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Final
 
 import numpy as np
 
 from taut.arm.description import Arm, CommandKind, Friction
 from taut.base.paths import subtree
-from taut.base.types import Array, Float64Array
+from taut.base.types import Array, Float64Array, Vector
 from taut.codegen import native as native_code
 from taut.codegen.engine import Steps, best_engine
 from taut.codegen.kernel import native
@@ -18,15 +19,14 @@ from taut.codegen.loop import StepLoop
 from taut.codegen.program import Block
 from taut.maths import dynamics as dyn
 from taut.maths.adds import Adds, compensation
-from taut.maths.model import PayloadValues, model_of
-from taut.plant.drives.actuation import Actuation
-from taut.plant.drives.drivetrain import Drivetrain
-from taut.plant.drives.stiff_drive import Follower
-from taut.plant.environments.environment import Environment, touch
-from taut.plant.sensors.sensors import Sensors
-from taut.plant.step_length import Steps as Division
-from taut.plant.step_length import require_short_contact, require_short_steps
+from taut.maths.model import Model, PayloadValues, model_of
+from taut.plant.actuation import aim
+from taut.plant.environments.environment import touch
+from taut.plant.parts import PlantParts
+from taut.plant.parts import Steps as Division
+from taut.plant.sensors import Sensors
 from taut.runtime.robots.mujoco.rig import Rig
+from taut.trace import math as tm
 
 __all__ = ["Compensation", "EnvironmentStage", "JointStage", "LinkTorque", "SensorStage"]
 
@@ -105,6 +105,78 @@ class LinkTorque:
         return arrived
 
 
+INNER: Final = 10.0  # bandwidths of the drive: how fast its inner loop is
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Follower:
+    """A drive's inner loop, for a simulator that moves the arm: torques that make it follow what the drive aims at.
+
+    Law:          tau = M (u_dot + kd (u - v) + kp e) + h + b v+, within the effort of the joints
+                  u   the speed of `aim` in a step, e the error of position that is left
+                  kp, kd: both poles of e at `INNER` bandwidths, exactly for steps of dt of semi-implicit Euler
+    Closed loop:  in free motion v (where velocities are taken) or q (positions) is that of `aim`, to rounding; a
+                  torque outside moves a joint as a spring of stiffness kp M and a damper kd M would
+                  A joint at its effort waits: e grows no more, and what it aims at stays with it.
+
+    Args:
+        arm: The arm.
+        takes: "velocity" or "position".
+        model: Its constants, without rotors.
+    """
+
+    arm: Arm
+    takes: CommandKind
+    model: Model
+
+    def start(self, q: Vector, v: Vector, parameters: Values, steps: Division) -> dict[str, Any]:
+        """Memory at the start: what it aims at is where the arm is.
+
+        Raises:
+            RangeError: Steps that are too long for the inner loop, in which what the arm touches shows a step late.
+        """
+        bandwidth = np.broadcast_to(parameters["actuation.bandwidth"], (self.arm.n,))
+        i = int(np.argmax(bandwidth))
+        steps.require(
+            INNER * float(bandwidth[i]) * steps.dt,
+            "actuation.bandwidth",
+            f"the inner loop of the drive of joint '{self.arm.joint_names[i]}', {bandwidth[i]:g} rad/s, is {INNER:g} "
+            "times as fast",
+            "slower drives",
+        )
+        return {"drive.q": q, "drive.v": v, "drive.u": v}
+
+    def torque(self, memory: Values, q: Vector, v: Vector, parameters: Values, dt: Any) -> tuple[Vector, Vector, Any]:
+        """(n,) torques for a step of dt at q and v, the part that the effort cuts off, and memory after it."""
+        bandwidth, held = parameters["actuation.bandwidth"], memory["held"]
+        before, u = memory["drive.q"], memory["drive.u"]
+        target, speed = aim(self.takes, self.arm, held, before, memory["drive.v"], bandwidth, dt)
+        if self.takes == "velocity":
+            u_new, target = speed, before + dt * speed
+        else:
+            u_new = (target - before) / dt
+        left = tm.exp(-INNER * bandwidth * dt)
+        kd, kp = (1.0 - left * left) / dt, ((1.0 - left) / dt) ** 2
+        a = (u_new - u) / dt + kd * (u - v) + kp * (before - q)
+        payload = PayloadValues.of(subtree(parameters, "plant.payload"))
+        wanted = dyn.inverse_dynamics(self.model, q, v, a, payload)
+        if "plant.rotor_inertia" in parameters:
+            wanted = wanted + parameters["plant.rotor_inertia"] * a
+        if "plant.friction.viscous" in parameters:
+            wanted = wanted + parameters["plant.friction.viscous"] * (v + dt * a)
+        tau = _within(wanted, self.arm.effort)
+        cut = wanted - tau
+        waits = cut * (u_new - v) > 0.0
+        after = {"drive.q": tm.where(waits, before + dt * v, target), "drive.v": speed, "drive.u": u_new}
+        return tau, cut, after
+
+
+def _within(tau: Vector, effort: Float64Array) -> Vector:
+    """(n,) torques, none larger than its joint has."""
+    parts = [tm.clip(tau[i], -most, most) if np.isfinite(most) else tau[i] for i, most in enumerate(effort)]
+    return tm.array(parts)
+
+
 class JointStage(Stage):
     """What stands between a torque command and MuJoCo's joints.
 
@@ -114,22 +186,18 @@ class JointStage(Stage):
 
     Args:
         rig: The arm in its model, built by us.
-        actuation: The drives.
-        train: Rotors, friction and transmissions.
-        adds: What the plant adds to a torque command itself.
-        takes: The command. Drives that take velocities or positions have an inner loop, which gives the torque.
+        parts: What the plant is made of. Drives that take velocities or positions have an inner loop, which gives
+            the torque.
     """
 
-    def __init__(
-        self, rig: Rig, actuation: Actuation, train: Drivetrain, adds: Adds, takes: CommandKind = "torque"
-    ) -> None:
-        self._rig, self._actuation, self._train, self._adds = rig, actuation, train, adds
+    def __init__(self, rig: Rig, parts: PlantParts) -> None:
+        self._rig, self._parts, self._train = rig, parts, parts.drivetrain
         self._model = model_of(rig.arm)
         self._links = model_of(rig.arm.with_joints(rotor_inertia=0.0))
         self._follower: Follower | None = None
-        if takes != "torque":
-            self._follower = Follower(arm=rig.arm, takes=takes, model=self._links)
-        self._rigid = np.array(train.rigid, dtype=np.intp)
+        if parts.takes != "torque":
+            self._follower = Follower(arm=rig.arm, takes=parts.takes, model=self._links)
+        self._rigid = np.array(self._train.rigid, dtype=np.intp)
         self._dofs = np.array(rig.dofs, dtype=np.intp)
         self._arrived = LinkTorque(rig)
 
@@ -138,10 +206,10 @@ class JointStage(Stage):
         q, v = inputs["q"], inputs["v"]
         q_m, v_m = memory.get("q_motor", q), memory.get("v_motor", v)
         payload = PayloadValues.of(subtree(parameters, "plant.payload"))
-        added = compensation(self._model, self._adds, q, v, payload)
+        added = compensation(self._model, self._parts.adds, q, v, payload)
         cut: Any = np.zeros(self._rig.arm.n)
         if self._follower is None:
-            given = self._actuation.step(self._rig.arm, memory, q_m, v_m, parameters, dt, added)
+            given = self._parts.actuation.step(self._rig.arm, memory, q_m, v_m, parameters, dt, added)
             asked, after = given.tau, given.memory
         else:
             asked, cut, after = self._follower.torque(memory, q, v, parameters, dt)
@@ -174,15 +242,15 @@ class JointStage(Stage):
         arm = self._rig.arm
         payload = PayloadValues.of(subtree(parameters, "plant.payload"))
         full = dyn.gravity_torque(self._model, q, payload)
-        weight = full - compensation(self._model, self._adds, q, np.zeros(arm.n), payload)
+        weight = full - compensation(self._model, self._parts.adds, q, np.zeros(arm.n), payload)
         memory = {"held": weight, "tau_link": full}
         if self._follower is None:
-            memory |= self._actuation.start(arm, weight, parameters)
+            memory |= self._parts.actuation.start(arm, weight, parameters)
         else:
             memory |= self._follower.start(q, v, parameters, Division(dt, steps))
         started = self._train.start(q, v, full, parameters)
         memory |= {name: value for name, value in started.items() if name != "friction"}
-        require_short_steps(self._train, self._actuation, parameters, Division(dt, steps))
+        self._parts.require_short_steps(parameters, Division(dt, steps))
         self._begin({"q": q, "v": np.zeros(arm.n), "F_ext": np.zeros(6)}, parameters, memory, dt / steps)
 
     def before(self, q: Float64Array, v: Float64Array, F_ext: Float64Array) -> Float64Array:
@@ -220,12 +288,12 @@ class EnvironmentStage(Stage):
 
     Args:
         rig: The arm in its model, built by us.
-        environment: What touches the tool.
-        train: Rotors, friction and transmissions.
+        parts: What the plant is made of, with an environment.
     """
 
-    def __init__(self, rig: Rig, environment: Environment, train: Drivetrain) -> None:
-        self._rig, self._environment, self._train = rig, environment, train
+    def __init__(self, rig: Rig, parts: PlantParts) -> None:
+        assert parts.environment is not None
+        self._rig, self._parts, self._environment = rig, parts, parts.environment
         self._model = model_of(rig.arm)
 
     def _step(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -240,7 +308,7 @@ class EnvironmentStage(Stage):
         Raises:
             RangeError: Steps that are too long for it.
         """
-        require_short_contact(self._environment, self._train, q, parameters, Division(dt, steps))
+        self._parts.require_short_contact(q, parameters, Division(dt, steps))
         memory = self._environment.start(dyn.pose(self._model, q))
         self._begin({"q": q, "v": np.zeros(len(q)), "t": 0.0}, parameters, memory, dt / steps)
         self._t = self.work = 0.0

@@ -1,1 +1,0 @@
-"""Motors, gears and drivetrains; `taut.drives` gives them by name."""

@@ -1,1 +1,0 @@
-"""Sensors of joints and of the tool; `taut.sensors` gives them by name."""
