@@ -22,7 +22,7 @@ from taut.base.errors import RangeError, TautError, UsageError
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.combine import all_laws
-from taut.control.laws.friction import FrictionCompensation
+from taut.control.laws.joint import FrictionCompensation
 from taut.control.lawside import LawSide
 from taut.linear.linear_system import Complex, LinearSystem, Mode, balancing
 from taut.linear.linearise import NEWTON_STEPS, Rest, equilibrium, observed_states, standing_states
