@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import taut
-from taut.record.film.surroundings import POSES, Around, Thing
+from taut.record.info import POSES, Around, Thing
 from taut.runtime.simulate import around_info
 
 C = taut.Constraint

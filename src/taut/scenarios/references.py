@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 
 import taut
-from taut.arm.angles import require_radians
 from taut.arm.description import Arm
+from taut.arm.parts import require_radians
 from taut.base.checks import finite_array, finite_scalar
 from taut.base.errors import TautError, quoted_list
 from taut.base.fields import Declared, Field, Part, Whole
