@@ -435,7 +435,7 @@ class TestTheCommand:
     def test_a_number_that_is_off_is_told_and_fails(
         self, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        wrong = [row("a number", "m", 1.1, 1.0, "by hand"), row("another", "", 2.0, 2.0, "by hand")]
+        wrong = [row("a number [m]", 1.1, 1.0, "by hand"), row("another", 2.0, 2.0, "by hand")]
         entry = Entry(id="eq-10.1", title="wrong", show=lambda: iter(wrong))
         monkeypatch.setattr(contents, "CONTENTS", (entry,))
         assert main(["book", "--out", str(tmp_path)]) == 1
@@ -457,7 +457,7 @@ class TestTheCommand:
     def test_a_number_that_is_none_is_not_shown_as_one(
         self, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        wrong = [row("a number", "m", math.nan, 1.0, "by hand")]
+        wrong = [row("a number [m]", math.nan, 1.0, "by hand")]
         entry = Entry(id="eq-10.1", title="wrong", show=lambda: iter(wrong))
         monkeypatch.setattr(contents, "CONTENTS", [entry])
         assert main(["book", "--json", "--out", str(tmp_path)]) == 2

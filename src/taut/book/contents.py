@@ -19,12 +19,11 @@ __all__ = ["CONTENTS", "chosen", "prepared_folder", "table", "write"]
 
 for _chapter in (
     "overview", "single_joint", "integral", "feedforward", "friction", "multi_joint", "task_space", "force", "hybrid",
-    "impedance", "display", "other_topics",
+    "impedance",
 ):  # fmt: skip
     import_module(f"taut.book.{_chapter}")  # each lists its entries in CONTENTS, here in the order of the chapter
 DPI: Final = 150
-WIDE: Final = 130  # columns of a terminal that shows the whole table
-HEAD: Final = ("id", "quantity", "unit", "states", "computed", "expected", "difference", "within", "source")
+COLUMNS: Final = ("quantity", "unit", "chapter", "computed", "expected", "difference", "expected is")
 
 
 def chosen(ids: Sequence[str]) -> list[Entry]:
@@ -40,44 +39,42 @@ def chosen(ids: Sequence[str]) -> list[Entry]:
     return [entry for entry in CONTENTS if not ids or entry.id in ids]
 
 
-# -------------------------------------------------------------------- to look at
+def cells(each: Row) -> tuple[str, ...]:
+    """A row as text, by COLUMNS."""
+    numbers = (_number(each.computed), _number(each.expected), _difference(each))
+    return each.quantity, each.unit, each.states, *numbers, each.source
 
 
-def table(pages: Iterable[Page], width: int = WIDE) -> Table:
-    """All rows, for a terminal of so many columns; a narrow one does not say by which way it is expected."""
-    wide = width >= WIDE
+def table(pages: Iterable[Page]) -> Table:
+    """All rows, for a terminal: what the chapter states stands below the quantity."""
     out = Table("id", "quantity", "unit", title="the chapter, computed")
-    if wide:
-        out.add_column("chapter")
-    for head in ("computed", "expected", "difference"):
+    for head in COLUMNS[3:6]:
         out.add_column(head, justify="right", no_wrap=True)
-    if wide:
-        out.add_column("expected is")
+    out.add_column(COLUMNS[6])
     for page in pages:
         for k, each in enumerate(page.rows):
-            quantity = each.quantity if wide or not each.states else f"{each.quantity}\n(chapter: {each.states})"
-            cells = [page.entry.id if not k else "", quantity, each.unit, *([each.states] if wide else [])]
-            cells += [number(each.computed), number(each.expected), difference(each)]
-            out.add_row(*cells, *([each.source] if wide else []))
+            quantity, unit, states, *others = cells(each)
+            quantity = f"{quantity}\n(chapter: {states})" if states else quantity
+            out.add_row(page.entry.id if not k else "", quantity, unit, *others)
         out.add_section()
     return out
 
 
-def number(value: float) -> str:
+def _number(value: float) -> str:
     """Of at most six digits."""
     return f"{value:.6g}" if abs(value) >= 1e-13 or value == 0.0 else "0"
 
 
-def difference(each: Row) -> str:
+def _difference(each: Row) -> str:
     """How far apart the two are: of the expected number where that says something, and that it is too far."""
     apart = each.difference
     if abs(apart) <= 1e-13 * max(abs(each.expected), 1.0):
-        said = "none"
+        text = "none"
     elif abs(each.expected) > 1e-9:
-        said = f"{100.0 * apart / abs(each.expected):+.2g} %"
+        text = f"{100.0 * apart / abs(each.expected):+.2g} %"
     else:
-        said = f"{apart:+.2g}"
-    return said if each.ok else f"{said} (!)"
+        text = f"{apart:+.2g}"
+    return text if each.ok else f"{text} (!)"
 
 
 # -------------------------------------------------------------------- to keep
@@ -118,30 +115,24 @@ def write(pages: Sequence[Page], folder: Path) -> dict[str, Path]:
 
 
 def _csv(pages: Iterable[Page]) -> str:
-    out = io.StringIO()
+    out, keys = (
+        io.StringIO(),
+        ("quantity", "unit", "states", "computed", "expected", "difference", "within", "source"),
+    )
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(HEAD)
-    for page in pages:
-        for each in page.rows:
-            writer.writerow([page.entry.id, *(getattr(each, head) for head in HEAD[1:])])
+    writer.writerow(["id", *keys])
+    writer.writerows([page.entry.id, *(getattr(each, key) for key in keys)] for page in pages for each in page.rows)
     return out.getvalue()
 
 
 def _markdown(pages: Iterable[Page]) -> str:
     lines = ["# The chapter, computed", ""]
     for page in pages:
-        lines += [f"## {page.entry.id}: {page.entry.title}", ""]
-        if page.note:
-            lines += [page.note, ""]
-        if page.figure is not None:
-            lines += [f"![{page.entry.title}]({page.entry.name}.png)", ""]
-        lines += ["| quantity | unit | chapter | computed | expected | difference | expected is |"]
-        lines += ["|---|---|---|--:|--:|--:|---|"]
+        picture = f"![{page.entry.title}]({page.entry.name}.png)" if page.figure is not None else ""
+        for text in (f"## {page.entry.id}: {page.entry.title}", page.note, picture):
+            lines += [text, ""] if text else []
+        lines += [f"| {' | '.join(COLUMNS)} |", "|---|---|---|--:|--:|--:|---|"]
         for each in page.rows:
-            cells = (
-                each.quantity, each.unit, each.states, number(each.computed), number(each.expected),
-                difference(each), each.source,
-            )  # fmt: skip
-            lines.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |")
+            lines.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells(each))} |")
         lines.append("")
     return "\n".join(lines)

@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar
 
+from taut import Arm, Friction, JointMotion, Law, Run, snapshot
+from taut.analysis import plot_friction
 from taut.arm.builtin import one_joint
-from taut.arm.description import Arm
-from taut.arm.friction import Friction
-from taut.arm.gears import matched_ratio, reflected_inertia
-from taut.base.plot_style import DASHED, DOTTED, INK, colour, prepared
+from taut.base.plot_style import DASHED, DOTTED, colour
 from taut.book.models import M, controller, link, on_link
-from taut.book.page import Shown, entry, legend, panels, row
+from taut.book.page import Shown, curve, entry, legend, panels, row
 from taut.book.single_joint import ConstantTorque
-from taut.control.law import Law
-from taut.control.laws.friction import Dither, RaisedGains
-from taut.control.laws.joint import PID
-from taut.control.trajectories.reference import JointMotion
-from taut.maths.snapshot import snapshot
-from taut.maths.task_inertia import rotor_share
-from taut.record.plots.friction_curves import plot_friction
-from taut.record.run import Run
+from taut.drives import matched_ratio, reflected_inertia, rotor_share
+from taut.laws import PID, Dither, RaisedGains
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,10 +35,7 @@ LAWS: Final = {
     "(e) static, kinetic, viscous": Friction(coulomb=KINETIC, static=STATIC, viscous=VISCOUS),
     "(f) Stribeck": Friction(coulomb=KINETIC, static=STATIC, viscous=VISCOUS, stribeck=STRIBECK),
 }
-SPEEDS: Final = (0.05, -1.0)  # [rad/s]
-REST: Final = JointMotion(q=[0.0])
 STICKING: Final = "semi-implicit-euler"
-EQUATION: Final = "the law of the panel, written out"
 
 
 def torque(panel: str, v: float) -> float:
@@ -60,29 +51,20 @@ def fig_10_14() -> Shown:
     ctrl = controller(ConstantTorque(tau=1.0), link(gravity=False))
     for panel, friction in LAWS.items():
         arm = link(gravity=False).with_friction(friction)
-        for v in SPEEDS:
-            ctrl.parameters["law.tau"] = 1.0
-            run = on_link(ctrl, plant=arm, ref=REST, duration=1e-3, q0=[0.0], v0=[v], integrator=STICKING)
-            a = (run.v[1, 0] - run.v[0, 0]) * run.rate
-            yield row(f"{panel}: friction at {v:g} rad/s", "N m", 1.0 - M * a, torque(panel, v), EQUATION, near=1e-4)
+        for v in (0.05, -1.0):
+            run = on_link(ctrl, plant=arm, duration=1e-3, v0=v, integrator=STICKING)
+            got = 1.0 - M * ((run.v[1, 0] - run.v[0, 0]) * run.rate)
+            name = f"{panel}: friction at {v:g} rad/s [N m]"
+            yield row(name, got, torque(panel, v), "the law of the panel, written out", near=1e-4)
     arm = link(gravity=False).with_friction(LAWS["(d) static and kinetic"])
     for tau in (0.99 * STATIC, 1.01 * STATIC, -0.99 * STATIC, -1.01 * STATIC):
         ctrl.parameters["law.tau"] = tau
-        run = on_link(ctrl, plant=arm, ref=REST, duration=0.5, q0=[0.0], integrator=STICKING)
+        run = on_link(ctrl, plant=arm, duration=0.5, integrator=STICKING)
         breaks = abs(tau) > STATIC
         wanted = 0.5 * (tau - math.copysign(KINETIC, tau)) / M if breaks else 0.0
         slip = "slip: tau_fric >= |b_static|" if tau < 0.0 and breaks else ""
-        yield row(
-            f"(d): speed after 0.5 s under {tau:g} N m, from rest",
-            "rad/s",
-            run.v[-1, 0],
-            wanted,
-            "|tau| >= b_static",
-            rel=1e-3,
-            near=1e-12,
-            states=slip,
-        )
-
+        name = f"(d): speed after 0.5 s under {tau:g} N m, from rest [rad/s]"
+        yield row(name, run.v[-1, 0], wanted, "|tau| >= b_static", rel=1e-3, near=1e-12, states=slip)
     yield plot_friction(LAWS, speed=1.0)
     yield (
         "Chosen: b_static = 0.5 N m, b_kinetic = 0.3 N m, b_viscous = 0.2 N m s/rad, a Stribeck speed of 0.1 rad/s. "
@@ -97,7 +79,6 @@ SETTLED_PERIODS, LAST = 20, 40  # periods of the dither after which a mean is ta
 PUSHES: Final = (0.05, 0.1, 0.2)  # [N m], all below b_kinetic
 SHAKEN: Final = math.sqrt(AMPLITUDE**2 - (4.0 * KINETIC / math.pi) ** 2) / (OMEGA * M)  # [rad/s]
 GAIN, FACTOR = 5.0, 4.0  # [N m/rad] of PD control near rest, and times that
-SOLVED: Final = "M a + tau_fric = tau, arc by arc"
 
 
 @cache
@@ -110,10 +91,11 @@ def pushed(push: float, law: Law | None, duration: float = LAST / FREQUENCY) -> 
     """A run under a constant torque, and a law beside it."""
     constant = ConstantTorque(tau=push)
     ctrl = controller(constant if law is None else constant + law, dry())
-    steps = 4  # of the plant in a tick: each rest ends in one of them
-    return on_link(ctrl, plant=dry(), ref=REST, duration=duration, q0=[0.0], integrator=STICKING, substeps=steps)
+    # four steps of the plant in a tick: each rest ends in one of them
+    return on_link(ctrl, plant=dry(), duration=duration, integrator=STICKING, substeps=4)
 
 
+@cache
 def mean_speed(push: float) -> float:
     """Of a run with dither, over whole periods [rad/s]."""
     run = pushed(push, Dither(amplitude=AMPLITUDE, frequency=FREQUENCY))
@@ -127,102 +109,70 @@ def mean_speed_solved(push: float) -> float:
     While it slides, M v = M v0 + A (cos(w t0) - cos(w t)) / w + (push - s b_kinetic) (t - t0), s the sign of v. At
     rest it stays until the torque is b_static.
     """
+
+    def beyond(u: float) -> float:
+        return abs(push + AMPLITUDE * math.sin(OMEGA * u)) - STATIC
+
     t, q, marks = 0.0, 0.0, {}
     while t < LAST / FREQUENCY:
-        t = _breaks_away(t, push)
-        s = math.copysign(1.0, push + AMPLITUDE * math.sin(OMEGA * t))
-        end = _rests(t, push, s)
+        t = t if beyond(t) >= 0.0 else _first_root(beyond, t)  # it breaks away
+        s, t0 = math.copysign(1.0, push + AMPLITUDE * math.sin(OMEGA * t)), t
+
+        def momentum(u: float, s: float = s, t0: float = t0) -> float:
+            shaken = AMPLITUDE * (math.cos(OMEGA * t0) - math.cos(OMEGA * u)) / OMEGA
+            return s * (shaken + (push - s * KINETIC) * (u - t0))
+
+        end = _first_root(lambda u: -momentum(u), t, skip=1)  # it is at rest again
         for k in (SETTLED_PERIODS, LAST):
             if t <= k / FREQUENCY < end:
-                marks[k] = q + _way(t, k / FREQUENCY, push, s)
+                marks[k] = q + _displacement(t, k / FREQUENCY, push, s)
             elif k / FREQUENCY < t:
                 marks.setdefault(k, q)
-        q, t = q + _way(t, end, push, s), end
+        q, t = q + _displacement(t, end, push, s), end
     marks.setdefault(LAST, q)
     return (marks[LAST] - marks[SETTLED_PERIODS]) * FREQUENCY / (LAST - SETTLED_PERIODS)
 
 
-def _breaks_away(t: float, push: float) -> float:
-    """When a joint at rest moves again: the first time from t on at which the torque is b_static."""
-    over = [abs(push + AMPLITUDE * math.sin(OMEGA * u)) - STATIC for u in _grid(t)]
-    k = next(k for k, y in enumerate(over) if y >= 0.0)
-    if k == 0:
-        return t
-    u = _grid(t)
-    return float(brentq(lambda u: abs(push + AMPLITUDE * math.sin(OMEGA * u)) - STATIC, u[k - 1], u[k], xtol=1e-15))
+def _first_root(f: Callable[[float], float], t: float, skip: int = 0) -> float:
+    """Where f is no longer negative first in the two periods after t, looked at closely enough to see each change."""
+    u = [t + 2.0 * k / (400.0 * FREQUENCY) for k in range(401)]
+    k = next(k for k in range(1 + skip, len(u)) if f(u[k]) >= 0.0)
+    return float(brentq(f, u[k - 1], u[k], xtol=1e-15))
 
 
-def _rests(t: float, push: float, s: float) -> float:
-    """When a joint that breaks away at t, in the direction s, is at rest again."""
-
-    def momentum(u: float) -> float:
-        shaken = AMPLITUDE * (math.cos(OMEGA * t) - math.cos(OMEGA * u)) / OMEGA
-        return s * (shaken + (push - s * KINETIC) * (u - t))
-
-    u = _grid(t)
-    k = next(k for k in range(2, len(u)) if momentum(u[k]) <= 0.0)
-    return float(brentq(momentum, u[k - 1], u[k], xtol=1e-15))
-
-
-def _way(t: float, end: float, push: float, s: float) -> float:
+def _displacement(t: float, end: float, push: float, s: float) -> float:
     """How far it slides meanwhile [rad]."""
     h = end - t
     shaken = AMPLITUDE / OMEGA * (math.cos(OMEGA * t) * h - (math.sin(OMEGA * end) - math.sin(OMEGA * t)) / OMEGA)
     return (shaken + 0.5 * (push - s * KINETIC) * h * h) / M
 
 
-def _grid(t: float) -> list[float]:
-    """Times in the next two periods, close enough to see each change of sign."""
-    return [t + 2.0 * k / (400.0 * FREQUENCY) for k in range(401)]
-
-
 @entry("sec-10.2.1.4", "dithering, and larger gains near zero velocity")
 def sec_10_2_1_4() -> Shown:
     wave = controller(Dither(amplitude=AMPLITUDE, frequency=FREQUENCY), link(gravity=False))
-    run = on_link(wave, plant=link(gravity=False), ref=REST, duration=1.0, q0=[0.0])
+    run = on_link(wave, plant=link(gravity=False), duration=1.0)
     dither = run.tau[: round(run.rate), 0]
-    yield row(
-        "mean of a dither of 1.5 N m at 40 Hz, over its size",
-        "",
-        np.mean(dither) / np.max(np.abs(dither)),
-        0.0,
-        "zero mean",
-        near=1e-9,
-        states="zero-mean",
-    )
-    yield row(
-        f"speed after 1 s under {PUSHES[-1]:g} N m, from rest, no dither",
-        "rad/s",
-        pushed(PUSHES[-1], None, 1.0).v[-1, 0],
-        0.0,
-        "|tau| < b_static",
-        near=1e-12,
-        states="some torque without any motion",
-    )
-    got = {push: mean_speed(push) for push in PUSHES}
-    for push, speed in got.items():
-        wanted = mean_speed_solved(push)
-        yield row(f"mean speed under {push:g} N m, with dither", "rad/s", speed, wanted, SOLVED, rel=0.005)
-    push, speed = next(iter(got.items()))
+    name, mean = "mean of a dither of 1.5 N m at 40 Hz, over its size", np.mean(dither) / np.max(np.abs(dither))
+    yield row(name, mean, 0.0, "zero mean", near=1e-9, states="zero-mean")
+    name, states = f"under {PUSHES[-1]:g} N m, from rest, no dither [rad/s]", "some torque without any motion"
+    still = pushed(PUSHES[-1], None, 1.0).v[-1, 0]
+    yield row(f"speed after 1 s {name}", still, 0.0, "|tau| < b_static", near=1e-12, states=states)
+    for push in PUSHES:
+        name, wanted = f"mean speed under {push:g} N m, with dither [rad/s]", mean_speed_solved(push)
+        yield row(name, mean_speed(push), wanted, "M a + tau_fric = tau, arc by arc", rel=0.005)
+    push = PUSHES[0]
     wanted = push / (SHAKEN * math.sin(0.5 * math.pi * push / KINETIC))
-    source = "viscous friction, (2 b_kinetic / pi) asin(v / V)"
-    states = "to smooth the discontinuity"
-    yield row(
-        f"{push:g} N m over that mean speed", "N m s/rad", push / speed, wanted, source, rel=0.03, states=states
+    name, source = (
+        f"{push:g} N m over that mean speed [N m s/rad]",
+        "viscous friction, (2 b_kinetic / pi) asin(v / V)",
     )
-    for factor in (1.0, FACTOR):
+    yield row(name, push / mean_speed(push), wanted, source, rel=0.03, states="to smooth the discontinuity")
+    for factor, gains in ((1.0, "gains as they are"), (FACTOR, "four times the gains at rest")):
         for share in (0.99, 1.01):
             e = share * STATIC / (factor * GAIN)
-            yield row(
-                f"PD control, {'gains as they are' if factor == 1.0 else 'four times the gains at rest'}: moves "
-                f"at an error of {e:.4g} rad",
-                "0 or 1",
-                moves(e, factor),
-                share > 1.0,
-                "Kp e > b_static",
-                states="larger gains near rest" if factor > 1.0 and share > 1.0 else "",
-            )
-
+            name = f"PD control, {gains}: moves at an error of {e:.4g} rad [0 or 1]"
+            states = "larger gains near rest" if factor > 1.0 and share > 1.0 else ""
+            yield row(name, moves(e, factor), share > 1.0, "Kp e > b_static", states=states)
     yield drawn()
     yield (
         "Chosen: b_static = 0.5 N m and b_kinetic = 0.3 N m as in figure 10.14 d, no other friction, a dither of "
@@ -233,31 +183,24 @@ def sec_10_2_1_4() -> Shown:
 
 def moves(e: float, factor: float) -> bool:
     """Whether a joint at rest with an error breaks away, under PD control with its gains raised near rest."""
-    law = RaisedGains(inner=PID(kp=GAIN, kd=1.0), factor=factor, width=0.05)
-    run = on_link(
-        controller(law, dry()), plant=dry(), ref=JointMotion(q=[e]), duration=0.05, q0=[0.0], integrator=STICKING
-    )
+    ctrl = controller(RaisedGains(inner=PID(kp=GAIN, kd=1.0), factor=factor, width=0.05), dry())
+    run = on_link(ctrl, JointMotion(q=[e]), plant=dry(), duration=0.05, integrator=STICKING)
     return bool(np.abs(run.q[:, 0]).max() > 1e-9)
 
 
 def drawn() -> Figure:
     """The mean friction over the mean speed, with dither and without."""
-    figure, (ax,) = panels(1, 2.5)
-    prepared(ax, "friction, on average", "[N m]", "mean speed [rad/s]")
-    pushes = np.linspace(-0.27, 0.27, 7)
-    speeds = np.linspace(-SHAKEN, SHAKEN, 101)
-    smooth = 2.0 * KINETIC / math.pi * np.arcsin(speeds / SHAKEN)
-    ax.plot(speeds, smooth, color=INK, linewidth=0.9, label="(2 b / π) asin(v / V)")
-    means = [mean_speed(push) for push in pushes.tolist()]
-    ax.plot(means, pushes, "o", color=colour(1), markersize=4.0, label="runs with dither")
+    figure, (ax,) = panels(("friction, on average", "[N m]", "mean speed [rad/s]"))
+    pushes, speeds = np.linspace(-0.27, 0.27, 7), np.linspace(-SHAKEN, SHAKEN, 101)
+    curve(ax, speeds, 2.0 * KINETIC / math.pi * np.arcsin(speeds / SHAKEN), "(2 b / π) asin(v / V)")
+    curve(ax, [mean_speed(push) for push in pushes.tolist()], pushes, "runs with dither", 1, marker="o")
     step = [-KINETIC, -KINETIC, KINETIC, KINETIC]
-    ax.plot([-SHAKEN, 0.0, 0.0, SHAKEN], step, color=colour(0), linestyle=DASHED, linewidth=1.0, label="without")
+    curve(ax, [-SHAKEN, 0.0, 0.0, SHAKEN], step, "without", 0, linestyle=DASHED, linewidth=1.0)
     legend(ax)
     return figure
 
 
 I_LINK, I_MOTOR = 1.0, 1e-3  # [kg m^2] the chapter's example
-AT_ZERO: Final = JointMotion(q=[0.0])
 SUMS: Final = "I_link / (I_link + G^2 I_motor)"
 
 
@@ -266,80 +209,48 @@ def geared(ratio: float, *, load: float = 0.0, b: float = 0.0) -> Arm:
     return one_joint(M=I_LINK + load, m=1.0, r=0.1, b=b).with_gravity([0.0, 0.0, 0.0]).with_gears(ratio, I_MOTOR)
 
 
-def acceleration(ratio: float, motor_torque: float = 1.0, load: float = 0.0) -> float:
-    """Of a run of the geared link, under a torque of the motor [rad/s^2]."""
-    arm = geared(ratio, load=load)
-    run = on_link(
-        controller(ConstantTorque(tau=ratio * motor_torque), arm, rate=1000.0),
-        plant=arm,
-        ref=AT_ZERO,
-        duration=0.1,
-        q0=[0.0],
-    )
+def accelerated(arm: Arm, tau: float, substeps: int = 1) -> Run:
+    """A run of 0.1 s under a torque of the joint, from rest."""
+    ctrl = controller(ConstantTorque(tau=tau), arm, rate=1000.0)
+    return on_link(ctrl, plant=arm, duration=0.1, substeps=substeps)
+
+
+def acceleration(ratio: float) -> float:
+    """Of a run of the geared link, under 1 N m of the motor [rad/s^2]."""
+    run = accelerated(geared(ratio), ratio)
     return float(run.v[-1, 0] / run.t[-1])
 
 
 @entry("sec-10.2.1.5", "the effect of gearing")
 def sec_10_2_1_5() -> Shown:
+    def wanted(G: float) -> float:
+        return G / (I_LINK + G**2 * I_MOTOR)
+
     matched = float(matched_ratio(I_LINK, I_MOTOR))
-    best = minimize_scalar(
-        lambda G: -G / (I_LINK + G**2 * I_MOTOR), bounds=(1.0, 200.0), method="bounded", options={"xatol": 1e-9}
-    )
-    share = [float(rotor_share(geared(G))[0]) for G in (1.0, 100.0, matched)]
-    carried = [
-        float(snapshot(geared(G, load=1.0), [0.0]).M[0, 0] / snapshot(geared(G), [0.0]).M[0, 0] - 1.0)
-        for G in (1.0, 100.0)
-    ]
-    yield row(
-        "inertia that is the link's, G = 1", "%", 100.0 * (1.0 - share[0]), 100.0 / 1.001, SUMS, states="99.9 %"
-    )
-    yield row("torque that accelerates the motor, G = 1", "%", 100.0 * share[0], 0.1 / 1.001, SUMS, states="0.1 %")
-    yield row(
+    best = minimize_scalar(lambda G: -wanted(G), bounds=(1.0, 200.0), method="bounded", options={"xatol": 1e-9}).x
+    direct, at_matched = (float(rotor_share(geared(G))[0]) for G in (1.0, matched))
+    yield row("inertia that is the link's, G = 1 [%]", 100.0 * (1.0 - direct), 100.0 / 1.001, SUMS, states="99.9 %")
+    name = "torque that accelerates the motor, G = 1 [%]"
+    yield row(name, 100.0 * direct, 0.1 / 1.001, SUMS, states="0.1 %")
+    name, reflected = (
         "the motor's inertia over the link's, G = 100",
-        "",
         float(reflected_inertia(100.0, I_MOTOR)) / I_LINK,
-        10.0,
-        "the chapter",
-        states="ten times",
     )
-    yield row(
-        "inertia matched at G",
-        "",
-        matched,
-        best.x,
-        "scipy.optimize: largest acceleration",
-        rel=1e-6,
-        states="sqrt(I_link / I_motor)",
-    )
-    yield row("torque that accelerates the motor there", "", share[2], 0.5, "the chapter", states="half")
+    yield row(name, reflected, 10.0, "the chapter", states="ten times")
+    source, states = "scipy.optimize: largest acceleration", "sqrt(I_link / I_motor)"
+    yield row("inertia matched at G", matched, best, source, rel=1e-6, states=states)
+    yield row("torque that accelerates the motor there", at_matched, 0.5, "the chapter", states="half")
     for G in (10.0, matched, 100.0):
-        wanted = G / (I_LINK + G**2 * I_MOTOR)
-        yield row(
-            f"acceleration of a run, 1 N m of the motor, G = {G:.4g}",
-            "rad/s^2",
-            acceleration(G),
-            wanted,
-            "G tau / (I_link + G^2 I_motor)",
-            rel=1e-9,
-        )
-    for G, got in zip((1.0, 100.0), carried, strict=True):
-        wanted = 100.0 / (I_LINK + G**2 * I_MOTOR)
-        name, states = f"change of the inertia with a load of 1 kg m^2, G = {G:g}", ""
-        if G > 1.0:
-            states = "geared: less sensitive"
-        yield row(name, "%", 100.0 * got, wanted, SUMS, states=states)
-    figure, (ax,) = panels(1, 2.5)
-    prepared(ax, "1 N m of the motor", "acceleration of the link [rad/s²]", "gear ratio G")
-    ratios = np.geomspace(1.0, 300.0, 200)
-    ax.plot(
-        ratios,
-        ratios / (I_LINK + ratios**2 * I_MOTOR),
-        color=INK,
-        linewidth=0.9,
-        label="G tau / (I_link + G² I_motor)",
-    )
-    some = np.array([3.0, 10.0, matched, 100.0])
-    ax.plot(some, [acceleration(G) for G in some.tolist()], "o", color=colour(1), markersize=4.0, label="runs")
+        name = f"acceleration of a run, 1 N m of the motor, G = {G:.4g} [rad/s^2]"
+        yield row(name, acceleration(G), wanted(G), "G tau / (I_link + G^2 I_motor)")
+    for G, states in ((1.0, ""), (100.0, "geared: less sensitive")):
+        loaded, empty = (snapshot(geared(G, load=load), [0.0]).M[0, 0] for load in (1.0, 0.0))
+        name = f"change of the inertia with a load of 1 kg m^2, G = {G:g} [%]"
+        yield row(name, 100.0 * (loaded / empty - 1.0), 100.0 / (I_LINK + G**2 * I_MOTOR), SUMS, states=states)
+    figure, (ax,) = panels(("1 N m of the motor", "acceleration of the link [rad/s²]", "gear ratio G"))
+    ratios, some = np.geomspace(1.0, 300.0, 200), np.array([3.0, 10.0, matched, 100.0])
+    curve(ax, ratios, ratios / (I_LINK + ratios**2 * I_MOTOR), "G tau / (I_link + G² I_motor)")
+    curve(ax, some, [acceleration(G) for G in some.tolist()], "runs", 1, marker="o")
     ax.axvline(matched, color=colour(0), linewidth=1.0, linestyle=DOTTED, label=f"inertia matched, {matched:.3g}")
     ax.set_xscale("log")
     legend(ax)
@@ -351,31 +262,11 @@ def sec_10_2_1_5() -> Shown:
 def first_order() -> Shown:
     """Where friction dominates, the joint is nearer to a viscous system of first order."""
     for G, b in ((1.0, 0.1), (100.0, 1000.0)):
-        arm = geared(G, b=b)
-        run = on_link(
-            controller(ConstantTorque(tau=1.0), arm, rate=1000.0),
-            plant=arm,
-            ref=AT_ZERO,
-            duration=0.1,
-            q0=[0.0],
-            substeps=10,
-        )
+        q = accelerated(geared(G, b=b), 1.0, substeps=10).q[-1, 0]
         tau = (I_LINK + G**2 * I_MOTOR) / b
         wanted = (0.1 - tau * (1.0 - math.exp(-0.1 / tau))) / b
-        yield row(
-            f"way in 0.1 s under 1 N m, G = {G:g}, b = {b:g}",
-            "rad",
-            run.q[-1, 0],
-            wanted,
-            "the solution of M a + b v = tau",
-            rel=1e-6,
-        )
-        yield row(
-            "of what a first-order system tau = b v would go",
-            "",
-            run.q[-1, 0] * b / 0.1,
-            wanted * b / 0.1,
-            "the same",
-            rel=1e-6,
-        )
+        source = "the solution of M a + b v = tau"
+        yield row(f"way in 0.1 s under 1 N m, G = {G:g}, b = {b:g} [rad]", q, wanted, source, rel=1e-6)
+        name = "of what a first-order system tau = b v would go"
+        yield row(name, q * b / 0.1, wanted * b / 0.1, "the same", rel=1e-6)
     yield "Chosen: b = 0.1 N m s/rad in direct drive, and 1000 with G = 100: the motor's friction, times G^2."

@@ -1,45 +1,67 @@
-"""Section 10.5: impedance and admittance control, and what a sampled display can be."""
+"""Sections 10.5 and 10.6: impedance and admittance control, a haptic display, and a flexible transmission."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Any, Final
 
 import numpy as np
 from scipy.linalg import expm
+from scipy.optimize import brentq
 
-from taut.analysis.impedance_at_tool import ToolImpedance, tool_impedance
-from taut.arm.description import Arm
-from taut.arm.load import load_arm
-from taut.base.errors import RangeError
-from taut.base.fields import Field
-from taut.base.plot_style import DASHED, INK, colour, prepared
-from taut.book.models import M, engine, link, looped, panda, simulated, ticked, total
+import taut
+from taut import Arm, Law, Pose, TaskMotion, linearise, snapshot
+from taut import math as tm
+from taut.analysis import ToolImpedance, check_virtual_wall, tool_impedance
+from taut.base.plot_style import DASHED, INK, SMALL, colour
+from taut.book.models import (
+    FAST,
+    REST,
+    M,
+    held_radius,
+    in_mujoco,
+    link,
+    looped,
+    panda,
+    simulated,
+    ticked,
+    total,
+    two_poles,
+)
 from taut.book.multi_joint import Q, V
-from taut.book.page import MUJOCO, Shown, compared, entry, legend, panels, row
-from taut.control.command import Torque
-from taut.control.gains import Gain, Memory
-from taut.control.law import Law, MemoryView
-from taut.control.laws.admittance import Admittance
-from taut.control.laws.impedance import Impedance
-from taut.control.laws.task import TaskComputedTorque
+from taut.book.page import (
+    MUJOCO,
+    ROOTS,
+    Row,
+    Shown,
+    arrow,
+    block,
+    compared,
+    curve,
+    entry,
+    legend,
+    panels,
+    pole,
+    row,
+    rows,
+    words,
+)
+from taut.control.gains import MemoryView
 from taut.control.trajectories.reference import Sample
-from taut.control.trajectories.task_reference import TaskMotion
-from taut.controller import compile
-from taut.maths.snapshot import Snapshot, snapshot
-from taut.plant.environments.environment import Environment
-from taut.trace import math as tm
-from taut.trace.pose import Pose
+from taut.drives import Actuation, Transmission
+from taut.environments import Environment, Field, Hand
+from taut.errors import RangeError
+from taut.laws import PID, Admittance, ForceControl, Impedance, TaskComputedTorque
 
-__all__ = ["FAST", "B", "K", "Pushed", "along_x", "slides", "still"]
+__all__: list[str] = []
 
 D, B, K = 2.0, 20.0, 400.0  # [kg], [N s/m], [N/m] chosen
 ANGULAR: Final = (0.05, 0.5, 10.0)  # [kg m^2], [N m s/rad], [N m/rad]
 POLYNOMIAL: Final = "m s^2 + b s + k"
 CLOSED_FORM: Final = "scipy.linalg.expm of 10.46"
 Values = Mapping[str, Any]
-FAST: Final = 10000.0  # [Hz]
 
 
 class Pushed(Environment):
@@ -59,7 +81,7 @@ class Pushed(Environment):
 @cache
 def slides() -> Arm:
     """The gantry without friction: its three directions stand for one each."""
-    return load_arm("gantry3").with_joints(viscous=0.0)
+    return taut.load_arm("gantry3").with_joints(viscous=0.0)
 
 
 VIRTUAL: Final = Impedance(D=(D, ANGULAR[0]), B=(B, ANGULAR[1]), K=(K, ANGULAR[2]))
@@ -71,46 +93,33 @@ def still(arm: Arm) -> TaskMotion:
     return TaskMotion(pose=snapshot(arm, arm.home).T())
 
 
-def answer(m: float, b: float, k: float, force: float, t: float) -> float:
+def answer(force: float, t: float) -> float:
     """x(t) of m x'' + b x' + k x = f, from rest [m]."""
-    A = np.array([[0.0, 1.0, 0.0], [-k / m, -b / m, force / m], [0.0, 0.0, 0.0]])
+    A = np.array([[0.0, 1.0, 0.0], [-K / D, -B / D, force / D], [0.0, 0.0, 0.0]])
     return float((expm(A * t) @ np.array([0.0, 0.0, 1.0]))[0])
 
 
 @entry("eq-10.46", "an environment of one direction")
 def eq_10_46() -> Shown:
-    arm = slides()
-    out = simulated(VIRTUAL, arm, still(arm), rate=FAST, duration=0.5, environment=Pushed())
-    yield from (
-        row(
-            f"where the tool is {t:g} s after a push of 10 N",
-            "m",
-            out.q[round(t * FAST), 0] - arm.home[0],
-            answer(D, B, K, 10.0, t),
-            CLOSED_FORM,
-            rel=5e-3,
-        )
-        for t in (0.1, 0.2, 0.4)
-    )
+    out = simulated(VIRTUAL, slides(), still(slides()), rate=FAST, duration=0.5, environment=Pushed())
+    times = (0.1, 0.2, 0.4)
+    got = [out.q[round(t * FAST), 0] - slides().home[0] for t in times]
+    wanted = [answer(10.0, t) for t in times]
+    yield from rows("where the tool is {:g} s after a push of 10 N [m]", times, got, wanted, CLOSED_FORM, rel=5e-3)
     yield "Chosen: m = 2 kg, b = 20 N s/m, k = 400 N/m; a gantry of 21 kg along x, a wrist sensor, 10 kHz."
 
 
-def asked(w: Any) -> Any:
-    """m s^2 + b s + k at s = j w [N/m]."""
-    return D * (1j * w) ** 2 + B * 1j * w + K
-
-
-def along_x(law: Law, ref: Sample, rate: float = FAST) -> ToolImpedance:
+def along_x(law: Law, ref: Sample) -> ToolImpedance:
     """How the gantry's tool answers a force along x."""
     wrist = Pushed(force=0.0)
-    return tool_impedance(looped(law, slides(), ref, rate=rate, environment=wrist), direction=[1.0, 0.0, 0.0])
+    return tool_impedance(looped(law, slides(), ref, rate=FAST, environment=wrist), direction=[1.0, 0.0, 0.0])
 
 
 def swept(w: float) -> complex:
     """F / X of a run under an oscillating force, fitted over the last period [N/m]."""
-    arm, settled = slides(), np.log(1e5) * 2.0 * D / B
-    push = Pushed(force=1.0, omega=w)
-    out = simulated(VIRTUAL, arm, still(arm), rate=FAST, duration=settled + 2.0 * np.pi / w, environment=push)
+    settled, push = np.log(1e5) * 2.0 * D / B, Pushed(force=1.0, omega=w)
+    duration = settled + 2.0 * np.pi / w
+    out = simulated(VIRTUAL, slides(), still(slides()), rate=FAST, duration=duration, environment=push)
     late = out.between(settled, out.t[-1])
     wt = w * late.t
     basis = np.stack([np.cos(wt), -np.sin(wt), np.ones_like(wt)], axis=1)
@@ -120,92 +129,69 @@ def swept(w: float) -> complex:
 
 @entry("eq-10.47", "its impedance")
 def eq_10_47() -> Shown:
-    ws = np.geomspace(1.5, 90.0, 5)
-    tool = along_x(VIRTUAL, still(slides()))
+    def asked(w: Any) -> Any:
+        return D * (1j * w) ** 2 + B * 1j * w + K
+
+    ws, tool = np.geomspace(1.5, 90.0, 5), along_x(VIRTUAL, still(slides()))
     measured, wanted = np.array([swept(w) for w in ws]), asked(ws)
     claims = {0: "dominated by the spring", 4: "dominated by the mass"}
     for way, got in (("linearised", tool.Z(ws)), ("by a sweep of runs", measured)):
         for k in (0, 2, 4):
-            name = f"Z at {ws[k]:.3g} rad/s, {way}"
             size, turn = (abs(got[k]), abs(wanted[k])), (np.angle(got[k]), np.angle(wanted[k]))
-            yield row(f"|{name.replace(' at', '| at')}", "N/m", *size, POLYNOMIAL, rel=0.01, states=claims.get(k, ""))
-            yield row(f"phase of {name}", "rad", *turn, POLYNOMIAL, rel=0.01)
+            at = f"at {ws[k]:.3g} rad/s, {way}"
+            yield row(f"|Z| {at} [N/m]", *size, POLYNOMIAL, rel=0.01, states=claims.get(k, ""))
+            yield row(f"phase of Z {at} [rad]", *turn, POLYNOMIAL, rel=0.01)
     for name, k, part in (("|Z| at 1.5 rad/s over k", 0, K), ("|Z| at 90 rad/s over m w^2", 4, D * ws[4] ** 2)):
-        got, want = abs(measured[k]) / part, abs(wanted[k]) / part
-        yield row(name, "", got, want, POLYNOMIAL, rel=0.01, states="near 1")
-    figure, (ax,) = panels(1, 2.5)
-    prepared(ax, "impedance at the tool", "|F / X| [N/m]", "w [rad/s]")
+        yield row(name, abs(measured[k]) / part, abs(wanted[k]) / part, POLYNOMIAL, rel=0.01, states="near 1")
+    figure, (ax,) = panels(("impedance at the tool", "|F / X| [N/m]", "w [rad/s]"))
     fine = np.geomspace(1.0, 120.0, 200)
-    ax.loglog(fine, np.abs(asked(fine)), color=INK, linewidth=0.9, label="|m s² + b s + k|")
-    ax.loglog(ws, np.abs(measured), "o", color=colour(0), markersize=4.5, label="runs")
+    curve(ax, fine, np.abs(asked(fine)), "|m s² + b s + k|")
+    curve(ax, ws, np.abs(measured), "runs", 0, marker="o")
     ax.axhline(K, color=colour(2), linewidth=0.9, linestyle=DASHED, label="k")
-    ax.loglog(fine, D * fine**2, color=colour(1), linewidth=0.9, linestyle=DASHED, label="m w²")
-    ax.set_ylim(50.0, 4e4)
+    curve(ax, fine, D * fine**2, "m w²", 1, linewidth=0.9, linestyle=DASHED)
+    ax.set(xscale="log", yscale="log", ylim=(50.0, 4e4))
     legend(ax)
-
     yield figure
     yield "Numbers of equation 10.46. Linearised by taut.analysis.tool_impedance."
 
 
+def pushed_panda(law: Law) -> tuple[Any, Iterator[Row]]:
+    """(k, 3) how far the tool of a Panda moves that is pushed along y, at 1 kHz; rows of it."""
+    rest = still(panda())
+    out = simulated(law, panda(), rest, duration=2.0, environment=Pushed(axis=1, force=8.0))
+    moved = out.task.p - rest.p
+    times, name = (0.1, 0.3), "tool of a Panda {:g} s after a push of 8 N along y [m]"
+    got, wanted = ([moved[round(1000 * t), 1] for t in times], [answer(8.0, t) for t in times])
+    return moved, rows(name, times, got, wanted, CLOSED_FORM, rel=0.03)
+
+
 @entry("eq-10.48", "the behaviour that is asked of an arm")
 def eq_10_48() -> Shown:
-    arm = panda()
-    p = still(arm).p
-    out = simulated(VIRTUAL, arm, still(arm), duration=2.0, environment=Pushed(axis=1, force=8.0))
-    moved = out.task.p[:, 1] - p[1]
-    yield from (
-        row(
-            f"tool of a Panda {t:g} s after a push of 8 N along y",
-            "m",
-            moved[round(1000 * t)],
-            answer(D, B, K, 8.0, t),
-            CLOSED_FORM,
-            rel=0.03,
-        )
-        for t in (0.1, 0.3)
-    )
-    yield row("where it comes to rest", "m", moved[-1], 8.0 / K, "K^-1 F_ext", rel=5e-3)
-    yield row(
-        "what it moves across, in the end",
-        "m",
-        np.abs(out.task.p[-1, [0, 2]] - p[[0, 2]]).max(),
-        0.0,
-        "10.48: nothing",
-        near=2e-4,
-    )
+    moved, shown = pushed_panda(VIRTUAL)
+    yield from shown
+    yield row("where it comes to rest [m]", moved[-1, 1], 8.0 / K, "K^-1 F_ext", rel=5e-3)
+    across = np.abs(moved[-1, [0, 2]]).max()
+    yield row("what it moves across, in the end [m]", across, 0.0, "10.48: nothing", near=2e-4)
     yield "D, B and K of equation 10.46 in all directions, (0.05, 0.5, 10) for turning; 1 kHz."
 
 
 @entry("eq-10.49", "impedance control")
 def eq_10_49() -> Shown:
-    m = engine().at(Q, V)
-    ref = TaskMotion(pose=Pose(m.p + np.array([0.02, -0.01, 0.03]), R=m.R), twist=[0.1, 0.2, -0.1, 0.0, 0.0, 0.0])
-    ctrl = ticked(Impedance(B=(B, ANGULAR[1]), K=(K, ANGULAR[2]), null=None), panda(), Q, V, ref)
-    got = total(ctrl.terms)
-    X = np.array([0.02, -0.01, 0.03, 0.0, 0.0, 0.0])
-    gains = [np.array([each[0]] * 3 + [each[1]] * 3) for each in ((K, ANGULAR[2]), (B, ANGULAR[1]))]
-    spring = gains[0] * X + gains[1] * (ref.twist - m.J @ V)
+    m, X, twist = in_mujoco(Q, V), np.array([0.02, -0.01, 0.03, 0.0, 0.0, 0.0]), [0.1, 0.2, -0.1, 0.0, 0.0, 0.0]
+    ref = TaskMotion(pose=Pose(m.p + X[:3], R=m.R), twist=twist)
+    law = Impedance(B=(B, ANGULAR[1]), K=(K, ANGULAR[2]), null=None)
+    got = total(ticked(law, panda(), Q, V, ref).terms)
+    stiffness, damping = (np.repeat(each, 3) for each in ((K, ANGULAR[2]), (B, ANGULAR[1])))
+    spring = stiffness * X + damping * (ref.twist - m.J @ V)
     wanted = m.J.T @ (spring - m.Lambda @ m.Jdot_v) + m.h
-    yield from compared(got, wanted, "N m", MUJOCO, "torque of the Panda, D left out", 1e-6)
+    yield from compared("torque of the Panda, D left out [N m]", got, wanted, MUJOCO, 1e-6)
     for factor in (0.1, 1.9, 2.1):
-        yield row(
-            f"D = {factor:g} of the arm's inertia: accepted",
-            "0 or 1",
-            accepted(factor),
-            abs(1.0 - factor) < 1.0,
-            "|1 - Lambda^-1 D| < 1",
-            states="slip: D V-dot with the measured V-dot" if factor > 2.0 else "",
-        )
+        name, source = f"D = {factor:g} of the arm's inertia: accepted [0 or 1]", "|1 - Lambda^-1 D| < 1"
+        slip = "slip: D V-dot with the measured V-dot" if factor > 2.0 else ""
+        yield row(name, accepted(factor), abs(1.0 - factor) < 1.0, source, states=slip)
     for factor in (1.9, 2.1):
-        yield row(
-            f"error of the acceleration, one tick over the last, D = {factor:g} of M",
-            "",
-            echoed(factor),
-            1.0 - factor,
-            "1 - M^-1 D",
-            rel=1e-6,
-        )
-
+        name = f"error of the acceleration, one tick over the last, D = {factor:g} of M"
+        yield row(name, echoed(factor), 1.0 - factor, "1 - M^-1 D", rel=1e-6)
     yield (
         "With a measured acceleration D V-dot is an algebraic loop; a tick old it is stable only for 0 < "
         "eig(Lambda^-1 D) < 2, and refused elsewhere. Common practice, as the chapter says, leaves "
@@ -221,21 +207,20 @@ class MeasuredInertia(Law):
     """
 
     ignores_reference = True
-    D: Gain  # [kg m^2]
-    before: Memory = Memory(0.0)  # [rad/s]
+    D: taut.Gain  # [kg m^2]
+    before: taut.Memory = taut.Memory(0.0)  # [rad/s]
 
     def command(
-        self, x: Snapshot, ref: Sample, memory: MemoryView, dt: float  # noqa: ARG002
-    ) -> tuple[Torque, dict[str, object]]:  # fmt: skip
+        self, x: taut.Snapshot, ref: Sample, memory: MemoryView, dt: float  # noqa: ARG002
+    ) -> tuple[taut.Torque, dict[str, object]]:  # fmt: skip
         a = (x.v - memory.before) / dt
-        return Torque(compensation=x.M @ a, inertia=-(self.D @ a)), {"before": x.v}
+        return taut.Torque(compensation=x.M @ a, inertia=-(self.D @ a)), {"before": x.v}
 
 
 def echoed(factor: float) -> float:
     """By how much the acceleration changes from one tick to the next, with D a multiple of M."""
     arm = link(gravity=False, b=0.0)
-    out = simulated(MeasuredInertia(D=factor * M), arm, duration=0.02, q0=[0.0], v0=[1e-3])
-    a = np.diff(out.v[:, 0])
+    a = np.diff(simulated(MeasuredInertia(D=factor * M), arm, duration=0.02, q0=[0.0], v0=[1e-3]).v[:, 0])
     return float(a[10] / a[9])
 
 
@@ -253,47 +238,179 @@ def accepted(factor: float) -> bool:
 
 @entry("eq-10.50", "admittance control")
 def eq_10_50() -> Shown:
-    law = Admittance(
-        inner=TaskComputedTorque(kp=2500.0, kd=100.0, singularity="plain"),
-        D=(D, ANGULAR[0]), B=(B, ANGULAR[1]), K=(K, ANGULAR[2]),
-    )  # fmt: skip
-    arm = panda()
-    rest = still(arm)
-    F_ext = np.array([0.0, 8.0, 0.0, 0.0, 0.0, 0.0])
-    first = {}
+    inner = TaskComputedTorque(kp=2500.0, kd=100.0, singularity="plain")
+    law = Admittance(inner=inner, D=(D, ANGULAR[0]), B=(B, ANGULAR[1]), K=(K, ANGULAR[2]))
+    arm, first = panda(), []
     for dt in (1e-3, 1e-6):
-        ctrl = compile(law, arm, rate=1.0 / dt, engine="float")
-        ctrl.step(arm.home, np.zeros(7), rest, F_ext=F_ext)
-        first[dt] = float(ctrl.memory["law.twist"][1]) / dt
-    out = simulated(law, arm, rest, duration=2.0, environment=Pushed(axis=1, force=8.0))
-    moved = out.task.p[:, 1] - rest.p[1]
-    yield row(
-        "acceleration of the model in the first tick, 1 ms",
-        "m/s^2",
-        first[1e-3],
-        8.0 / (D + 0.5 * B * 1e-3 + 0.25 * K * 1e-6),
-        "D^-1 F_ext, implicit midpoint rule",
-        rel=1e-9,
-    )
-    yield row(
-        "the same in a tick of 1 us",
-        "m/s^2",
-        first[1e-6],
-        8.0 / D,
-        "D^-1 F_ext",
-        rel=1e-5,
-        states="D^-1 (F_ext - B V - K X)",
-    )
-    yield from (
-        row(
-            f"tool of a Panda {t:g} s after a push of 8 N along y",
-            "m",
-            moved[round(1000 * t)],
-            answer(D, B, K, 8.0, t),
-            CLOSED_FORM,
-            rel=0.03,
-        )
-        for t in (0.1, 0.3)
-    )
-    yield row("where it comes to rest", "m", moved[-1], 8.0 / K, "K^-1 F_ext", rel=5e-3)
+        ctrl = taut.compile(law, arm, rate=1.0 / dt, engine="float")
+        ctrl.step(arm.home, np.zeros(7), still(arm), F_ext=np.array([0.0, 8.0, 0.0, 0.0, 0.0, 0.0]))
+        first.append(float(ctrl.memory["law.twist"][1]) / dt)
+    wanted, source = 8.0 / (D + 0.5 * B * 1e-3 + 0.25 * K * 1e-6), "D^-1 F_ext, implicit midpoint rule"
+    yield row("acceleration of the model in the first tick, 1 ms [m/s^2]", first[0], wanted, source)
+    name, states = "the same in a tick of 1 us [m/s^2]", "D^-1 (F_ext - B V - K X)"
+    yield row(name, first[1], 8.0 / D, "D^-1 F_ext", rel=1e-5, states=states)
+    moved, shown = pushed_panda(law)
+    yield from shown
+    yield row("where it comes to rest [m]", moved[-1, 1], 8.0 / K, "K^-1 F_ext", rel=5e-3)
     yield "D, B and K of equation 10.48; the model's own motion is followed with kp = 2500, kd = 100."
+
+
+# -------------------------------------------------------------------- high and low impedance
+
+KP, KD = 400.0, 40.0  # [1/s^2], [1/s] of motion control
+KFP, KDAMP = 2.0, 50.0  # [1], [N s/m] of force control
+PLACE: Final = taut.Coordinates.position()
+
+
+@entry("sec-10.5", "high and low impedance", part="kinds")
+def kinds() -> Shown:
+    """Motion control is high impedance, force control low; and what the first does to a disturbance."""
+    rest, mass = still(slides()), float(snapshot(slides(), slides().home).M[0, 0])
+    hertz = (0.5, 5.0)
+    s, every = 2j * math.pi * np.array(hertz), np.geomspace(0.2, 20.0, 100)
+    motion = TaskComputedTorque(kp=KP, kd=KD, error="coordinates", coordinates=PLACE)
+    shown = Impedance(B=(B, 0.5), K=(K, 10.0))
+    force, zero = ForceControl(kfp=KFP, kdamp=[KDAMP] * 3 + [1.0] * 3), taut.TaskForce(F_app=np.zeros(6))
+    laws: tuple[tuple[str, Law, Sample, Any, str], ...] = (
+        ("motion control", motion, rest, mass * (s * s + KD * s + KP), "high impedance"),
+        ("impedance control", shown, rest, mass * s * s + B * s + K, ""),
+        ("force control", force, zero, (mass * s * s + KDAMP * s) / (1.0 + KFP), "low impedance"),
+    )
+    figure, (ax,) = panels(("impedance of three kinds of control", "|F / X| [N/m]", "frequency [Hz]"))
+    for k, (name, law, ref, wanted, claim) in enumerate(laws):
+        tool, source = along_x(law, ref), "the law and m x-ddot = F, written out"
+        got = map(abs, tool.Z(s.imag))
+        yield from rows(
+            f"{name}: |Z| at {{:g}} Hz [N/m]", hertz, got, map(abs, wanted), source, rel=3e-3, states=claim
+        )
+        curve(ax, every, np.abs(tool.Z(2.0 * math.pi * every)), name, k)
+    ax.set(xscale="log", yscale="log")
+    legend(ax)
+    out = simulated(motion, slides(), rest, rate=FAST, duration=1.0, environment=Pushed())
+    moved, name = out.q[-1, 0] - slides().home[0], "motion control: Delta X under a Delta F of 10 N [m]"
+    yield row(name, moved, 10.0 / (KP * mass), "Delta F / Z(0)", rel=1e-3, states="Delta X = Y Delta F")
+    yield figure
+    yield (
+        "A gantry of 21 kg along x at 10 kHz, by taut.analysis.tool_impedance. Chosen: motion control with kp = "
+        "400, kd = 40; "
+        "impedance control with K and B of equation 10.46 and the gantry's own inertia; force control of no force "
+        "with Kfp = 2, Kdamp = 50 N s/m."
+    )
+
+
+@entry("sec-10.5", "what impedance and admittance control are good at", part="sides")
+def sides() -> Shown:
+    """A hand holds the tool by a handle: which of the two laws stands a low impedance, and which a stiff one."""
+    hand = Hand(mass=1.0, damping=5.0, stiffness=300.0)
+    inner = TaskComputedTorque(kp=2500.0, kd=100.0, error="coordinates", coordinates=PLACE)
+    for name, mass, damping, stiffness in (("low", 0.1, 2.0, 20.0), ("stiff", 20.0, 200.0, 1e6)):
+        b, k = (damping, 0.5), (stiffness, 10.0)
+        for kind, law, good in (
+            ("impedance", Impedance(B=b, K=k), "low"),
+            ("admittance", Admittance(inner=inner, D=(mass, 0.05), B=b, K=k), "stiff"),
+        ):
+            loop = looped(law, slides(), still(slides()), duration=0.5, environment=hand, integrator="rk4")
+            stable, x = linearise(loop).stable, np.abs(taut.run(loop, q0=[1e-6, 0.0, 0.0], progress=False).q[:, 0])
+            what, source = (
+                f"{kind} control shows a {name} impedance: stable",
+                "whether the oscillation of a run decays",
+            )
+            states = "good" if name == good else "not as good"
+            yield row(f"{what} [0 or 1]", stable, x[-100:].max() < x[:100].max(), source, states=states)
+    yield (
+        "A hand of 1 kg, 5 N s/m and 300 N/m on the gantry's tool, 1 kHz, by taut.linearise. Chosen: m = 0.1 kg, b = "
+        "2 N s/m, k = 20 N/m as a low impedance, 20 kg, 200 N s/m, 1e6 N/m as a stiff one; impedance control leaves "
+        "the arm's own inertia."
+    )
+
+
+# -------------------------------------------------------------------- a haptic display
+
+MASS, FRICTION_DAMPING, VIRTUAL_DAMPING = 0.2, 1.0, 0.5  # [kg], [N s/m], [N s/m] of the display, chosen
+DISPLAY_RATE: Final = 1000.0  # [Hz]
+HELD: Final = "poles of the held mass"
+
+
+def radius(stiffness: float, rate: float) -> float:
+    """Largest modulus of the display's poles."""
+    return held_radius(MASS, FRICTION_DAMPING, stiffness, VIRTUAL_DAMPING, rate)
+
+
+@entry("fig-10.17", "a virtual mass, spring and damper")
+def fig_10_17() -> Shown:
+    rates = np.array([250.0, 500.0, 1000.0, 2000.0, 4000.0])
+    display = {"mass": MASS, "damping": FRICTION_DAMPING, "B": VIRTUAL_DAMPING}
+    walls = [check_virtual_wall(**display, rate=float(rate), velocity="difference") for rate in rates]
+    limits, passive = [each.limit for each in walls], [each.passive_limit for each in walls]
+    stiffest = [brentq(lambda k, rate=rate: radius(k, rate) - 1.0, 1.0, 1e6) for rate in rates.tolist()]
+    yield from rows("stiffest stable spring at {:g} Hz [N/m]", rates, limits, stiffest, f"{HELD}, bisected", rel=1e-5)
+    colgate = (FRICTION_DAMPING - VIRTUAL_DAMPING) * 2.0 * rates
+    name, source = "stiffest spring that is safe in any hand, 1 kHz [N/m]", "Colgate: (b - |B|) / (T / 2)"
+    yield row(name, passive[2], colgate[2], source, rel=1e-3)
+    z = taut.load_arm("gantry3").subset(["z"]).with_body("z", mass=MASS)
+    slide = z.with_joints(viscous=FRICTION_DAMPING).with_gravity([0.0, 0.0, 0.0])
+    law, sensing = PID(kp=1.0, kd=VIRTUAL_DAMPING), taut.Sensing(velocity="difference")
+    ctrl = taut.compile(law, slide, rate=DISPLAY_RATE, sensing=sensing)
+    for factor, states in ((0.8, ""), (1.2, "oscillatory in stiff virtual environments")):
+        stiffness = factor * walls[2].limit
+        ctrl.parameters["law.kp"] = stiffness
+        out = simulated(ctrl, slide, REST, duration=0.4, q0=[1e-3], friction="arm", integrator="rk4")
+        got = float(np.exp(max(two_poles(out.q[100:, 0], 1.0).real)))
+        name = f"growth of an oscillation in a tick, K = {factor:g} of the limit"
+        yield row(name, got, radius(stiffness, DISPLAY_RATE), HELD, rel=1e-5, states=states)
+    title = ("how stiff the environment may be", "K [N/m]", "servo rate [Hz]")
+    figure, (left, right) = panels(None, title, width_ratios=[1.0, 1.1])
+    _display(left)
+    curve(right, rates, limits, "stable alone", 0, marker="o", linestyle="-")
+    curve(right, rates, passive, "safe in any hand", 2, marker="o", linestyle="-")
+    curve(right, rates, colgate, "2 (b - |B|) / T", linestyle=DASHED)
+    right.set_xticks([250.0, 1000.0, 2000.0, 4000.0])
+    right.set_ylim(0.0, None)
+    legend(right)
+    yield figure
+    yield (
+        "Chosen: a display of 0.2 kg with 1 N s/m that shows a spring and 0.5 N s/m, with differenced positions. "
+        "More of it is on the page about haptics."
+    )
+
+
+def _display(ax: Any) -> None:
+    """A mass on a spring and a damper, that a hand pushes."""
+    block(ax, 0.05, 1.0, width=0.1, height=1.6, fill="#D9DEE4")
+    x = np.linspace(0.1, 2.0, 200)
+    zigzag = np.interp((x - 0.4) * 5.0 % 1.0, [0.0, 0.25, 0.75, 1.0], [0.0, 1.0, -1.0, 0.0])
+    for xs, ys, width in (
+        (x, 1.45 + 0.16 * zigzag * ((x > 0.4) & (x < 1.7)), 1.1), ([0.1, 0.85], [0.6, 0.6], 1.1),
+        ([1.3, 0.85, 0.85, 1.3], [0.76, 0.76, 0.44, 0.44], 1.1), ([1.1, 1.1], [0.48, 0.72], 1.6),
+        ([1.1, 2.0], [0.6, 0.6], 1.1),
+    ):  # fmt: skip
+        ax.plot(xs, ys, color=INK, linewidth=width)
+    block(ax, 2.5, 1.0, width=1.0, height=1.2, fill="#F4F6F8")
+    for at, letter in (((1.05, 1.8), "k"), ((1.05, 0.26), "b"), ((2.5, 1.0), "m")):
+        words(ax, at, letter, size=SMALL + 1.0, zorder=3)
+    arrow(ax, (3.0, 1.0), (3.68, 1.0), width=1.6)
+    words(ax, (3.5, 1.2), "f: the hand")
+    arrow(ax, (2.5, 1.85), (3.1, 1.85))
+    words(ax, (3.2, 1.85), "x")
+    ax.set(xlim=(-0.1, 4.0), ylim=(-0.1, 2.2))
+
+
+@entry("sec-10.6", "a flexible transmission", part="flexible")
+def soft_joint() -> Shown:
+    """The link, free, with a spring and a damper between it and its motor."""
+    gear, rotor, stiffness, damping = 100.0, 1e-4, 2000.0, 5.0  # ratio, [kg m^2], [N m/rad], [N m s/rad] chosen
+    arm, free = link(gravity=False, b=0.0).with_gears(gear, rotor), PID(kp=0.0, kd=0.0)
+    drive = Actuation(transmission=Transmission(stiffness=stiffness, damping=damping))
+    stiff = linearise(looped(free, arm, REST, rate=FAST), at=[0.0])
+    soft = linearise(looped(free, arm, REST, rate=FAST, actuation=drive, substeps=10), at=[0.0])
+    mobility = 1.0 / M + 1.0 / (gear**2 * rotor)
+    wanted = np.roots([1.0, damping * mobility, stiffness * mobility])[0]
+    found = max((mode.s for mode in soft.modes), key=lambda s: s.imag)
+    yield row("order of the dynamics, rigid", len(stiff.poles), 2, "M theta-ddot = tau")
+    yield row("order of the dynamics, flexible", len(soft.poles), 4, "two masses and a spring", states="increased")
+    source = f"{ROOTS} of s^2 + (d s + k)(1 / M + 1 / G^2 I_motor)"
+    yield from pole("oscillation of link against motor: {}", found, wanted, source, rel=1e-3)
+    yield (
+        "By taut.linearise. Chosen: a gear of 100, a rotor of 1e-4 kg m^2, 2000 N m/rad and 5 N m s/rad between "
+        "motor and link; no law, no friction, no gravity."
+    )

@@ -5,67 +5,24 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
+import taut
+from taut import Arm, Controller, JointMotion, Law, Loop, RigidPlant, Run, Sensing
 from taut.arm.builtin import one_joint
-from taut.arm.description import Arm
-from taut.arm.load import load_arm
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.law import Law
-from taut.control.sensing import Sensing
-from taut.control.trajectories.joint import Sine
 from taut.control.trajectories.reference import Sample
-from taut.controller import Controller, compile
-from taut.loop import Loop
-from taut.plant.rigid import RigidPlant
-from taut.record.run import Run
-from taut.runtime.robots.mujoco.plant import MujocoPlant
-from taut.runtime.simulate import run
-
-__all__ = [
-    "B",
-    "Engine",
-    "FAST",
-    "G",
-    "KD",
-    "KI",
-    "KP",
-    "M",
-    "MASS",
-    "R",
-    "SAMPLED",
-    "Solved",
-    "TWO_LINKS",
-    "TwoLinks",
-    "WRONG_R",
-    "controller",
-    "engine",
-    "held_radius",
-    "link",
-    "looped",
-    "on_link",
-    "one_pole",
-    "panda",
-    "rms",
-    "simulated",
-    "solved",
-    "task",
-    "ticked",
-    "total",
-    "two_links",
-    "two_poles",
-    "weight",
-]
 
 M, MASS, R, B, G = 0.5, 1.0, 0.1, 0.1, 9.81  # section 10.2.1: [kg m^2], [kg], [m], [N m s/rad], [m/s^2]
 KP, KD, KI = 2.205, 2.0, 1.0  # figure 10.6: [N m/rad], [N m s/rad], [N m/(rad s)]
 WRONG_R: Final = 0.08  # [m] figure 10.10: what the controller believes
 FAST: Final = 10000.0  # [Hz] of runs that stand for continuous time
+REST: Final = JointMotion(q=[0.0])
 SAMPLED: Final = 1e-3  # of a number: what a tick of 0.1 ms leaves between a run and continuous time
 
 
@@ -81,82 +38,9 @@ def weight(theta: Any, r: float = R) -> Any:
     return MASS * G * r * np.cos(theta)
 
 
-def task(number: int) -> Sine:
-    """The desired motions of figure 10.10: theta(t) = -+ pi/2 - cos(t), from 0 to pi."""
-    sign = {1: -1.0, 2: 1.0}[number]
-    return Sine(center=[sign * math.pi / 2.0], amplitude=-1.0, frequency=0.5 / math.pi, phase=math.pi / 2.0)
-
-
 def controller(law: Law, arm: Arm, *, rate: float = FAST, differenced: bool = False) -> Controller:
     """A law compiled for the link, which measures its velocity or differences positions as figure 10.8 does."""
-    return compile(law, arm, rate=rate, sensing=Sensing(velocity="difference") if differenced else None)
-
-
-def on_link(
-    law: Law | Controller,
-    *,
-    model: Arm | None = None,
-    plant: Arm | None = None,
-    ref: object,
-    duration: float,
-    q0: ArrayLike,
-    v0: ArrayLike | None = None,
-    **options: Any,
-) -> Run:
-    """A run of a law on the link, or on another arm of one joint, that stands for continuous time.
-
-    Ticks are 0.1 ms long, the velocity is measured, the plant has its friction and is integrated to fourth order.
-    """
-    real = plant or link()
-    options = {"friction": "arm", "integrator": "rk4", **options}
-    return simulated(law, model or real, ref, plant=real, rate=FAST, duration=duration, q0=q0, v0=v0, **options)
-
-
-# -------------------------------------------------------------------- the same by SciPy
-
-
-@dataclass(frozen=True, kw_only=True)
-class Solved:
-    """A solution: at each time the angle, its rate, the integral of the error and that of tau^2."""
-
-    t: Float64Array  # [s]
-    theta: Float64Array  # [rad]
-    v: Float64Array  # [rad/s]
-    e: Float64Array  # [rad] desired less actual
-    e_int: Float64Array  # [rad s]
-    effort: Float64Array  # [(N m)^2 s]
-
-
-def solved(
-    tau: Callable[..., Any],
-    desired: Callable[[Any], Any],
-    *,
-    times: Float64Array,
-    q0: float,
-    v0: float = 0.0,
-    gravity: bool = True,
-) -> Solved:
-    """M a + m g r cos(theta) + b v = tau(t, theta, v, e_int) by SciPy's DOP853.
-
-    Args:
-        tau: The torque of a law, written out by hand.
-        desired: The desired angle over time.
-        times: (k,) where the solution is wanted [s].
-        q0: Angle at the start [rad].
-        v0: Its rate [rad/s].
-        gravity: Whether there is any.
-    """
-
-    def rate(t: float, y: Float64Array) -> list[float]:
-        theta, v, e_int, _ = y
-        torque = float(tau(t, theta, v, e_int))
-        a = (torque - B * v - (weight(theta) if gravity else 0.0)) / M
-        return [v, a, float(desired(t)) - theta, torque**2]
-
-    span = (0.0, float(times[-1]))
-    got = solve_ivp(rate, span, [q0, v0, 0.0, 0.0], "DOP853", times, rtol=1e-10, atol=1e-12)
-    theta, v, e_int, effort = got.y
-    return Solved(t=times, theta=theta, v=v, e=desired(times) - theta, e_int=e_int, effort=effort)
+    return taut.compile(law, arm, rate=rate, sensing=Sensing(velocity="difference") if differenced else None)
 
 
 def looped(
@@ -170,7 +54,7 @@ def looped(
     **options: Any,
 ) -> Loop:
     """A law for an arm on a rigid plant of the same arm or another, without friction if no more is said."""
-    ctrl = law if isinstance(law, Controller) else compile(law, arm, rate=rate)
+    ctrl = law if isinstance(law, Controller) else taut.compile(law, arm, rate=rate)
     return Loop(ctrl, RigidPlant(plant or arm, **{"friction": None, **options}), ref, duration=duration)
 
 
@@ -182,30 +66,35 @@ def simulated(
     duration: float,
     q0: ArrayLike | None = None,
     v0: ArrayLike | None = None,
-    rate: float = 1000.0,
-    plant: Arm | None = None,
     **options: Any,
 ) -> Run:
-    """A run of such a loop.
+    """A run of such a loop, which begins at home and at rest if no more is said."""
+    return taut.run(looped(law, arm, ref, duration=duration, **options), q0=q0, v0=v0, progress=False)
 
-    Args:
-        law: Or a controller of it, whose rate it then is.
-        arm: What the law knows.
-        ref: What it follows; hold if left out.
-        duration: [s].
-        q0: (n,) at the start [rad | m]; home if left out.
-        v0: (n,) [rad/s | m/s]; rest if left out.
-        rate: [Hz].
-        plant: What there really is; `arm` if left out.
-        **options: Of the `RigidPlant`.
+
+def on_link(
+    law: Law | Controller,
+    ref: object = REST,
+    *,
+    plant: Arm | None = None,
+    model: Arm | None = None,
+    duration: float,
+    q0: float = 0.0,
+    v0: float = 0.0,
+    **options: Any,
+) -> Run:
+    """A run of a law on the link, or on another arm of one joint, that stands for continuous time.
+
+    Ticks are 0.1 ms long, the velocity is measured, the plant has its friction and is integrated to fourth order.
     """
-    loop = looped(law, arm, ref, rate=rate, plant=plant, duration=duration, **options)
-    return run(loop, q0=q0, v0=v0, progress=False)
+    real = plant or link()
+    options = {"friction": "arm", "integrator": "rk4", "rate": FAST, **options}
+    return simulated(law, model or real, ref, plant=real, duration=duration, q0=[q0], v0=[v0], **options)
 
 
 def ticked(law: Law, arm: Arm, q: ArrayLike, v: ArrayLike, ref: Sample, **measured: ArrayLike) -> Controller:
     """A controller after one tick at 1 kHz, not compiled: `terms` has what it asked for, `memory` what it keeps."""
-    ctrl = compile(law, arm, rate=1000.0, engine="float")
+    ctrl = taut.compile(law, arm, rate=1000.0, engine="float")
     ctrl.step(q, v, ref, **measured)
     return ctrl
 
@@ -214,6 +103,50 @@ def total(terms: Mapping[str, Float64Array]) -> Float64Array:
     """(n,) what the terms of a law add up to [N m | N]."""
     added: Float64Array = np.sum(list(terms.values()), axis=0)
     return added
+
+
+# -------------------------------------------------------------------- the same by SciPy
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solved:
+    """A solution at each time."""
+
+    theta: Float64Array  # [rad]
+    v: Float64Array  # [rad/s]
+    e: Float64Array  # [rad] desired less actual
+    effort: Float64Array  # [(N m)^2 s] integral of tau^2
+
+
+def solved(
+    tau: Callable[..., Any],
+    times: Float64Array,
+    *,
+    desired: Callable[[Any], Any] = np.zeros_like,
+    q0: float,
+    v0: float = 0.0,
+    gravity: bool = True,
+) -> Solved:
+    """M a + m g r cos(theta) + b v = tau(t, theta, v, e_int) by SciPy's DOP853.
+
+    Args:
+        tau: The torque of a law, written out by hand.
+        times: (k,) where the solution is wanted [s].
+        desired: The desired angle over time.
+        q0: Angle at the start [rad].
+        v0: Its rate [rad/s].
+        gravity: Whether there is any.
+    """
+
+    def rate(t: float, y: Float64Array) -> list[float]:
+        theta, v, e_int, _ = y
+        torque = float(tau(t, theta, v, e_int))
+        a = (torque - B * v - (weight(theta) if gravity else 0.0)) / M
+        return [v, a, float(desired(t)) - theta, torque**2]
+
+    span = (0.0, float(times[-1]))
+    theta, v, _, effort = solve_ivp(rate, span, [q0, v0, 0.0, 0.0], "DOP853", times, rtol=1e-10, atol=1e-12).y
+    return Solved(theta=theta, v=v, e=desired(times) - theta, effort=effort)
 
 
 def one_pole(t: Float64Array, y: Float64Array) -> float:
@@ -235,13 +168,13 @@ def rms(y: Float64Array) -> float:
 @cache
 def two_links() -> Arm:
     """`planar2` without friction."""
-    return load_arm("planar2").with_joints(viscous=0.0)
+    return taut.load_arm("planar2").with_joints(viscous=0.0)
 
 
 @cache
 def panda() -> Arm:
     """The Panda of the catalogue without friction."""
-    return load_arm("panda").with_joints(viscous=0.0, coulomb=0.0)
+    return taut.load_arm("panda").with_joints(viscous=0.0, coulomb=0.0)
 
 
 def held_radius(mass: float, damping: float, K: float, B: float, rate: float) -> float:
@@ -328,81 +261,18 @@ class TwoLinks:
 TWO_LINKS: Final = TwoLinks()
 
 
-class Engine:
-    """An arm in MuJoCo at one state: mass matrix, bias, and pose and Jacobian of the tool."""
+@dataclass(frozen=True, kw_only=True)
+class MujocoState:
+    """The Panda in MuJoCo at one state; of the tool linear parts first, world axes."""
 
-    def __init__(self, arm: Arm) -> None:
-        self._plant = MujocoPlant(arm)
-
-    def at(self, q: ArrayLike, v: ArrayLike) -> EngineState:
-        """A state."""
-        import mujoco
-
-        model = self._plant.model
-        data = mujoco.MjData(model)
-        data.qpos[:], data.qvel[:] = q, v
-        mujoco.mj_forward(model, data)
-        return EngineState(model, data)
-
-
-class EngineState:
-    """What MuJoCo says of a state."""
-
-    def __init__(self, model: Any, data: Any) -> None:
-        self._model, self._data = model, data
-
-    @cached_property
-    def M(self) -> Float64Array:
-        """(n, n) mass matrix."""
-        import mujoco
-
-        M = np.zeros((self._model.nv, self._model.nv))
-        mujoco.mj_fullM(self._model, self._data, M)
-        return M
+    M: Float64Array  # (7, 7) mass matrix
+    h: Float64Array  # (7,) C v + g
+    p: Float64Array  # (3,) of the tool
+    R: Float64Array  # (3, 3)
+    J: Float64Array  # (6, 7)
+    Jdot_v: Float64Array  # (6,) by central differences along the motion
 
     @property
-    def h(self) -> Float64Array:
-        """(n,) C v + g."""
-        return np.array(self._data.qfrc_bias)
-
-    @property
-    def p(self) -> Float64Array:
-        """(3,) of the tool."""
-        return np.array(self._data.site_xpos[-1])
-
-    @property
-    def R(self) -> Float64Array:
-        """(3, 3) of the tool."""
-        return np.array(self._data.site_xmat[-1]).reshape(3, 3)
-
-    def _jacobian(self, data: Any) -> Float64Array:
-        import mujoco
-
-        linear, angular = np.zeros((3, self._model.nv)), np.zeros((3, self._model.nv))
-        mujoco.mj_jacSite(self._model, data, linear, angular, self._model.nsite - 1)
-        return np.vstack([linear, angular])
-
-    @cached_property
-    def J(self) -> Float64Array:
-        """(6, n) of the tool, linear part first, world axes."""
-        return self._jacobian(self._data)
-
-    @cached_property
-    def Jdot_v(self) -> Float64Array:
-        """(6,) J-dot v, by central differences along the motion."""
-        import mujoco
-
-        step, rows = 1e-5, []
-        for sign in (1.0, -1.0):
-            data = mujoco.MjData(self._model)
-            data.qpos[:] = self._data.qpos + sign * step * self._data.qvel
-            mujoco.mj_kinematics(self._model, data)
-            mujoco.mj_comPos(self._model, data)
-            rows.append(self._jacobian(data))
-        rate: Float64Array = (rows[0] - rows[1]) / (2.0 * step) @ self._data.qvel
-        return rate
-
-    @cached_property
     def Lambda(self) -> Float64Array:
         """(6, 6) inertia at the tool."""
         made: Float64Array = np.linalg.inv(self.J @ np.linalg.solve(self.M, self.J.T))
@@ -410,6 +280,31 @@ class EngineState:
 
 
 @cache
-def engine() -> Engine:
-    """The Panda in MuJoCo."""
-    return Engine(panda())
+def _mujoco_model() -> Any:
+    return taut.MujocoPlant(panda()).model
+
+
+def in_mujoco(q: ArrayLike, v: ArrayLike = 0.0) -> MujocoState:
+    """The Panda at a state, at rest if no speeds are given."""
+    import mujoco
+
+    model = _mujoco_model()
+
+    def at(q: Any) -> Any:
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:] = q, v
+        mujoco.mj_forward(model, data)
+        return data
+
+    def jacobian(data: Any) -> Float64Array:
+        linear, angular = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+        mujoco.mj_jacSite(model, data, linear, angular, model.nsite - 1)
+        return np.vstack([linear, angular])
+
+    data, step, M = at(q), 1e-5, np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, M)
+    ahead, behind = (jacobian(at(data.qpos + sign * step * data.qvel)) for sign in (1.0, -1.0))
+    return MujocoState(
+        M=M, h=np.array(data.qfrc_bias), p=np.array(data.site_xpos[-1]), R=np.array(data.site_xmat[-1]).reshape(3, 3),
+        J=jacobian(data), Jdot_v=(ahead - behind) / (2.0 * step) @ data.qvel,
+    )  # fmt: skip

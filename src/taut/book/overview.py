@@ -8,21 +8,19 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.signal import butter, lfilter
 
-from taut.base.plot_style import COLOURS, INK, SMALL, colour, prepared
-from taut.book.models import WRONG_R, B, M, controller, link, on_link, rms, ticked, total, weight
-from taut.book.page import Shown, arrow, block, box, canvas, entry, legend, panels, row, words
-from taut.control.laws.friction import FrictionCompensation
-from taut.control.laws.joint import PID, ComputedTorque
-from taut.control.sensing import Difference, Sensing
-from taut.control.trajectories.joint import Sine
-from taut.control.trajectories.reference import JointMotion
-from taut.controller import compile
+import taut
+from taut import JointMotion, Sensing
+from taut.base.plot_style import COLOURS, INK, SMALL
+from taut.book.models import REST, WRONG_R, B, M, controller, link, on_link, rms, ticked, total, weight
+from taut.book.page import Shown, arrow, block, canvas, curve, entry, legend, panels, row, rows, words
+from taut.laws import PID, ComputedTorque, FrictionCompensation
+from taut.sensors import Difference
+from taut.trajectories import Sine
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__: list[str] = []
-
 
 RATES: Final = (100.0, 200.0, 500.0, 1000.0, 2000.0, 5000.0)  # [Hz]
 KP, KD = 400.0, 40.0  # [1/s^2], [1/s]
@@ -31,62 +29,58 @@ SIZE, PACE, LONG = 0.8, 4.0, math.pi  # [rad], [rad/s], [s] of the sine that is 
 
 @entry("fig-10.1", "a robot control system")
 def fig_10_1() -> Shown:
-    ctrl = ticked(ComputedTorque(kp=KP, kd=KD, ki=1.0), link(), [0.1], [0.2], JointMotion(q=[0.3]))
-    figure, ax = canvas(9.6, 4.3, 0.78)
-    words(ax, 0.1, 4.15, "(a) a robot control system", ha="left")
-    _whole(ax, 3.2, list(ctrl.terms))
-    words(ax, 0.1, 1.75, "(b) simplified: ideal sensors, and a controller that directly gives torques", ha="left")
-    _simplified(ax, 1.0)
-    tau = total(ctrl.terms)[0]
+    terms = ticked(ComputedTorque(kp=KP, kd=KD, ki=1.0), link(), [0.1], [0.2], JointMotion(q=[0.3])).terms
     a = KP * 0.2 - KD * 0.2 + 0.2 * 1e-3
-    yield row(
-        "torque of the controller drawn, all terms together",
-        "N m",
-        tau,
-        M * a + weight(0.1),
-        "equation 10.19, written out",
-    )
+    name = "torque of the controller drawn, all terms together [N m]"
+    yield row(name, total(terms)[0], M * a + weight(0.1), "equation 10.19, written out")
+    figure, ax = canvas(9.6, 4.3, 0.78)
+    _whole(ax, 3.2, list(terms))
+    _simplified(ax, 1.0)
     yield figure
     yield "In the controller stand the terms of taut.laws.ComputedTorque."
 
 
+def _label(ax: Axes, x: float, y: float, text: str) -> None:
+    words(ax, (x, y), text, size=SMALL - 1.0)
+
+
 def _whole(ax: Axes, y: float, terms: list[str]) -> None:
-    names = ("amplifiers", "actuators and\ntransmissions", "arm and\nenvironment")
-    box(ax, 2.35, y, 2.3, 1.3)
-    words(ax, 2.35, y + 0.48, "controller", zorder=3)
+    words(ax, (0.1, 4.15), "(a) a robot control system", ha="left")
+    block(ax, 2.35, y, width=2.3, height=1.3, fill="#F4F6F8")
+    words(ax, (2.35, y + 0.48), "controller", zorder=3)
     for k, name in enumerate(terms):
-        words(ax, 1.8 + 1.1 * (k % 2), y + 0.22 - 0.27 * (k // 2), name, size=SMALL - 1.0, zorder=3, color=COLOURS[0])
+        at = (1.8 + 1.1 * (k % 2), y + 0.22 - 0.27 * (k // 2))
+        words(ax, at, name, size=SMALL - 1.0, zorder=3, color=COLOURS[0])
     arrow(ax, (0.2, y), (1.2, y))
-    words(ax, 0.68, y + 0.25, "desired\nmotion", size=SMALL - 1.0)
-    for k, name in enumerate(names):
+    _label(ax, 0.68, y + 0.25, "desired\nmotion")
+    for k, name in enumerate(("amplifiers", "actuators and\ntransmissions", "arm and\nenvironment")):
         x = 4.75 + 1.9 * k
         block(ax, x, y, name, width=1.35, height=0.8)
         arrow(ax, (3.5 if not k else x - 1.225, y), (x - 0.675, y))
-    words(ax, 3.78, y + 0.25, "low\npower", size=SMALL - 1.0)
-    words(ax, 5.7, y - 0.25, "high\npower", size=SMALL - 1.0)
-    words(ax, 7.6, y + 0.25, "torque", size=SMALL - 1.0)
+    _label(ax, 3.78, y + 0.25, "low\npower")
+    _label(ax, 5.7, y - 0.25, "high\npower")
+    _label(ax, 7.6, y + 0.25, "torque")
     arrow(ax, (9.22, y), (9.55, y))
     arrow(ax, (6.65, y + 0.4), (6.65, y + 0.72), (4.75, y + 0.72), (4.75, y + 0.4))
-    words(ax, 5.7, y + 0.84, "local feedback: current, torque", size=SMALL - 1.0)
+    _label(ax, 5.7, y + 0.84, "local feedback: current, torque")
     block(ax, 5.7, y - 0.9, "sensors", width=1.2, height=0.4)
     arrow(ax, (9.38, y), (9.38, y - 0.9), (6.3, y - 0.9))
     arrow(ax, (5.1, y - 0.9), (2.35, y - 0.9), (2.35, y - 0.65))
-    words(ax, 7.9, y - 0.76, "motions and forces", size=SMALL - 1.0)
+    _label(ax, 7.9, y - 0.76, "motions and forces")
 
 
 def _simplified(ax: Axes, y: float) -> None:
+    title = "(b) simplified: ideal sensors, and a controller that directly gives torques"
+    words(ax, (0.1, 1.75), title, ha="left")
     block(ax, 2.35, y, "controller", width=2.3, height=0.7)
     block(ax, 7.0, y, "dynamics of arm and environment", width=2.9, height=0.7)
     arrow(ax, (0.2, y), (1.2, y))
-    words(ax, 0.68, y + 0.25, "desired\nmotion", size=SMALL - 1.0)
+    _label(ax, 0.68, y + 0.25, "desired\nmotion")
     arrow(ax, (3.5, y), (5.55, y))
-    words(ax, 4.5, y + 0.15, "forces and torques", size=SMALL - 1.0)
+    _label(ax, 4.5, y + 0.15, "forces and torques")
     arrow(ax, (8.45, y), (9.55, y))
     arrow(ax, (9.2, y), (9.2, y - 0.6), (2.35, y - 0.6), (2.35, y - 0.35))
-    words(ax, 5.7, y - 0.48, "motions and forces", size=SMALL - 1.0)
-
-
-# -------------------------------------------------------------------- servo rates
+    _label(ax, 5.7, y - 0.48, "motions and forces")
 
 
 def written(rate: float) -> float:
@@ -118,36 +112,29 @@ def written(rate: float) -> float:
 @entry("sec-10.1", "higher servo rates stop paying", part="rates")
 def sec_10_1() -> Shown:
     sine = Sine(center=[0.0], amplitude=SIZE, frequency=PACE / (2.0 * math.pi))
-    got, wanted = [], []
+    law = ComputedTorque(kp=KP, kd=KD) + FrictionCompensation(at="meas")
+    got = []
     for rate in RATES:
-        law = ComputedTorque(kp=KP, kd=KD) + FrictionCompensation(at="meas")
         ctrl = controller(law, link(r=WRONG_R), rate=rate, differenced=True)
-        run = on_link(ctrl, plant=link(), ref=sine, duration=LONG, q0=[0.0], v0=[SIZE * PACE], substeps=4)
+        run = on_link(ctrl, sine, duration=LONG, v0=SIZE * PACE, substeps=4)
         assert run.error is not None
         got.append(rms(run.error[:, 0]))
-        wanted.append(written(rate))
-    tick_by_tick = "the loop tick by tick, the link by RK4"
-    yield from (
-        row(f"RMS error at {rate:g} Hz", "rad", mine, theirs, tick_by_tick, rel=1e-6)
-        for rate, mine, theirs in zip(RATES, got, wanted, strict=True)
-    )
-    for (low, high), states in (
-        ((0, 3), "hundreds to a few thousands of Hz"),
-        ((3, 5), "of limited benefit"),
-        ((4, 5), "of limited benefit"),
-    ):
+    wanted = [written(rate) for rate in RATES]
+    source = "the loop tick by tick, the link by RK4"
+    yield from rows("RMS error at {:g} Hz [rad]", RATES, got, wanted, source, rel=1e-6)
+    for low, high, states in (
+        (0, 3, "hundreds to a few thousands of Hz"), (3, 5, "of limited benefit"), (4, 5, "of limited benefit"),
+    ):  # fmt: skip
         name = f"error at {RATES[high]:g} Hz over that at {RATES[low]:g} Hz"
-        yield row(name, "", got[high] / got[low], wanted[high] / wanted[low], tick_by_tick, rel=1e-6, states=states)
-    figure, (ax,) = panels(1, 2.5)
-    prepared(ax, "following a sine with a model that is 20 % off", "RMS error [mrad]", "servo rate [Hz]")
-    ax.plot(RATES, 1e3 * np.array(wanted), color=INK, linewidth=0.9, label="tick by tick, written out")
-    ax.plot(RATES, 1e3 * np.array(got), "o", color=colour(0), markersize=4.5, label="runs")
+        yield row(name, got[high] / got[low], wanted[high] / wanted[low], source, rel=1e-6, states=states)
+    figure, (ax,) = panels(("following a sine with a model that is 20 % off", "RMS error [mrad]", "servo rate [Hz]"))
+    curve(ax, RATES, 1e3 * np.array(wanted), "tick by tick, written out")
+    curve(ax, RATES, 1e3 * np.array(got), "runs", 0, marker="o")
     ax.set_xscale("log")
     ax.set_ylim(0.0, None)
     ax.set_xticks(RATES, [f"{rate:g}" for rate in RATES])
     ax.minorticks_off()
     legend(ax)
-
     yield figure
     yield (
         "The chapter: higher update rates are of limited benefit. What is left at high rates is the error of the "
@@ -156,34 +143,29 @@ def sec_10_1() -> Shown:
     )
 
 
-# -------------------------------------------------------------------- velocity by differences
-
 STEP, PACE_SLOW, CUTOFF, TICKS = 1e-3, 0.05, 20.0, 2000  # [rad] of an encoder, [rad/s], [Hz], of 1 ms
 
 
 @entry("sec-10.1", "jitter of differenced positions", part="jitter")
 def jitter() -> Shown:
     """A joint that turns slowly, seen by a coarse encoder, differenced with and without a low-pass."""
-    seen = STEP * np.round(PACE_SLOW * 1e-3 * np.arange(TICKS) / STEP)
-    rest, half = JointMotion(q=[0.0]), TICKS // 2
-    differenced = np.diff(seen, prepend=seen[0]) * 1e3
-    wanted = {"differenced": differenced, "with a low-pass": lfilter(*butter(1, CUTOFF, fs=1e3), differenced)}
-    figure, (ax,) = panels(1, 2.3)
-    prepared(ax, "velocity by differences, from an encoder of 1 mrad", "velocity [rad/s]", "t [s]")
-    ways = (
-        ("differenced", Difference(), "NumPy's diff", "high frequency jitter due to quantization"),
-        ("with a low-pass", Difference(cutoff=CUTOFF), "SciPy's butter and lfilter", "to reduce it"),
-    )
-    for k, (name, velocity, source, claim) in enumerate(ways):
-        ctrl = compile(PID(kp=0.0, kd=1.0), link(), rate=1e3, sensing=Sensing(velocity=velocity))
-        got = -np.array([ctrl.step([q], ref=rest)[0] for q in seen])
-        what, want = f"RMS of the velocity's jitter, {name}", wanted[name][half:].std()
-        yield row(what, "rad/s", got[half:].std(), want, source, rel=1e-6, states=claim)
+    seen, half = STEP * np.round(PACE_SLOW * 1e-3 * np.arange(TICKS) / STEP), TICKS // 2
+    raw = np.diff(seen, prepend=seen[0]) * 1e3
+    smooth = lfilter(*butter(1, CUTOFF, fs=1e3), raw)
+    title = "velocity by differences, from an encoder of 1 mrad"
+    figure, (ax,) = panels((title, "velocity [rad/s]", "t [s]"), height=2.3)
+    for k, (name, velocity, wanted, source, claim) in enumerate((
+        ("differenced", Difference(), raw, "NumPy's diff", "high frequency jitter due to quantization"),
+        ("with a low-pass", Difference(cutoff=CUTOFF), smooth, "SciPy's butter and lfilter", "to reduce it"),
+    )):  # fmt: skip
+        ctrl = taut.compile(PID(kp=0.0, kd=1.0), link(), rate=1e3, sensing=Sensing(velocity=velocity))
+        got = -np.array([ctrl.step([q], ref=REST)[0] for q in seen])
+        what = f"RMS of the velocity's jitter, {name} [rad/s]"
+        yield row(what, got[half:].std(), wanted[half:].std(), source, rel=1e-6, states=claim)
         t = 1e-3 * np.arange(half, half + 200)
-        ax.plot(t, got[half : half + 200], color=colour(k), linewidth=0.8 + 0.8 * k, label=name)
+        curve(ax, t, got[half : half + 200], name, k, linewidth=0.8 + 0.8 * k)
     ax.axhline(PACE_SLOW, color=INK, linewidth=0.9, label="true")
     ax.set_ylim(-0.1, 1.4)
     legend(ax, ncols=3)
-
     yield figure
     yield "Chosen: 0.05 rad/s, an encoder of 1 mrad, 1 kHz, a low-pass of 20 Hz."

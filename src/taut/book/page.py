@@ -4,45 +4,19 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from taut.base.errors import NumericalError, StabilityWarning
-from taut.base.plot_style import INK, SMALL, WIDTH, colour
-from taut.base.types import Float64Array
+from taut.base.plot_style import INK, SMALL, WIDTH, colour, prepared
+from taut.base.types import ArrayLike
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-__all__ = [
-    "BY_HAND",
-    "CONTENTS",
-    "Entry",
-    "MUJOCO",
-    "ODE",
-    "Page",
-    "ROOTS",
-    "Row",
-    "Shown",
-    "TWO_BY_HAND",
-    "arrow",
-    "block",
-    "box",
-    "canvas",
-    "compared",
-    "entry",
-    "frame",
-    "junction",
-    "law_diagram",
-    "legend",
-    "panels",
-    "row",
-    "words",
-]
 
 BY_HAND: Final = "the equation, written out"
 TWO_BY_HAND: Final = "two links, written out"
@@ -92,7 +66,6 @@ class Row:
 
 def row(
     quantity: str,
-    unit: str,
     computed: Any,
     expected: Any,
     source: str,
@@ -104,8 +77,7 @@ def row(
     """A row of anything that is a number.
 
     Args:
-        quantity: What it is.
-        unit: Of it.
+        quantity: What it is, with its unit in brackets, as "angle [rad]"; without for a pure number.
         computed: By this library.
         expected: By another way.
         source: Which way.
@@ -113,28 +85,54 @@ def row(
         near: And beyond that, in its unit.
         states: What the chapter states.
     """
+    name, _, unit = quantity.removesuffix("]").partition(" [")
     wanted = float(expected)
-    return Row(quantity, unit, float(computed), wanted, source, rel * abs(wanted) + near, states)
+    return Row(name, unit, float(computed), wanted, source, rel * abs(wanted) + near, states)
 
 
-def compared(
-    got: Float64Array, wanted: Float64Array, unit: str, source: str, what: str, rel: float = 1e-9
-) -> list[Row]:
+def rows(
+    quantity: str,
+    keys: Iterable[object],
+    computed: Iterable[Any],
+    expected: Iterable[Any],
+    source: str,
+    *,
+    rel: float = 1e-9,
+    near: float = 0.0,
+    states: str = "",
+) -> Iterator[Row]:
+    """A row for each key, which the quantity has in the place of {}."""
+    for key, got, wanted in zip(keys, computed, expected, strict=True):
+        yield row(quantity.format(key), got, wanted, source, rel=rel, near=near, states=states)
+
+
+def pole(
+    quantity: str,
+    got: complex,
+    wanted: complex,
+    source: str,
+    *,
+    rel: float = 1e-9,
+    near: float = 0.0,
+    real: str = "",
+    imaginary: str = "",
+) -> Iterator[Row]:
+    """Two rows for a pole, its real and its imaginary part, with what the chapter states of either."""
+    yield row(f"{quantity.format('real part')} [1/s]", got.real, wanted.real, source, rel=rel, near=near, states=real)
+    name = f"{quantity.format('imaginary part')} [1/s]"
+    yield row(name, got.imag, wanted.imag, source, rel=rel, near=near, states=imaginary)
+
+
+def compared(quantity: str, got: Any, wanted: Any, source: str, rel: float = 1e-9) -> Iterator[Row]:
     """Two rows for a vector: its length, and the entry that is farthest off, beside the largest."""
+    name, _, unit = quantity.partition(" [")
+    unit = f" [{unit}" if unit else ""
     worst = int(np.argmax(np.abs(got - wanted)))
-    scale = float(np.abs(wanted).max())
-    return [
-        row(f"{what}: length", unit, np.linalg.norm(got), np.linalg.norm(wanted), source, rel=rel),
-        row(
-            f"{what}: entry {worst + 1}, which differs most",
-            unit,
-            got[worst],
-            wanted[worst],
-            source,
-            rel=0.0,
-            near=rel * scale,
-        ),
-    ]
+    yield row(f"{name}: length{unit}", np.linalg.norm(got), np.linalg.norm(wanted), source, rel=rel)
+    near = rel * float(np.abs(wanted).max())
+    yield row(
+        f"{name}: entry {worst + 1}, which differs most{unit}", got[worst], wanted[worst], source, rel=0.0, near=near
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -203,30 +201,41 @@ def entry(id: str, title: str, *, part: str = "") -> Callable[[Callable[[], Show
     return listed
 
 
-PAPER: Final = "#F4F6F8"
-BLOCK: Final = "#FFFFFF"
-ROW: Final = 0.62  # between blocks that stand above each other
+# -------------------------------------------------------------------- pictures
 
 
-def panels(columns: int, height: float = 2.5, rows: int = 1, **options: Any) -> tuple[Figure, list[Axes]]:
-    """A figure as wide as a page, and its axes row by row."""
+def panels(*titles: tuple[str, str, str] | None, height: float = 2.5, **options: Any) -> tuple[Figure, list[Axes]]:
+    """A figure as wide as a page, with a panel for each title, label of y and label of x; None for one to draw on."""
     from matplotlib.figure import Figure as NewFigure
 
     figure = NewFigure(figsize=(WIDTH, height), dpi=150, layout="constrained", facecolor="white")
-    return figure, list(figure.subplots(rows, columns, squeeze=False, **options).flat)
+    axes = list(figure.subplots(1, len(titles), squeeze=False, **options).flat)
+    for ax, title in zip(axes, titles, strict=True):
+        if title is None:
+            ax.axis("off")
+            ax.set_aspect("equal")
+        else:
+            prepared(ax, *title)
+    return figure, axes
 
 
-def canvas(width: float, height: float, scale: float = 1.0) -> tuple[Figure, Axes]:
+def canvas(width: float, height: float, scale: float) -> tuple[Figure, Axes]:
     """A figure without axes, to draw on in units of its own."""
     from matplotlib.figure import Figure as NewFigure
 
     figure = NewFigure(figsize=(scale * width, scale * height), dpi=150, layout="constrained", facecolor="white")
     ax = figure.subplots()
-    ax.set_xlim(0.0, width)
-    ax.set_ylim(0.0, height)
-    ax.set_aspect("equal")
+    ax.set(xlim=(0.0, width), ylim=(0.0, height), aspect="equal")
     ax.axis("off")
     return figure, ax
+
+
+def curve(ax: Axes, x: Any, y: Any, label: str = "", k: int | None = None, **options: Any) -> None:
+    """A curve in the k-th colour; a thin dark one where it is a reference; dots with `marker`."""
+    style = {"color": INK, "linewidth": 0.9} if k is None else {"color": colour(k), "linewidth": 1.4}
+    if "marker" in options:
+        style |= {"linestyle": "none", "markersize": 4.0}
+    ax.plot(x, y, label=label or None, **{**style, **options})
 
 
 def legend(ax: Axes, **options: Any) -> None:
@@ -234,61 +243,44 @@ def legend(ax: Axes, **options: Any) -> None:
     ax.legend(**{"fontsize": SMALL, "frameon": False, "labelcolor": INK, **options})
 
 
-def words(ax: Axes, x: float, y: float, text: str, *, size: float = SMALL, **options: Any) -> None:
+def words(ax: Axes, at: ArrayLike, text: str, *, size: float = SMALL, **options: Any) -> None:
     """Letters in the middle of a point."""
+    x, y = np.asarray(at).tolist()
     ax.text(x, y, text, **{"fontsize": size, "color": INK, "ha": "center", "va": "center", **options})
 
 
-def arrow(ax: Axes, *points: tuple[float, float], ink: str = INK, width: float = 1.0) -> None:
+def arrow(ax: Axes, *points: ArrayLike, ink: str = INK, width: float = 1.0) -> None:
     """A line through points, with a head at its end."""
-    xs, ys = zip(*points, strict=True)
-    ax.plot(xs[:-1], ys[:-1], color=ink, linewidth=width, solid_capstyle="butt")
-    ax.annotate(
-        "",
-        xy=points[-1],
-        xytext=points[-2],
-        arrowprops={"arrowstyle": "-|>", "color": ink, "linewidth": width, "shrinkA": 0.0, "shrinkB": 0.0},
-    )
+    path = np.array([np.asarray(each) for each in points])
+    ax.plot(*path[:-1].T, color=ink, linewidth=width, solid_capstyle="butt")
+    style = {"arrowstyle": "-|>", "color": ink, "linewidth": width, "shrinkA": 0.0, "shrinkB": 0.0}
+    ax.annotate("", xy=tuple(path[-1]), xytext=tuple(path[-2]), arrowprops=style)
 
 
-def box(ax: Axes, x: float, y: float, width: float, height: float, *, fill: str = PAPER, edge: str = INK) -> None:
-    """A rectangle about its middle."""
+def block(
+    ax: Axes, x: float, y: float, text: str = "", *, width: float = 1.1, height: float = 0.46, fill: str = "#FFFFFF"
+) -> None:
+    """A box about its middle, with a word in it."""
     from matplotlib.patches import Rectangle
 
     corner = (x - 0.5 * width, y - 0.5 * height)
-    ax.add_patch(Rectangle(corner, width, height, facecolor=fill, edgecolor=edge, linewidth=1.0, zorder=2))
+    ax.add_patch(Rectangle(corner, width, height, facecolor=fill, edgecolor=INK, linewidth=1.0, zorder=2))
+    words(ax, (x, y), text, zorder=3)
 
 
-def block(ax: Axes, x: float, y: float, text: str, *, width: float = 1.1, height: float = 0.46) -> None:
-    """A box with a word in it."""
-    box(ax, x, y, width, height, fill=BLOCK)
-    words(ax, x, y, text, zorder=3)
-
-
-def junction(ax: Axes, x: float, y: float) -> None:
-    """Where signals add up."""
-    ax.plot([x], [y], "o", color=INK, markersize=11.0, markerfacecolor=BLOCK, zorder=3)
-    words(ax, x, y - 0.015, "Σ", size=SMALL, zorder=4)
-
-
-def frame(
-    ax: Axes, origin: Float64Array, axes: Float64Array, name: str, *, aside: Float64Array, length: float = 0.1
-) -> None:
-    """The two axes of a frame that lie in the page, and its letter.
+def frame(ax: Axes, origin: Any, axes: Any, name: str, *, aside: Any) -> None:
+    """The axes of a frame, its letters and its name.
 
     Args:
         ax: Where to draw.
         origin: (2,) in the page.
-        axes: (2, 2) its axes in the page, by columns.
-        name: Its letter.
+        axes: (2, k) its axes in the page, by columns.
+        name: Its name.
         aside: (2,) where that stands, from the origin.
-        length: Of the arrows.
     """
-    for k in (0, 1):
-        end = origin + length * axes[:, k]
-        arrow(ax, tuple(origin), tuple(end), ink=colour(k), width=1.6)
-    x, y = (origin + aside).tolist()
-    words(ax, x, y, f"{{{name}}}", zorder=6)
+    for k in range(axes.shape[1]):
+        arrow(ax, origin, origin + axes[:, k], ink=colour(k), width=1.6)
+    words(ax, origin + aside, f"{{{name}}}", zorder=6)
 
 
 # -------------------------------------------------------------------- a law as blocks
@@ -299,65 +291,57 @@ LABELS: Final[Mapping[str, str]] = {
     "D": r"$K_d \, d/dt$",
     "feedforward": r"$\ddot{\theta}_d$",
     "nonlinear": r"$\hat{h}(\theta, \dot{\theta})$",
-    "gravity": r"$\hat{g}(\theta)$",
 }
-"""How the terms of joint laws are drawn; a law with others has their names in its boxes."""
-OF_ERROR: Final = ("P", "I", "D")
-OF_STATE: Final = ("nonlinear", "gravity", "friction")
+"""How the terms of joint laws are drawn."""
+SPACING: Final = 0.62  # between blocks that stand above each other
 
 
-def law_diagram(terms: Sequence[str], title: str, *, inertia: bool) -> Figure:
-    """A block diagram of a law's own terms, between the desired motion and the arm.
+def junction(ax: Axes, x: float, y: float) -> None:
+    """Where signals add up."""
+    ax.plot([x], [y], "o", color=INK, markersize=11.0, markerfacecolor="#FFFFFF", zorder=3)
+    words(ax, (x, y - 0.015), "Σ", zorder=4)
 
-    Args:
-        terms: Names of the law's terms, as `ctrl.terms` has them.
-        title: Above it.
-        inertia: Whether the terms that are no function of the state are accelerations that the mass matrix turns
-            into torques.
-    """
-    of_error = [name for name in terms if name in OF_ERROR]
-    of_state = [name for name in terms if name in OF_STATE]
-    ahead = [name for name in terms if name not in (*of_error, *of_state)]
-    sum_x, half = 3.85, 0.5 * ROW * max(len(of_error) - 1, 0) + 0.45
-    torque_x = sum_x + len(ahead) + (2.0 if inertia else 0.0)
-    arm_x = torque_x + 1.65
-    middle = 0.15 + (max(half, 1.45) if of_state else half)
-    figure, ax = canvas(max(arm_x + 1.05, 7.2), middle + (max(half, 1.45) if ahead else half) + 0.3, 0.78)
-    words(ax, 0.1, ax.get_ylim()[1] - 0.15, title, ha="left", size=SMALL + 0.5)
-    words(ax, 0.35, middle + 0.2, r"$\theta_d$")
+
+def law_diagram(terms: Sequence[str], title: str) -> Figure:
+    """A block diagram of the terms of PID control, or of feedback linearisation, between desired motion and arm."""
+    of_error = [name for name in terms if name in "PID"]
+    model = "nonlinear" in terms  # then M turns what is fed forward and back into a torque
+    sum_x, half = 3.85, 0.5 * SPACING * (len(of_error) - 1) + 0.45
+    torque_x = sum_x + (3.0 if model else 0.0)
+    arm_x, middle = torque_x + 1.65, 0.15 + (1.45 if model else half)
+    figure, ax = canvas(max(arm_x + 1.05, 7.2), middle + (1.45 if model else half) + 0.3, 0.78)
+    words(ax, (0.1, ax.get_ylim()[1] - 0.15), title, ha="left", size=SMALL + 0.5)
+    words(ax, (0.35, middle + 0.2), r"$\theta_d$")
     arrow(ax, (0.15, middle), (0.87, middle))
     junction(ax, 1.0, middle)
-    words(ax, 1.35, middle + 0.2, r"$\theta_e$")
-    ys = [middle + ROW * (0.5 * (len(of_error) - 1) - k) for k in range(len(of_error))]
-    for name, y in zip(of_error, ys, strict=True):
+    words(ax, (1.35, middle + 0.2), r"$\theta_e$")
+    for k, name in enumerate(of_error):
+        y = middle + SPACING * (0.5 * (len(of_error) - 1) - k)
         arrow(ax, (1.13, middle), (1.6, middle), (1.6, y), (1.95, y))
         block(ax, 2.55, y, LABELS[name], width=1.2)
-        on = (sum_x - 0.13, y) if y == middle else (sum_x, middle + np.sign(y - middle) * 0.14)
-        arrow(ax, (3.15, y), *(() if y == middle else ((sum_x, y),)), on)
+        if y == middle:
+            arrow(ax, (3.15, y), (sum_x - 0.13, y))
+        else:
+            arrow(ax, (3.15, y), (sum_x, y), (sum_x, middle + np.sign(y - middle) * 0.14))
     junction(ax, sum_x, middle)
-    x = sum_x
-    for name in ahead:
-        arrow(ax, (x + 0.13, middle), (x + 0.87, middle))
-        x += 1.0
+    if model:
+        x = sum_x + 1.0
+        arrow(ax, (sum_x + 0.13, middle), (x - 0.13, middle))
         junction(ax, x, middle)
         arrow(ax, (x, middle + 1.0), (x, middle + 0.14))
-        words(ax, x, middle + 1.15, LABELS.get(name, name))
-    if inertia:
+        words(ax, (x, middle + 1.15), LABELS["feedforward"])
         arrow(ax, (x + 0.13, middle), (x + 0.6, middle))
         block(ax, x + 1.05, middle, r"$\hat{M}(\theta)$", width=0.9)
-        arrow(ax, (x + 1.5, middle), (x + 1.87, middle))
-        x += 2.0
-        junction(ax, x, middle)
-    for name in of_state:
-        block(ax, x, middle - 0.95, LABELS.get(name, name), width=1.15)
-        arrow(ax, (x, middle - 0.72), (x, middle - 0.14))
-    arrow(ax, (x + 0.13, middle), (arm_x - 0.45, middle))
-    words(ax, 0.5 * (x + arm_x - 0.32), middle + 0.18, r"$\tau$")
+        arrow(ax, (x + 1.5, middle), (torque_x - 0.13, middle))
+        junction(ax, torque_x, middle)
+        block(ax, torque_x, middle - 0.95, LABELS["nonlinear"], width=1.15)
+        arrow(ax, (torque_x, middle - 0.72), (torque_x, middle - 0.14))
+        arrow(ax, (torque_x, 0.15), (torque_x, middle - 1.18))
+    arrow(ax, (torque_x + 0.13, middle), (arm_x - 0.45, middle))
+    words(ax, (0.5 * (torque_x + arm_x - 0.32), middle + 0.18), r"$\tau$")
     block(ax, arm_x, middle, "arm", width=0.9, height=0.7)
     arrow(ax, (arm_x + 0.45, middle), (arm_x + 0.95, middle))
-    words(ax, arm_x + 0.75, middle + 0.2, r"$\theta, \dot{\theta}$")
+    words(ax, (arm_x + 0.75, middle + 0.2), r"$\theta, \dot{\theta}$")
     arrow(ax, (arm_x + 0.65, middle), (arm_x + 0.65, 0.15), (1.0, 0.15), (1.0, middle - 0.14))
-    for k in range(len(of_state)):
-        arrow(ax, (x - 0.1 * k, 0.15), (x - 0.1 * k, middle - 1.18))
-    words(ax, 0.86, middle - 0.24, "−")
+    words(ax, (0.86, middle - 0.24), "−")
     return figure

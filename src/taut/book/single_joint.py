@@ -8,10 +8,10 @@ from typing import Any, Final
 import numpy as np
 from scipy.optimize import brentq
 
-from taut.analysis.design.design import design
-from taut.analysis.loci import root_locus
-from taut.arm.load import load_arm
-from taut.base.plot_style import DASHED, DOTTED, INK, SMALL, colour, prepared
+import taut
+from taut import Gain, JointMotion, Law, LinearSystem, Snapshot, Torque, error_dynamics, snapshot
+from taut.analysis import root_locus, routh, second_order
+from taut.base.plot_style import DASHED, DOTTED, INK, SMALL, colour
 from taut.base.types import Float64Array
 from taut.book.models import (
     FAST,
@@ -19,6 +19,7 @@ from taut.book.models import (
     KI,
     KP,
     MASS,
+    REST,
     SAMPLED,
     B,
     G,
@@ -32,22 +33,29 @@ from taut.book.models import (
     ticked,
     two_poles,
     weight,
-)
-from taut.book.page import BY_HAND, ODE, ROOTS, Shown, arrow, entry, frame, law_diagram, legend, panels, row, words
-from taut.control.command import Torque
-from taut.control.gains import Gain
-from taut.control.law import Law
-from taut.control.laws.friction import FrictionCompensation
-from taut.control.laws.joint import PID
-from taut.control.trajectories.joint import Sine
-from taut.control.trajectories.reference import JointMotion, Sample
-from taut.linear.joint_loop import error_dynamics, second_order
-from taut.linear.linear_system import LinearSystem
-from taut.linear.linearise import linearise
-from taut.linear.routh_table import routh
-from taut.maths.snapshot import Snapshot, snapshot
+)  # fmt: skip
+from taut.book.page import (
+    BY_HAND,
+    ODE,
+    ROOTS,
+    Shown,
+    arrow,
+    curve,
+    entry,
+    frame,
+    law_diagram,
+    legend,
+    panels,
+    pole,
+    row,
+    rows,
+    words,
+)  # fmt: skip
+from taut.control.trajectories.reference import Sample
+from taut.laws import PID, FrictionCompensation
+from taut.trajectories import Sine
 
-__all__ = ["ConstantTorque", "pseudocode", "settling"]
+__all__: list[str] = []
 
 THETA, V, A = 0.7, 1.3, -0.4  # [rad], [rad/s], [rad/s^2] a state of the link, chosen
 STATE: Final = f"Chosen: theta = {THETA} rad, theta-dot = {V} rad/s, theta-ddot = {A} rad/s^2."
@@ -70,24 +78,24 @@ class ConstantTorque(Law):
 @entry("eq-10.1", "the link without friction")
 def eq_10_1() -> Shown:
     tau = snapshot(link(), [THETA], [V]).inverse_dynamics(np.array([A]))[0]
-    yield row("torque without friction", "N m", tau, M * A + weight(THETA), BY_HAND)
+    yield row("torque without friction [N m]", tau, M * A + weight(THETA), BY_HAND)
     yield STATE
 
 
 @entry("eq-10.2", "viscous friction")
 def eq_10_2() -> Shown:
     ctrl = ticked(FrictionCompensation(at="meas"), link(), [THETA], [V], JointMotion(q=[THETA]))
-    yield row("friction torque", "N m", ctrl.terms["friction"][0], B * V, BY_HAND)
+    yield row("friction torque [N m]", ctrl.terms["friction"][0], B * V, BY_HAND)
     yield STATE
 
 
 @entry("eq-10.3", "the link with friction")
 def eq_10_3() -> Shown:
     torque, duration = 0.8, 1.5
-    run = on_link(ConstantTorque(tau=torque), ref=JointMotion(q=[0.0]), duration=duration, q0=[THETA], v0=[V])
-    wanted = solved(lambda *_: torque, np.zeros_like, times=np.array([0.0, duration]), q0=THETA, v0=V)
-    yield row("angle after 1.5 s under 0.8 N m", "rad", run.q[-1, 0], wanted.theta[-1], ODE)
-    yield row("its rate", "rad/s", run.v[-1, 0], wanted.v[-1], ODE, rel=1e-8)
+    run = on_link(ConstantTorque(tau=torque), duration=duration, q0=THETA, v0=V)
+    wanted = solved(lambda *_: torque, np.array([0.0, duration]), q0=THETA, v0=V)
+    yield row("angle after 1.5 s under 0.8 N m [rad]", run.q[-1, 0], wanted.theta[-1], ODE)
+    yield row("its rate [rad/s]", run.v[-1, 0], wanted.v[-1], ODE, rel=1e-8)
     yield "Chosen: a start at 0.7 rad and 1.3 rad/s, and the torque."
 
 
@@ -95,92 +103,74 @@ def eq_10_3() -> Shown:
 def eq_10_4() -> Shown:
     x = snapshot(link(), [THETA], [V])
     h = x.h[0] + float(x.viscous[0]) * V
-    yield row("M", "kg m^2", x.M[0, 0], M, "section 10.2.1", states="0.5 kg m^2")
-    yield row("h: gravity and friction", "N m", h, weight(THETA) + B * V, BY_HAND)
+    yield row("M [kg m^2]", x.M[0, 0], M, "section 10.2.1", states="0.5 kg m^2")
+    yield row("h: gravity and friction [N m]", h, weight(THETA) + B * V, BY_HAND)
     yield f"Here x.h is C v + g, and friction a term of its own; the two are the chapter's h. {STATE}"
 
 
 @entry("eq-10.5", "the error")
 def eq_10_5() -> Shown:
-    arm = link()
-    yield row(
-        "theta_d = 1.0 less theta = 0.25", "rad", arm.difference(np.array([1.0]), np.array([0.25]))[0], 0.75, BY_HAND
-    )
+    e = link().difference(np.array([1.0]), np.array([0.25]))[0]
+    yield row("theta_d = 1.0 less theta = 0.25 [rad]", e, 0.75, BY_HAND)
 
 
-def angles(count: int, dt: float) -> Float64Array:
-    """(count,) what senseAngle gives in the pseudocode: some motion that is not the desired one."""
-    t = dt * np.arange(count)
+def angles(count: int) -> Float64Array:
+    """(count,) what senseAngle gives in the pseudocode at 100 Hz: some motion that is not the desired one."""
+    t = 0.01 * np.arange(count)
     made: Float64Array = 0.4 * np.sin(2.0 * t) + 0.02 * np.cos(11.0 * t)
     return made
 
 
-WANTED: Final = Sine(center=[0.2], amplitude=0.5, frequency=0.4)
+W: Final = 2.0 * math.pi * 0.4  # [rad/s] of the desired motion of the pseudocode
 
 
-def pseudocode(angle: Float64Array, dt: float) -> Float64Array:
-    """(k,) figure 10.8, line by line."""
-    eint, qprev, commands = 0.0, angle[0], []
-    for k, q in enumerate(angle):
-        w = 2.0 * math.pi * 0.4
-        qd, qdotd = 0.2 + 0.5 * math.sin(w * k * dt), 0.5 * w * math.cos(w * k * dt)
-        qdot = (q - qprev) / dt
-        qprev = q
-        e = qd - q
-        edot = qdotd - qdot
-        eint = eint + e * dt
-        commands.append(KP * e + KD * edot + KI * eint)
-    return np.array(commands)
+def trajectory(phase: float) -> tuple[float, float, float]:
+    """That motion: angle, rate and acceleration."""
+    return 0.2 + 0.5 * math.sin(phase), 0.5 * W * math.cos(phase), -0.5 * W * W * math.sin(phase)
 
 
-def ticks(law: Law, angle: Float64Array, rate: float) -> Float64Array:
-    """(k,) the torques of a law that is given angles alone and differences them."""
-    ctrl = controller(law, link(), rate=rate, differenced=True)
-    return np.array([ctrl.step([q], ref=WANTED.at(k / rate))[0] for k, q in enumerate(angle)])
+def ticks(law: Law, angle: Float64Array, model: taut.Arm) -> Float64Array:
+    """(k,) the torques at 100 Hz of a law that is given angles alone and differences them."""
+    ctrl, wanted = (
+        controller(law, model, rate=100.0, differenced=True),
+        Sine(center=[0.2], amplitude=0.5, frequency=0.4),
+    )
+    return np.array([ctrl.step([q], ref=wanted.at(k / 100.0))[0] for k, q in enumerate(angle)])
 
 
 @entry("eq-10.6", "PID control")
 def eq_10_6() -> Shown:
-    law, ref = PID(kp=KP, kd=KD, ki=KI), JointMotion(q=[1.0], v=[0.3])
-    ctrl = controller(law, link(), rate=1000.0)
+    ref = JointMotion(q=[1.0], v=[0.3])
+    ctrl = controller(PID(kp=KP, kd=KD, ki=KI), link(), rate=1000.0)
     e_int = 0.0
     for theta in (0.2, 0.25, 0.31):
         tau = ctrl.step([theta], [V], ref)[0]
         e_int += (1.0 - theta) * 1e-3
-    wanted = KP * (1.0 - 0.31) + KI * e_int + KD * (0.3 - V)
-    yield row("torque in the third tick", "N m", tau, wanted, BY_HAND)
+    yield row("torque in the third tick [N m]", tau, KP * (1.0 - 0.31) + KI * e_int + KD * (0.3 - V), BY_HAND)
     yield "The integral is the sum over ticks of 1 ms, this tick included, as in figure 10.8; gains of 10.6."
 
 
 @entry("eq-10.7", "the closed loop of PD control in a horizontal plane")
 def eq_10_7() -> Shown:
-    sine, duration = Sine(center=[0.0], amplitude=0.5, frequency=0.2), 2.0
-    plane = link(gravity=False)
-    run = on_link(PID(kp=KP, kd=KD), plant=plane, ref=sine, duration=duration, q0=[0.0])
-    w = 2.0 * math.pi * 0.2
+    duration, w = 2.0, 2.0 * math.pi * 0.2
+    sine = Sine(center=[0.0], amplitude=0.5, frequency=0.2)
+    run = on_link(PID(kp=KP, kd=KD), sine, plant=link(gravity=False), duration=duration)
 
     def tau(t: float, theta: float, v: float, _: float) -> float:
         return KP * (0.5 * math.sin(w * t) - theta) + KD * (0.5 * w * math.cos(w * t) - v)
 
-    wanted = solved(tau, lambda t: 0.5 * np.sin(w * t), times=np.array([0.0, duration]), q0=0.0, gravity=False)
-    yield row("angle after 2 s of following a sine", "rad", run.q[-1, 0], wanted.theta[-1], ODE, rel=SAMPLED)
+    times = np.array([0.0, duration])
+    wanted = solved(tau, times, desired=lambda t: 0.5 * np.sin(w * t), q0=0.0, gravity=False).theta[-1]
+    yield row("angle after 2 s of following a sine [rad]", run.q[-1, 0], wanted, ODE, rel=SAMPLED)
     yield "Chosen: PD gains of figure 10.6, 0.5 rad at 0.2 Hz, ticks of 0.1 ms."
 
 
 @entry("eq-10.8", "error dynamics of a set-point")
 def eq_10_8() -> Shown:
-    plane, duration = link(gravity=False), 1.0
-    run = on_link(PID(kp=KP, kd=KD), plant=plane, ref=JointMotion(q=[1.0]), duration=duration, q0=[0.0])
+    run = on_link(PID(kp=KP, kd=KD), JointMotion(q=[1.0]), plant=link(gravity=False), duration=1.0)
     s = (B + KD) / (2.0 * M)  # both roots: critically damped
-    wanted = (1.0 + s * duration) * math.exp(-s * duration)
-    yield row(
-        "error 1 s after a step",
-        "rad",
-        1.0 - run.q[-1, 0],
-        wanted,
-        "(1 + s t) exp(-s t), s = (b + Kd) / 2 M",
-        rel=SAMPLED,
-    )
+    source = "(1 + s t) exp(-s t), s = (b + Kd) / 2 M"
+    yield row("error 1 s after a step [rad]", 1.0 - run.q[-1, 0], (1.0 + s) * math.exp(-s), source, rel=SAMPLED)
 
 
 @entry("fig-10.2", "the link in gravity")
@@ -188,72 +178,70 @@ def fig_10_2() -> Shown:
     theta = math.radians(35.0)
     x = snapshot(link(), [theta])
     T = x.T("tool")
-    p = np.asarray(T.p)
-    yield row("height of the centre of mass", "m", p[2], R * math.sin(theta), "r sin(theta)")
-    yield row("torque of gravity about the joint", "N m", x.g[0], MASS * G * R * math.cos(theta), "m g r cos(theta)")
-    figure, (ax,) = panels(1, 2.9)
-    ax.axis("off")
-    ax.set_aspect("equal")
-    centre, along = p[[0, 2]], p[[0, 2]] / R
+    centre = np.asarray(T.p)[[0, 2]]
+    yield row("height of the centre of mass [m]", centre[1], R * math.sin(theta), "r sin(theta)")
+    yield row("torque of gravity about the joint [N m]", x.g[0], MASS * G * R * math.cos(theta), "m g r cos(theta)")
+    figure, (ax,) = panels(None, height=2.9)
+    along = centre / R
     across = np.array([-along[1], along[0]])
-    outline = np.array(
-        [a * along + b * across for a, b in ((-0.02, -0.02), (0.22, -0.02), (0.22, 0.02), (-0.02, 0.02))]
-    )
+    corners = ((-0.02, -0.02), (0.22, -0.02), (0.22, 0.02), (-0.02, 0.02))
+    outline = np.array([a * along + b * across for a, b in corners])
     ax.fill(*outline.T, facecolor="#E4EBF2", edgecolor=INK, linewidth=1.0)
     ax.plot(0.0, 0.0, "o", color=INK, markersize=7.0)
     ax.plot(*centre, "o", color=colour(3), markersize=6.0)
     ends = [place + 0.03 * across for place in (np.zeros(2), centre)]
-    for one, other in (ends, ends[::-1]):
-        arrow(ax, tuple(one), tuple(other), width=0.8)
-    beside = centre + np.array([0.015, -0.007])
-    for place, letter in ((beside, "m"), (0.5 * (ends[0] + ends[1]) + 0.011 * across, "r")):
-        words(ax, float(place[0]), float(place[1]), letter, size=SMALL + 1.0)
-    motor = 0.038 * np.array([[math.cos(a), math.sin(a)] for a in np.linspace(-0.75 * math.pi, -0.2 * math.pi, 30)])
-    arrow(ax, *[tuple(each) for each in motor.tolist()], width=1.4)
-    words(ax, 0.0, -0.05, r"$\tau$", size=SMALL + 2.0)
+    arrow(ax, *ends, width=0.8)
+    arrow(ax, *ends[::-1], width=0.8)
+    words(ax, centre + np.array([0.015, -0.007]), "m", size=SMALL + 1.0)
+    words(ax, 0.5 * (ends[0] + ends[1]) + 0.011 * across, "r", size=SMALL + 1.0)
+    motor = np.linspace(-0.75 * math.pi, -0.2 * math.pi, 30)
+    arrow(ax, *(0.038 * np.column_stack([np.cos(motor), np.sin(motor)])), width=1.4)
+    words(ax, (0.0, -0.05), r"$\tau$", size=SMALL + 2.0)
     ax.plot([0.0, 0.24], [0.0, 0.0], color=INK, linewidth=0.6, linestyle="--")
     turn = np.linspace(0.0, theta, 30)
     ax.plot(0.13 * np.cos(turn), 0.13 * np.sin(turn), color=INK, linewidth=0.9)
-    words(ax, 0.148 * math.cos(0.5 * theta), 0.148 * math.sin(0.5 * theta), r"$\theta$", size=SMALL + 2.0)
+    words(ax, (0.148 * math.cos(0.5 * theta), 0.148 * math.sin(0.5 * theta)), r"$\theta$", size=SMALL + 2.0)
     arrow(ax, (0.3, 0.14), (0.3, 0.04), width=1.6)
-    words(ax, 0.318, 0.09, "g", size=SMALL + 1.0)
-    frame(ax, np.zeros(2), np.eye(2), "s", aside=np.array([-0.045, 0.0]), length=0.05)
-    R_W = np.asarray(T.R)
-    frame(ax, centre, R_W[np.ix_([0, 2], [0, 2])], "b", aside=-0.022 * along, length=0.05)
-    ax.set_xlim(-0.09, 0.35)
-    ax.set_ylim(-0.07, 0.17)
+    words(ax, (0.318, 0.09), "g", size=SMALL + 1.0)
+    frame(ax, np.zeros(2), 0.05 * np.eye(2), "s", aside=np.array([-0.045, 0.0]))
+    frame(ax, centre, 0.05 * np.asarray(T.R)[np.ix_([0, 2], [0, 2])], "b", aside=-0.022 * along)
+    ax.set(xlim=(-0.09, 0.35), ylim=(-0.07, 0.17))
     yield figure
     yield "Drawn at 35 degrees, from the arm's own frames: the world {s} and the tool {b}."
 
 
 @entry("fig-10.3", "block diagram of PID control")
 def fig_10_3() -> Shown:
-    ctrl = ticked(PID(kp=KP, kd=KD, ki=KI), link(), [0.2], [V], JointMotion(q=[1.0]))
-    e = 0.8
-    yield row("term P", "N m", ctrl.terms["P"][0], KP * e, BY_HAND)
-    yield row("term I, after one tick of 1 ms", "N m", ctrl.terms["I"][0], KI * e * 1e-3, BY_HAND)
-    yield row("term D", "N m", ctrl.terms["D"][0], -KD * V, BY_HAND)
-    figure = law_diagram(list(ctrl.terms), "PID: the terms of taut.laws.PID", inertia=False)
-
-    yield figure
+    terms, e = ticked(PID(kp=KP, kd=KD, ki=KI), link(), [0.2], [V], JointMotion(q=[1.0])).terms, 0.8
+    yield row("term P [N m]", terms["P"][0], KP * e, BY_HAND)
+    yield row("term I, after one tick of 1 ms [N m]", terms["I"][0], KI * e * 1e-3, BY_HAND)
+    yield row("term D [N m]", terms["D"][0], -KD * V, BY_HAND)
+    yield law_diagram(list(terms), "PID: the terms of taut.laws.PID")
     yield "Chosen: theta_d = 1.0 rad, theta = 0.2 rad, theta-dot = 1.3 rad/s; gains of figure 10.6."
 
 
 @entry("fig-10.8", "pseudocode of PID control")
 def fig_10_8() -> Shown:
-    angle, rate = angles(200, 0.01), 100.0
-    got, written = ticks(PID(kp=KP, kd=KD, ki=KI), angle, rate), pseudocode(angle, 1.0 / rate)
-    worst = int(np.argmax(np.abs(got - written)))
-    yield row(
-        "last torque of 200 ticks at 100 Hz", "N m", got[-1], written[-1], "figure 10.8 line by line", rel=1e-11
-    )
-    yield row("the torque that differs most", "N m", got[worst], written[worst], "figure 10.8 line by line", rel=1e-9)
+    angle = angles(200)
+    eint, qprev, written, dt = 0.0, angle[0], [], 0.01
+    for k, q in enumerate(angle):  # line by line
+        qd, qdotd, _ = trajectory(W * k * dt)
+        qdot = (q - qprev) / dt
+        qprev = q
+        e = qd - q
+        edot = qdotd - qdot
+        eint = eint + e * dt
+        written.append(KP * e + KD * edot + KI * eint)
+    got = ticks(PID(kp=KP, kd=KD, ki=KI), angle, link())
+    worst, source = int(np.argmax(np.abs(got - written))), "figure 10.8 line by line"
+    yield row("last torque of 200 ticks at 100 Hz [N m]", got[-1], written[-1], source, rel=1e-11)
+    yield row("the torque that differs most [N m]", got[worst], written[worst], source)
     yield "Chosen: recorded angles, a sine as trajectory, gains of figure 10.6."
 
 
 FORMULA: Final = "the formula"
 STIFF_KD: Final = 10.0  # [N m s/rad] figure 10.5
-ZETAS: Final = (1.5, 1.0, 0.5)  # of its roots "1", "2" and "3"
+LAST_CROSSING: Final = "last crossing of 2 %, bisected"
 
 
 def settling(zeta: float) -> float:
@@ -269,52 +257,44 @@ def settling(zeta: float) -> float:
         return math.exp(-zeta * x) * (math.cos(w * x) + zeta / w * math.sin(w * x))
 
     grid = np.linspace(0.0, 40.0 / min(zeta, 1.0 / zeta), 40001)
-    outside = np.flatnonzero(np.abs([y(float(x)) for x in grid]) > 0.02)
-    last = int(outside[-1])
+    last = int(np.flatnonzero(np.abs([y(float(x)) for x in grid]) > 0.02)[-1])
     return float(brentq(lambda x: abs(y(x)) - 0.02, grid[last], grid[last + 1], xtol=1e-14))
+
+
+def overshoot(zeta: float) -> float:
+    """By the formula [%]."""
+    return 100.0 * math.exp(-math.pi * zeta / math.sqrt(1.0 - zeta**2))
 
 
 @entry("eq-10.9", "the standard second-order form")
 def eq_10_9() -> Shown:
     d = second_order(M=M, b=B, kp=5.0, kd=KD)
-    gains: Any = design(PID, link(gravity=False), zeta=1.0, omega_n=(B + KD) / (2.0 * M), friction="arm").law
-    kp, kd = gains.kp.as_array()[0], gains.kd.as_array()[0]
-    yield row("damping ratio", "", d.zeta, (B + KD) / (2.0 * math.sqrt(5.0 * M)), FORMULA)
-    yield row("natural frequency", "rad/s", d.omega_n, math.sqrt(5.0 / M), FORMULA)
-    yield row(
-        "Kp for critical damping with Kd = 2",
-        "N m/rad",
-        second_order(M=M, b=B, kd=KD, zeta=1.0).kp,
-        2.205,
-        "figure 10.6",
-        states="2.205",
-    )
-    yield row("the same of taut.design, with omega_n = 2.1 rad/s", "N m/rad", kp, 2.205, "figure 10.6")
-    yield row("and its Kd", "N m s/rad", kd, 2.0, "figure 10.6", states="2")
+    gains: Any = taut.design(PID, link(gravity=False), zeta=1.0, omega_n=(B + KD) / (2.0 * M), friction="arm").law
+    critical = second_order(M=M, b=B, kd=KD, zeta=1.0).kp
+    yield row("damping ratio", d.zeta, (B + KD) / (2.0 * math.sqrt(5.0 * M)), FORMULA)
+    yield row("natural frequency [rad/s]", d.omega_n, math.sqrt(5.0 / M), FORMULA)
+    yield row("Kp for critical damping with Kd = 2 [N m/rad]", critical, 2.205, "figure 10.6", states="2.205")
+    name = "the same of taut.design, with omega_n = 2.1 rad/s [N m/rad]"
+    yield row(name, gains.kp.as_array()[0], 2.205, "figure 10.6")
+    yield row("and its Kd [N m s/rad]", gains.kd.as_array()[0], 2.0, "figure 10.6", states="2")
     yield "Chosen: Kp = 5 N m/rad, Kd = 2 N m s/rad, which is underdamped."
 
 
 @entry("eq-10.10", "its roots")
 def eq_10_10() -> Shown:
-    d = error_dynamics(M=M, b=B, kp=5.0, kd=KD)
-    wanted = np.roots([1.0, (B + KD) / M, 5.0 / M])
-    upper = wanted[wanted.imag.argmax()]
-    got = d.poles[d.poles.imag.argmax()]
-    plane, rest = link(gravity=False), JointMotion(q=[0.0])
-    run = on_link(PID(kp=5.0, kd=KD), plant=plane, ref=rest, duration=1.0, q0=[1.0])
-    fitted = two_poles(run.q[::10, 0], 1e-3)
-    found = fitted[fitted.imag.argmax()]
-    (mode,) = linearise(
-        looped(PID(kp=5.0, kd=KD), plane, rest, rate=FAST, friction="arm", integrator="rk4"), at=[0.0]
-    ).modes
-    slip = "slip: -zeta omega_n +- omega_d, without the j"
-    yield row("real part of the roots", "1/s", got.real, upper.real, ROOTS)
-    yield row("imaginary part of the roots", "1/s", got.imag, upper.imag, ROOTS, states=slip)
-    yield row("real part, of the loop linearised", "1/s", mode.s.real, upper.real, ROOTS, rel=1e-3)
-    yield row("imaginary part, of the loop linearised", "1/s", mode.s.imag, upper.imag, ROOTS, rel=1e-3)
-    yield row("real part, fitted to a run", "1/s", found.real, upper.real, ROOTS, rel=1e-3)
-    yield row("imaginary part, fitted to a run", "1/s", found.imag, upper.imag, ROOTS, rel=1e-3)
+    def upper(poles: Any) -> complex:
+        return complex(poles[poles.imag.argmax()])
 
+    wanted = upper(np.roots([1.0, (B + KD) / M, 5.0 / M]))
+    law, plane = PID(kp=5.0, kd=KD), link(gravity=False)
+    run = on_link(law, plant=plane, duration=1.0, q0=1.0)
+    loop = looped(law, plane, REST, rate=FAST, friction="arm", integrator="rk4")
+    (mode,) = taut.linearise(loop, at=[0.0]).modes
+    slip = "slip: -zeta omega_n +- omega_d, without the j"
+    exact = upper(error_dynamics(M=M, b=B, kp=5.0, kd=KD).poles)
+    yield from pole("{} of the roots", exact, wanted, ROOTS, imaginary=slip)
+    yield from pole("{}, of the loop linearised", mode.s, wanted, ROOTS, rel=1e-3)
+    yield from pole("{}, fitted to a run", upper(two_poles(run.q[::10, 0], 1e-3)), wanted, ROOTS, rel=1e-3)
     yield (
         "Underdamped roots are -zeta omega_n +- j omega_d; the chapter leaves the j out. The numbers are those of Kp "
         "= 5 N m/rad and Kd = 2 N m s/rad."
@@ -323,45 +303,23 @@ def eq_10_10() -> Shown:
 
 @entry("sec-10.2.1.1", "stability, settling and overshoot")
 def sec_10_2_1_1() -> Shown:
-    third = [M, B + KD, 2.205]
-    border = (B + KD) * 2.205 / M
-    yield row(
-        "second order, signs all equal: stable",
-        "0 or 1",
-        routh([1.0, 2.0, 3.0]).stable,
-        max(np.roots([1.0, 2.0, 3.0]).real) < 0,
-        ROOTS,
-    )
-    yield row(
-        "third order, a2 a1 = 1.01 a3 a0: stable",
-        "0 or 1",
-        routh([*third, border / 1.01]).stable,
-        max(np.roots([*third, border / 1.01]).real) < 0,
-        ROOTS,
-    )
-    yield row(
-        "third order, a2 a1 = 0.99 a3 a0: stable",
-        "0 or 1",
-        routh([*third, border / 0.99]).stable,
-        max(np.roots([*third, border / 0.99]).real) < 0,
-        ROOTS,
-    )
+    third, bound = [M, B + KD, 2.205], (B + KD) * 2.205 / M
+    for name, coefficients in (
+        ("second order, signs all equal", [1.0, 2.0, 3.0]),
+        ("third order, a2 a1 = 1.01 a3 a0", [*third, bound / 1.01]),
+        ("third order, a2 a1 = 0.99 a3 a0", [*third, bound / 0.99]),
+    ):
+        stable = max(np.roots(coefficients).real) < 0
+        yield row(f"{name}: stable [0 or 1]", routh(coefficients).stable, stable, ROOTS)
     for zeta in (0.25, 0.5, 0.78, 1.0, 1.5):
-        d = error_dynamics(omega_n=1.0, zeta=zeta).step()
+        got = error_dynamics(omega_n=1.0, zeta=zeta).step().settling_time
         slowest = zeta if zeta <= 1.0 else zeta - math.sqrt(zeta**2 - 1.0)
-        yield row(
-            f"omega_n times 2 % settling time, zeta = {zeta:g}",
-            "",
-            d.settling_time,
-            settling(zeta),
-            "last crossing of 2 %, bisected",
-            states=f"about 4 tau = {4.0 / slowest:.3g}",
-        )
-    for zeta in (0.2, 0.5, 0.8):
-        d = error_dynamics(omega_n=1.0, zeta=zeta).step()
-        wanted = 100.0 * math.exp(-math.pi * zeta / math.sqrt(1.0 - zeta**2))
-        yield row(f"overshoot, zeta = {zeta:g}", "%", d.overshoot, wanted, "exp(-pi zeta / sqrt(1 - zeta^2))")
-
+        name, states = f"omega_n times 2 % settling time, zeta = {zeta:g}", f"about 4 tau = {4.0 / slowest:.3g}"
+        yield row(name, got, settling(zeta), LAST_CROSSING, states=states)
+    zetas = (0.2, 0.5, 0.8)
+    found = [error_dynamics(omega_n=1.0, zeta=zeta).step().overshoot for zeta in zetas]
+    source = "exp(-pi zeta / sqrt(1 - zeta^2))"
+    yield from rows("overshoot, zeta = {:g} [%]", zetas, found, map(overshoot, zetas), source)
     yield (
         "4 tau is a rule for the envelope. The exact settling time is 5.83 / omega_n at zeta = 1 and 3.60 / omega_n "
         "at 0.78, where 4 tau would be 4 and 5.1."
@@ -371,92 +329,66 @@ def sec_10_2_1_1() -> Shown:
 @entry("fig-10.4", "the response to a step")
 def fig_10_4() -> Shown:
     """A slide under a constant force stands for the link: its steady-state error is exact, its response linear."""
-    zeta, omega_n, step = 0.25, 20.0, 0.2
-    slide = load_arm("gantry3").subset(["z"]).with_joints(viscous=0.0)
-    mass = 3.0
+    zeta, omega_n, step, start, mass = 0.25, 20.0, 0.2, -0.1, 3.0
+    slide = taut.load_arm("gantry3").subset(["z"]).with_joints(viscous=0.0)
     d = second_order(M=mass, zeta=zeta, omega_n=omega_n)
-    start = -0.1
-    run = on_link(
-        PID(kp=d.kp, kd=d.kd), plant=slide, ref=JointMotion(q=[start + step]), duration=2.0, q0=[start]
-    )  # fmt: skip
+    run = on_link(PID(kp=d.kp, kd=d.kd), JointMotion(q=[start + step]), plant=slide, duration=2.0, q0=start)
     e = (start + step - run.q[:, 0]) / step
-    droop = mass * 9.81 / (mass * omega_n**2) / step
-    wanted = 100.0 * math.exp(-math.pi * zeta / math.sqrt(1.0 - zeta**2))
-    yield row("overshoot", "%", run.metrics.overshoot[0], wanted, "exp(-pi zeta / sqrt(1 - zeta^2))", rel=2e-3)
-    yield row(
-        "2 % settling time",
-        "s",
-        run.metrics.settling_time[0],
-        settling(zeta) / omega_n,
-        "last crossing of 2 %, bisected",
-        rel=2e-3,
-        states=f"about 4 tau = {4.0 / (zeta * omega_n):.3g} s",
-    )
-    yield row(
-        "steady-state error", "% of the step", run.metrics.steady_state_error[0], 100.0 * droop, "m g / Kp", rel=2e-3
-    )
-    figure, (ax,) = panels(1, 2.8)
-    prepared(ax, "error after a step", "error / step", "t [s]")
-    ax.plot(run.t, e, color=colour(0), linewidth=1.5)
-    T = settling(zeta) / omega_n
+    droop, T = mass * 9.81 / (mass * omega_n**2) / step, settling(zeta) / omega_n
+    found, source = run.metrics, "exp(-pi zeta / sqrt(1 - zeta^2))"
+    yield row("overshoot [%]", found.overshoot[0], overshoot(zeta), source, rel=2e-3)
+    states = f"about 4 tau = {4.0 / (zeta * omega_n):.3g} s"
+    yield row("2 % settling time [s]", found.settling_time[0], T, LAST_CROSSING, rel=2e-3, states=states)
+    name = "steady-state error [% of the step]"
+    yield row(name, found.steady_state_error[0], 100.0 * droop, "m g / Kp", rel=2e-3)
+    figure, (ax,) = panels(("error after a step", "error / step", "t [s]"), height=2.8)
+    curve(ax, run.t, e, k=0)
     band = 0.02 * (1.0 - droop)
     ax.axhspan(droop - band, droop + band, color=colour(2), alpha=0.25, linewidth=0.0, label="2 % band")
     ax.axhline(droop, color=INK, linewidth=0.9, linestyle=DASHED, label="steady-state error")
     ax.axvline(T, color=colour(1), linewidth=1.0, linestyle=DOTTED, label=f"settled, {T:.3g} s")
-    k = int(np.argmin(e))
-    ax.annotate(
-        "", (run.t[k], e[k]), (run.t[k], droop), arrowprops={"arrowstyle": "<->", "color": INK, "linewidth": 0.9}
-    )
-    ax.text(run.t[k] + 0.085, e[k] + 0.1, "overshoot", fontsize=SMALL, color=INK, va="center")
+    at, least = run.t[np.argmin(e)], e.min()
+    ax.annotate("", (at, least), (at, droop), arrowprops={"arrowstyle": "<->", "color": INK, "linewidth": 0.9})
+    words(ax, (at + 0.085, least + 0.1), "overshoot", ha="left")
     legend(ax)
     ax.set_xlim(0.0, 1.5)
-
     yield figure
     yield "Chosen: a slide of 3 kg that its weight pulls down, zeta = 0.25, omega_n = 20 rad/s, a step of 0.2 m."
 
 
 @entry("fig-10.5", "root locus over Kp, and three responses")
 def fig_10_5() -> Shown:
-    designs = [second_order(M=M, b=B, kd=STIFF_KD, zeta=zeta) for zeta in ZETAS]
+    zetas = (1.5, 1.0, 0.5)  # of its roots "1", "2" and "3"
+    designs = [second_order(M=M, b=B, kd=STIFF_KD, zeta=zeta) for zeta in zetas]
 
     def joint(kp: float) -> LinearSystem:
         return error_dynamics(M=M, b=B, kp=kp, kd=STIFF_KD)
 
     values = np.unique([*np.linspace(0.0, 1.3 * designs[-1].kp, 200), *(d.kp for d in designs)])
-    found = root_locus(joint, values, label="Kp [N m/rad]")
-    meeting = found.breakaways[0]
-    critical = (B + STIFF_KD) ** 2 / (4.0 * M)
-    yield row("Kp where the roots meet", "N m/rad", meeting.value, critical, "(b + Kd)^2 / 4 M", rel=1e-6)
-    yield row("where they meet", "1/s", meeting.pole.real, -(B + STIFF_KD) / (2.0 * M), "-(b + Kd) / 2 M", rel=1e-6)
-    figure, (left, right) = panels(2, 2.9)
-    found.draw(left, mark=[d.kp for d in designs])
-    prepared(right, "error after a step of 1 rad", "error [rad]", "t [s]")
-    for k, (zeta, d) in enumerate(zip(ZETAS, designs, strict=True)):
-        wanted = np.roots([M, B + STIFF_KD, d.kp])
-        slow = wanted[wanted.real.argmax()]
-        yield row(f'"{k + 1}", zeta = {zeta:g}: Kp', "N m/rad", d.kp, critical / zeta**2, "critical Kp / zeta^2")
-        yield row(
-            f'"{k + 1}": real part of the slower root', "1/s", max(joint(d.kp).poles.real), slow.real, ROOTS, rel=1e-6
-        )
-        run = on_link(
-            PID(kp=d.kp, kd=STIFF_KD), plant=link(gravity=False), ref=JointMotion(q=[1.0]), duration=6.0, q0=[0.0]
-        )  # fmt: skip
-        T = settling(zeta) / d.omega_n
+    locus = root_locus(joint, values, label="Kp [N m/rad]")
+    meeting, critical = locus.breakaways[0], (B + STIFF_KD) ** 2 / (4.0 * M)
+    yield row("Kp where the roots meet [N m/rad]", meeting.value, critical, "(b + Kd)^2 / 4 M", rel=1e-6)
+    half = -(B + STIFF_KD) / (2.0 * M)
+    yield row("where they meet [1/s]", meeting.pole.real, half, "-(b + Kd) / 2 M", rel=1e-6)
+    titles = ("", "", ""), ("error after a step of 1 rad", "error [rad]", "t [s]")
+    figure, (left, right) = panels(*titles, height=2.9)
+    locus.draw(left, mark=[d.kp for d in designs])
+    for k, (zeta, d) in enumerate(zip(zetas, designs, strict=True)):
+        name = f'"{k + 1}", zeta = {zeta:g}'
+        yield row(f"{name}: Kp [N m/rad]", d.kp, critical / zeta**2, "critical Kp / zeta^2")
+        slow = np.roots([M, B + STIFF_KD, d.kp]).real.max()
+        found = max(joint(d.kp).poles.real)
+        yield row(f'"{k + 1}": real part of the slower root [1/s]', found, slow, ROOTS, rel=1e-6)
+        law = PID(kp=d.kp, kd=STIFF_KD)
+        run = on_link(law, JointMotion(q=[1.0]), plant=link(gravity=False), duration=6.0)
         states = "slip: unaffected beyond critical damping" if zeta < 1.0 else ""
-        yield row(
-            f'"{k + 1}": 2 % settling time of a run',
-            "s",
-            run.metrics.settling_time[0],
-            T,
-            "last crossing of 2 %, bisected",
-            rel=2e-3,
-            states=states,
-        )
-        right.plot(run.t, 1.0 - run.q[:, 0], color=colour(k), linewidth=1.5, label=f'"{k + 1}", zeta = {zeta:g}')
+        T, wanted = run.metrics.settling_time[0], settling(zeta) / d.omega_n
+        what = f'"{k + 1}": 2 % settling time of a run [s]'
+        yield row(what, T, wanted, LAST_CROSSING, rel=2e-3, states=states)
+        curve(right, run.t, 1.0 - run.q[:, 0], name, k)
     right.axhline(0.0, color=INK, linewidth=0.6)
     right.set_xlim(0.0, 1.5)
     legend(right)
-
     yield figure
     yield (
         "Kd = 10 N m s/rad in a horizontal plane. The chapter: the settling time is unaffected as Kp is increased "

@@ -4,38 +4,30 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
 
-from taut.base.plot_style import DASHED, INK, colour, prepared
+import taut
+from taut import Controller, Gain, Law, Pose, Run, Snapshot, TaskMotion, Torque, snapshot
+from taut import math as tm
+from taut.base.plot_style import DASHED, INK
 from taut.base.types import Float64Array
-from taut.book.models import TWO_LINKS, engine, panda, simulated, ticked, total, two_links, two_poles
-from taut.book.multi_joint import Q, V
-from taut.book.page import MUJOCO, TWO_BY_HAND, Shown, compared, entry, legend, panels, row
-from taut.codegen.inverse_kinematics import inverse_kinematics
-from taut.control.command import Torque
-from taut.control.gains import Gain
-from taut.control.law import Law
-from taut.control.laws.joint import ComputedTorque
-from taut.control.laws.task import TaskComputedTorque
+from taut.book.models import TWO_LINKS, in_mujoco, panda, simulated, ticked, total, two_links, two_poles
+from taut.book.multi_joint import TORQUE, Q, V
+from taut.book.page import MUJOCO, TWO_BY_HAND, Shown, compared, curve, entry, legend, panels, pole, row, rows
 from taut.control.laws.task_error import task_error
-from taut.control.laws.via_joint_space import via_joint_space
-from taut.control.trajectories.task_reference import TaskMotion
-from taut.controller import Controller, compile
-from taut.maths.snapshot import Snapshot, snapshot
+from taut.laws import ComputedTorque, TaskComputedTorque
 from taut.maths.spatial import rotated
 from taut.maths.task_inertia import TaskInertia
-from taut.record.run import Run
-from taut.trace import math as tm
-from taut.trace.pose import Pose
 
 if TYPE_CHECKING:
     from taut.control.laws.task_error import ErrorKind
 
-__all__ = ["AsWritten"]
+__all__: list[str] = []
 
 W: Final = 1.5  # [rad/s] of the circle that two links follow
 CENTRE, RADIUS = np.array([0.55, 0.1]), 0.1  # [m] x and z
@@ -56,112 +48,70 @@ def joints(t: float) -> tuple[Float64Array, Float64Array, Float64Array]:
     return q, v, inverse @ (a_tip - TWO_LINKS.Jdot_v(q, v))
 
 
-def sample(t: float) -> TaskMotion:
-    """The circle as a motion of the tool."""
-    p, v, a = (np.array([each[0], 0.0, each[1]]) for each in around(t))
-    nothing = np.zeros(3)
-    return TaskMotion(pose=Pose(p), twist=[*v, *nothing], acceleration=[*a, *nothing])
-
-
-def followed() -> tuple[Controller, float]:
-    """A law that goes by way of the joints, after 0.4 s on the circle, and that time."""
-    ctrl = compile(via_joint_space(ComputedTorque(kp=100.0, kd=20.0), directions="position"), two_links())
+@cache
+def followed() -> tuple[Controller, tuple[Float64Array, Float64Array, Float64Array]]:
+    """A law that goes by way of the joints, after 0.4 s on the circle, and q, v and a written out."""
+    ctrl = taut.compile(taut.via_joint_space(ComputedTorque(kp=100.0, kd=20.0), directions="position"), two_links())
     for k in range(401):
-        t = 1e-3 * k
-        q, v, _ = joints(t)
-        ctrl.step(q, v, sample(t))
-    return ctrl, t
+        p, v, a = (np.array([each[0], 0.0, each[1]]) for each in around(1e-3 * k))
+        state = joints(1e-3 * k)
+        ctrl.step(*state[:2], TaskMotion(pose=Pose(p), twist=[*v, 0, 0, 0], acceleration=[*a, 0, 0, 0]))
+    return ctrl, state
 
 
 @entry("eq-10.28", "inverse kinematics")
 def eq_10_28() -> Shown:
-    p = around(0.0)[0]
-    found = inverse_kinematics(
+    p, source = around(0.0)[0], "law of cosines"
+    found = taut.inverse_kinematics(
         two_links(), Pose([p[0], 0.0, p[1]]), q0=[0.1, 0.9], directions="position", tolerance=(1e-10, 1e-6)
-    )
-    wanted = TWO_LINKS.ik(p)
-    ctrl, t = followed()
-    along, later = ctrl.memory["law.q_des"], joints(t)[0]
-    yield from (
-        row(f"joint {i + 1} of two links", "rad", found.q[i], wanted[i], "law of cosines", near=1e-9) for i in (0, 1)
-    )
-    yield from (
-        row(
-            f"joint {i + 1} of a law that follows a circle, after 0.4 s",
-            "rad",
-            along[i],
-            later[i],
-            "law of cosines",
-            near=1e-6,
-        )
-        for i in (0, 1)
-    )
+    ).q
+    yield from rows("joint {} of two links [rad]", (1, 2), found, TWO_LINKS.ik(p), source, near=1e-9)
+    ctrl, (q, _, _) = followed()
+    name = "joint {} of a law that follows a circle, after 0.4 s [rad]"
+    yield from rows(name, (1, 2), ctrl.memory["law.q_des"], q, source, near=1e-6)
     yield "Chosen: the tool at (0.65, 0.1) m, then a circle of 0.1 m radius at 1.5 rad/s."
 
 
 @entry("eq-10.29", "joint speeds of a motion of the tool")
 def eq_10_29() -> Shown:
-    ctrl, t = followed()
-    got, wanted = ctrl.memory["law.v_des"], joints(t)[1]
-    yield from (
-        row(f"speed of joint {i + 1} after 0.4 s", "rad/s", got[i], wanted[i], f"J^-1 V, {TWO_BY_HAND}", near=1e-5)
-        for i in (0, 1)
-    )
+    ctrl, (_, v, _) = followed()
+    name, source = "speed of joint {} after 0.4 s [rad/s]", f"J^-1 V, {TWO_BY_HAND}"
+    yield from rows(name, (1, 2), ctrl.memory["law.v_des"], v, source, near=1e-5)
     yield "The circle of equation 10.28."
 
 
 @entry("eq-10.30", "joint accelerations of a motion of the tool")
 def eq_10_30() -> Shown:
-    ctrl, t = followed()
-    got, wanted = ctrl.memory["law.a_des"], joints(t)[2]
-    yield from (
-        row(
-            f"acceleration of joint {i + 1} after 0.4 s",
-            "rad/s^2",
-            got[i],
-            wanted[i],
-            f"J^-1 (V-dot - J-dot v), {TWO_BY_HAND}",
-            near=1e-4,
-        )
-        for i in (0, 1)
-    )
+    ctrl, (_, _, a) = followed()
+    name, source = "acceleration of joint {} after 0.4 s [rad/s^2]", f"J^-1 (V-dot - J-dot v), {TWO_BY_HAND}"
+    yield from rows(name, (1, 2), ctrl.memory["law.a_des"], a, source, near=1e-4)
     yield "The circle of equation 10.28."
-
-
-def target() -> TaskMotion:
-    """Near the Panda's tool at Q."""
-    m = engine().at(Q, V)
-    R = Rotation.from_rotvec([0.1, -0.05, 0.08]).as_matrix() @ m.R
-    return TaskMotion(
-        pose=Pose(m.p + np.array([0.02, -0.01, 0.03]), R=R),
-        twist=[0.1, 0.2, -0.1, 0.3, 0.1, -0.2],
-        acceleration=[1.0, 0.5, -0.5, 0.4, 0.3, 0.2],
-    )
 
 
 @entry("eq-10.31", "computed torque in task space")
 def eq_10_31() -> Shown:
     """The decoupled error, with Lambda, gamma and eta of MuJoCo."""
-    ref = target()
-    ctrl = ticked(TaskComputedTorque(kp=100.0, kd=20.0, ki=50.0, null=None), panda(), Q, V, ref)
-    got = total(ctrl.terms)
-    m = engine().at(Q, V)
+    m, turn = in_mujoco(Q, V), Rotation.from_rotvec([0.1, -0.05, 0.08]).as_matrix()
+    ref = TaskMotion(
+        pose=Pose(m.p + np.array([0.02, -0.01, 0.03]), R=turn @ m.R),
+        twist=[0.1, 0.2, -0.1, 0.3, 0.1, -0.2],
+        acceleration=[1.0, 0.5, -0.5, 0.4, 0.3, 0.2],
+    )
+    got = total(ticked(TaskComputedTorque(kp=100.0, kd=20.0, ki=50.0, null=None), panda(), Q, V, ref).terms)
     X = np.concatenate([np.asarray(ref.p) - m.p, Rotation.from_matrix(np.asarray(ref.R) @ m.R.T).as_rotvec()])
     a = ref.acceleration + 100.0 * X + 50.0 * X * 1e-3 + 20.0 * (ref.twist - m.J @ V)
     J_bar = np.linalg.solve(m.M, m.J.T) @ m.Lambda  # J_bar^T h is gamma + eta where nothing moves freely
     gamma_eta = J_bar.T @ m.h - m.Lambda @ m.Jdot_v
     wanted = m.J.T @ (m.Lambda @ a + gamma_eta)
     free = (np.eye(7) - m.J.T @ J_bar.T) @ m.h  # what of h the free motion has, which the law adds too
-    yield from compared(got, wanted + free, "N m", MUJOCO, "torque of the Panda", 1e-6)
-    stretched, bent = (snapshot(two_links(), [0.3, q2]) for q2 in (0.0, 1.2))
-    for name, x, q in (("stretched", stretched, np.array([0.3, 0.0])), ("bent", bent, np.array([0.3, 1.2]))):
-        J = np.asarray(x.J())[[0, 2]]
-        told_M, wanted_M = (np.linalg.eigvalsh(np.asarray(M))[0] for M in (x.M, TWO_LINKS.M(q)))
-        states = "slip: M is singular at a dynamic singularity" if name == "stretched" else ""
-        yield row(f"two links, {name}: least eigenvalue of M", "kg m^2", told_M, wanted_M, TWO_BY_HAND, states=states)
-        told_J, wanted_J = (np.linalg.svd(each)[1][-1] for each in (J, TWO_LINKS.J(q)))
-        yield row(f"two links, {name}: least singular value of J", "m", told_J, wanted_J, TWO_BY_HAND, near=1e-12)
-
+    yield from compared(TORQUE, got, wanted + free, MUJOCO, 1e-6)
+    slip = "slip: M is singular at a dynamic singularity"
+    for name, q, states in (("stretched", np.array([0.3, 0.0]), slip), ("bent", np.array([0.3, 1.2]), "")):
+        x = snapshot(two_links(), q)
+        got, wanted = (np.linalg.eigvalsh(np.asarray(M))[0] for M in (x.M, TWO_LINKS.M(q)))
+        yield row(f"two links, {name}: least eigenvalue of M [kg m^2]", got, wanted, TWO_BY_HAND, states=states)
+        got, wanted = (np.linalg.svd(J)[1][-1] for J in (np.asarray(x.J())[[0, 2]], TWO_LINKS.J(q)))
+        yield row(f"two links, {name}: least singular value of J [m]", got, wanted, TWO_BY_HAND, near=1e-12)
     yield (
         "The chapter speaks of a dynamic singularity where M is singular. M never is: J is singular there, and "
         "Lambda is unbounded. Chosen: the error of the third choice, a Panda, kp = 100, kd = 20, ki = 50; h "
@@ -214,11 +164,9 @@ def spun(law: Law) -> tuple[Run, Any]:
     x = snapshot(arm, arm.home)
     T = x.T()
     w = SPIN * np.asarray(T.R)[:, 2]
-    J = np.asarray(x.J())
-    towards = np.linalg.lstsq(
-        J, np.array([[0.0, 0.0, 0.0, *w], [0.0, 0.0, 0.0, 0.006, -0.009, 0.006]]).T, rcond=None
-    )[0]
-    out = simulated(law, arm, Spinning(T, w), duration=0.5, q0=arm.home + towards[:, 1], v0=towards[:, 0])
+    twists = np.array([[0.0, 0.0, 0.0, *w], [0.0, 0.0, 0.0, 0.006, -0.009, 0.006]])
+    v, away = np.linalg.lstsq(np.asarray(x.J()), twists.T, rcond=None)[0].T
+    out = simulated(law, arm, Spinning(T, w), duration=0.5, q0=arm.home + away, v0=v)
     errors = []
     for t, R in zip(out.t, out.task.R, strict=True):
         across = Rotation.from_matrix(R.T @ Rotation.from_rotvec(w * t).as_matrix() @ np.asarray(T.R)).as_rotvec()
@@ -226,46 +174,31 @@ def spun(law: Law) -> tuple[Run, Any]:
     return out, np.array(errors)
 
 
-def sampled(kd: complex) -> Any:
-    """(2,) poles of s^2 + kd s + kp, stepped as the plant steps, the lower imaginary part first [1/s]."""
-    poles = np.log(np.roots([1.0, kd * TICK + KP * TICK**2 - 2.0, 1.0 - kd * TICK]).astype(complex)) / TICK
+def in_order(poles: Any) -> Any:
+    """(2,) poles, the lower imaginary part first."""
     return poles[np.argsort(poles.imag)]
 
 
 @entry("sec-10.2.3", "the body error at a target that spins", part="spin")
 def transported() -> Shown:
-    figure, (ax,) = panels(1, 2.6)
-    prepared(ax, "error about the tool's x axis, at a target that spins", "error [mrad]", "t [s]")
-    laws: dict[str, tuple[Law, complex]] = {
-        "transported": (TaskComputedTorque(kp=KP, kd=KD, error="body", null=None, singularity="plain"), KD),
-        "fed as it is": (AsWritten(kp=KP, kd=KD), KD + 1j * SPIN),
-    }
-    for k, (name, (law, kd)) in enumerate(laws.items()):
+    title = "error about the tool's x axis, at a target that spins"
+    figure, (ax,) = panels((title, "error [mrad]", "t [s]"), height=2.6)
+    well = TaskComputedTorque(kp=KP, kd=KD, error="body", null=None, singularity="plain")
+    slip = "slip: V-dot_d fed as it is, the poles as designed"
+    laws: tuple[tuple[str, Law, complex, str], ...] = (
+        ("transported", well, KD, ""), ("fed as it is", AsWritten(kp=KP, kd=KD), KD + 1j * SPIN, slip),
+    )  # fmt: skip
+    for k, (name, law, kd, states) in enumerate(laws):
         out, errors = spun(law)
-        got = two_poles(errors, TICK)
-        got, wanted = got[np.argsort(got.imag)], sampled(kd)
-        design = np.roots([1.0, kd, KP])
-        design = design[np.argsort(design.imag)]
-        states = "slip: V-dot_d fed as it is, the poles as designed" if name == "fed as it is" else ""
-        for i in (0, 1):
-            source = f"s^2 + {kd:g} s + 100, sampled at 1 kHz; {design[i]:.3g} in continuous time"
-            yield row(
-                f"{name}: pole {i + 1}, real part",
-                "1/s",
-                got[i].real,
-                wanted[i].real,
-                source,
-                rel=0.0,
-                near=0.1,
-                states=states,
-            )
-            yield row(
-                f"{name}: pole {i + 1}, imaginary part", "1/s", got[i].imag, wanted[i].imag, source, rel=0.0, near=0.1
-            )
-        ax.plot(out.t, 1e3 * errors.real, color=colour(k), linewidth=1.4, label=name)
+        stepped = np.roots([1.0, kd * TICK + KP * TICK**2 - 2.0, 1.0 - kd * TICK])  # as the plant steps
+        got, wanted = in_order(two_poles(errors, TICK)), in_order(np.log(stepped.astype(complex)) / TICK)
+        for i, design in enumerate(in_order(np.roots([1.0, kd, KP]))):
+            source = f"s^2 + {kd:g} s + 100, sampled at 1 kHz; {design:.3g} in continuous time"
+            what = f"{name}: pole {i + 1}, {{}}"
+            yield from pole(what, got[i], wanted[i], source, rel=0.0, near=0.1, real=states)
+        curve(ax, out.t, 1e3 * errors.real, name, k)
     ax.axhline(0.0, color=INK, linewidth=0.6)
     legend(ax)
-
     yield figure
     yield (
         "With the body error the desired acceleration must be transported to the tool, Ad V-dot_d + ad_{V_e}(Ad "
@@ -274,7 +207,6 @@ def transported() -> Shown:
 
 
 SHIFT, TURN = np.array([0.05, 0.15, -0.05]), np.array([0.0, 0.7, 0.4])  # [m], rotation vector [rad], chosen
-KP_E, KD_E = 100.0, 20.0  # [1/s^2], [1/s]
 ALONE: Final = "(1 + 10 t) exp(-10 t) of what was to go"
 
 
@@ -297,38 +229,29 @@ def choices() -> Shown:
     arm = panda()
     T0 = snapshot(arm, arm.home).T()
     T1 = Pose(np.asarray(T0.p) + SHIFT, R=np.asarray(T0.R) @ Rotation.from_rotvec(TURN).as_matrix())
-    bow = aside(screw(T0, T1))
-    figure, (ax,) = panels(1, 2.6)
-    prepared(ax, "the tool on its way to another place and orientation", "aside of a straight line [mm]", "way [mm]")
+    bow, title = aside(screw(T0, T1)).max(), "the tool on its way to another place and orientation"
+    figure, (ax,) = panels((title, "aside of a straight line [mm]", "way [mm]"), height=2.6)
     kinds: tuple[ErrorKind, ...] = ("body", "space", "decoupled")
     for k, kind in enumerate(kinds):
-        law = TaskComputedTorque(kp=KP_E, kd=KD_E, error=kind, null=None, singularity="plain")
+        law = TaskComputedTorque(kp=100.0, kd=20.0, error=kind, null=None, singularity="plain")
         out = simulated(law, arm, TaskMotion(pose=T1), duration=1.5)
-        off = aside(out.task.p)
-        name = f"{kind}: farthest from a straight line"
+        off, name = aside(out.task.p), f"{kind}: farthest from a straight line [m]"
         if kind == "decoupled":
-            turned = Rotation.from_matrix(np.swapaxes(np.asarray(out.task.R), 1, 2) @ np.asarray(T1.R)).magnitude()
-            at = round(0.2 * out.rate)
-            wanted = np.linalg.norm(TURN) * (1.0 + 10.0 * 0.2) * math.exp(-10.0 * 0.2)
+            at, t = round(0.2 * out.rate), 0.2
+            turned = Rotation.from_matrix(np.asarray(out.task.R[at]).T @ np.asarray(T1.R)).magnitude()
+            left = np.linalg.norm(np.asarray(T1.p) - out.task.p[at])
+            wanted = np.linalg.norm(TURN) * (1.0 + 10.0 * t) * math.exp(-10.0 * t)
+            way = wanted / np.linalg.norm(TURN) * np.linalg.norm(SHIFT)
             claim = "decouples rotational and linear terms"
-            yield row(name, "m", off.max(), 0.0, "each by itself: straight", near=2e-4, states=claim)
-            yield row(f"{kind}: angle left after 0.2 s", "rad", turned[at], wanted, ALONE, rel=0.02, states=claim)
-            yield row(
-                f"{kind}: way left after 0.2 s",
-                "m",
-                np.linalg.norm(np.asarray(T1.p) - out.task.p[at]),
-                wanted / np.linalg.norm(TURN) * np.linalg.norm(SHIFT),
-                ALONE,
-                rel=0.02,
-                states=claim,
-            )
+            yield row(name, off.max(), 0.0, "each by itself: straight", near=2e-4, states=claim)
+            yield row(f"{kind}: angle left after 0.2 s [rad]", turned, wanted, ALONE, rel=0.02, states=claim)
+            yield row(f"{kind}: way left after 0.2 s [m]", left, way, ALONE, rel=0.02, states=claim)
         else:
-            yield row(name, "m", off.max(), bow.max(), "the screw motion between both poses", rel=0.01)
-        way = np.linalg.norm(out.task.p - out.task.p[0], axis=1)
-        ax.plot(1e3 * way, 1e3 * off, color=colour(k), linewidth=1.4, linestyle=DASHED if k == 1 else "-", label=kind)
+            yield row(name, off.max(), bow, "the screw motion between both poses", rel=0.01)
+        ahead = np.linalg.norm(out.task.p - out.task.p[0], axis=1)
+        curve(ax, 1e3 * ahead, 1e3 * off, kind, k, linestyle=DASHED if k == 1 else "-")
     ax.axhline(0.0, color=INK, linewidth=0.6)
     legend(ax)
-
     yield figure
     yield (
         "The errors of body and space lead the tool along the screw motion from one pose to the other, the third "

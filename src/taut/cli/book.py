@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import io
 import os
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from taut.base.errors import FileError
 from taut.cli.command import DONE, FAILED, STATUS, Answer, Command, Say
+
+if TYPE_CHECKING:
+    from taut.book.page import Page
 
 __all__ = ["BOOK"]
 
@@ -40,7 +43,7 @@ def _book(arguments: argparse.Namespace, say: Say) -> Answer:
     return Answer(text="\n".join(text), data=data, status=FAILED if missed else DONE)
 
 
-def _table(pages: object) -> str:
+def _table(pages: Sequence[Page]) -> str:
     """The table as wide as the terminal, or as COLUMNS says."""
     from rich.console import Console
 
@@ -48,9 +51,10 @@ def _table(pages: object) -> str:
 
     asked = "COLUMNS" in os.environ or os.isatty(1)
     width = shutil.get_terminal_size((LINE_LETTERS, 0)).columns if asked else LINE_LETTERS
-    console = Console(file=io.StringIO(), color_system=None, width=width)
-    console.print(contents.table(pages, width))  # type: ignore[arg-type]  # the pages that contents made
-    return str(console.file.getvalue()).rstrip("\n")  # type: ignore[attr-defined]  # a StringIO
+    console = Console(color_system=None, width=width)
+    with console.capture() as text:
+        console.print(contents.table(pages))
+    return text.get().rstrip("\n")
 
 
 BOOK: Final = Command(

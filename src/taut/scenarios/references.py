@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 
 import taut
-from taut.arm.angles import require_radians
 from taut.arm.description import Arm
+from taut.arm.parts import require_radians
 from taut.base.checks import finite_array, finite_scalar
 from taut.base.errors import TautError, quoted_list
 from taut.base.fields import Declared, Field, Part, Whole
@@ -85,14 +85,17 @@ class SamplePolicy(Declared):
     No two chunks agree: each is a little off the path.
     """
 
-    T: Part[Pose] = Part(Pose, doc="the pose that it moves about")
+    T: Part[Pose] = Part(Pose)  # the pose that it moves about
     period: Field = Field(0.1, unit="s", above=0.0)
-    ahead: Whole = Whole(4, minimum=1, doc="how many periods a chunk reaches")
-    size: Field = Field((0.08, 0.2), unit="m, rad", shape=2, minimum=0.0, doc="RMS of the path in each direction")
+    ahead: Whole = Whole(4, minimum=1)  # how many periods a chunk reaches
+    size: Field = Field((0.08, 0.2), unit="m, rad", shape=2, minimum=0.0)  # RMS of the path in each direction
     disagreement: Field = Field(
-        (0.003, 0.01), unit="m, rad", shape=2, minimum=0.0, doc="standard deviation of a chunk, in each direction"
+        (0.003, 0.01),
+        unit="m, rad",
+        shape=2,
+        minimum=0.0,  # standard deviation of a chunk, in each direction
     )
-    seed: Whole = Whole(0, doc="of path and disagreement")
+    seed: Whole = Whole(0)  # of path and disagreement
 
     def __call__(self, x: Snapshot) -> Chunk:
         """The chunk of the period in which the snapshot is taken."""

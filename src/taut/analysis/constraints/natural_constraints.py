@@ -10,7 +10,7 @@ from typing import Final, Literal
 import numpy as np
 
 from taut.analysis.constraints.specification import linear_sum
-from taut.base.checks import finite_array, finite_scalar, one_of, read_only, require_at_least
+from taut.base.checks import finite_array, finite_scalar, one_of, read_only
 from taut.base.errors import RangeError, UsageError, count_of
 from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
@@ -398,8 +398,7 @@ def natural_constraints(
             f"natural_constraints takes a taut.Constraint; got {type(constraint).__name__}", name="constraint"
         )
     one_of("mode", mode, MODES)
-    mu = finite_scalar("friction", friction)
-    require_at_least("friction", np.asarray(mu), 0.0)
+    mu = finite_scalar("friction", friction, minimum=0.0)
     if mode == "stick" and not mu:
         raise UsageError("mode='stick' needs a coefficient of friction, such as friction=0.3", name="friction")
     if mode != "slide" and not any(constraint.one_sided):

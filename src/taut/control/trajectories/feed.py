@@ -9,8 +9,8 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from taut.arm.angles import require_radians, short_way
 from taut.arm.description import Arm
+from taut.arm.parts import require_radians, short_way
 from taut.base.errors import TautError, UsageError
 from taut.base.types import Float64Array
 from taut.control.trajectories.reference import Hold, JointMotion, Reference, Rows, Sample, Stream, sample_rows

@@ -59,14 +59,14 @@ class SpringTip(Declared):
         ShapeError: More than one number.
 
     Example:
-        >>> float(SpringTip(stiffness=1000.0).travel)
+        >>> SpringTip(stiffness=1000.0).travel
         0.02
     """
 
-    stiffness: Field = Field(unit="N/m", above=0.0)
-    damping: Field = Field(10.0, unit="N s/m", minimum=0.0)
-    mass: Field = Field(0.02, unit="kg", above=0.0)
-    travel: Field = Field(0.02, unit="m", above=0.0)
+    stiffness: Field = Field(unit="N/m", above=0.0, run_time=False, hint="for a rigid tool leave the tip out")
+    damping: Field = Field(10.0, unit="N s/m", minimum=0.0, run_time=False)
+    mass: Field = Field(0.02, unit="kg", above=0.0, run_time=False)
+    travel: Field = Field(0.02, unit="m", above=0.0, run_time=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -245,12 +245,12 @@ class _Builder:
         """The body of the tip, on that of the tool."""
         import mujoco
 
-        name, mass = self._unique("tip"), float(tip.mass)
+        name, mass = self._unique("tip"), tip.mass
         body = self.spec.body(self.payload).add_body(name=name)
         body.mass, body.inertia, body.explicitinertial = mass, [0.4 * mass * radius**2] * 3, True
         joint = body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0.0, 0.0, -1.0])
-        joint.stiffness, joint.damping = [float(tip.stiffness), 0.0, 0.0], [float(tip.damping), 0.0, 0.0]
-        joint.limited, joint.range = mujoco.mjtLimited.mjLIMITED_TRUE, [0.0, float(tip.travel)]
+        joint.stiffness, joint.damping = [tip.stiffness, 0.0, 0.0], [tip.damping, 0.0, 0.0]
+        joint.limited, joint.range = mujoco.mjtLimited.mjLIMITED_TRUE, [0.0, tip.travel]
         joint.solimp_limit = TIP_STOP
         return name
 

@@ -18,7 +18,7 @@ from taut.arm.description import Arm
 from taut.base.errors import MatchError
 from taut.base.types import Float64Array
 from taut.maths.adds import Adds
-from taut.record.film.surroundings import POSES, Around
+from taut.record.info import POSES, Around
 from taut.runtime.host import PlantBase
 
 if TYPE_CHECKING:

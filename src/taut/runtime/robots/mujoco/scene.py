@@ -22,7 +22,7 @@ from taut.arm.loaders.xml import MAX_BYTES, Element, is_not_finite, parse_xml
 from taut.base.checks import readable_file
 from taut.base.errors import ModelError, Problem, UsageError, quoted_list
 from taut.base.types import Float64Array
-from taut.record.film.surroundings import Around, Mesh, Shape, ShapeKind, Thing
+from taut.record.info import Around, Mesh, Shape, ShapeKind, Thing
 from taut.runtime.robots.mujoco.rig import Guard, Rig
 from taut.trace.pose import Pose
 
