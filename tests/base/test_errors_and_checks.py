@@ -164,8 +164,8 @@ def test_any_real_number_is_a_scalar(value: Any) -> None:
 
 
 def test_rules_name_the_entry() -> None:
-    at_least = lambda value: checks.require_at_least("kp", np.array(value), 0.0, unit="1/s^2", joints=JOINTS)  # noqa: E731
-    positive = lambda value: checks.require_positive("mass", np.array(value), unit="kg")  # noqa: E731
+    at_least = lambda value: checks.require_range("kp", value, minimum=0.0, unit="1/s^2", joints=JOINTS)  # noqa: E731
+    positive = lambda value: checks.require_range("mass", value, above=0.0, unit="kg")  # noqa: E731
     assert (
         message_of(lambda: at_least([1.0, -3.0]), RangeError)
         == "kp[1] (joint 'elbow') must be >= 0 [1/s^2]; got -3.0"
@@ -242,7 +242,7 @@ def test_a_file_without_permission_is_told(tmp_path: Path, monkeypatch: pytest.M
             "xyz",
             [f"link{i}" for i in range(14)],
             "the arm has no frame 'xyz'; it has 'link0', 'link1', 'link2', 'link3', 'link4', 'link5', 'link6', 'link7', "
-            "'link8', 'link9', 'link10', 'link11' and 2 more",
+            "'link8', 'link9', 'link10', 'link11', 'link12', 'link13'",
         ),
     ],
 )

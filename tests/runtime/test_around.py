@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import taut
-from taut.record.film.surroundings import POSES, Around, Thing
+from taut.record.info import POSES, Around, Thing
 from taut.runtime.simulate import around_info
 
 C = taut.Constraint
@@ -71,7 +71,10 @@ def test_a_surface_that_sways_goes_with_its_time() -> None:
 
 def test_walls_are_shown_and_what_has_no_surface_is_said() -> None:
     wall = taut.environments.StiffWall(point=P - [0.3, 0.0, 0.1], normal=[0.0, 0.0, 2.0], stiffness=1e3)
-    board = only(around(environment=wall + taut.environments.Damper(damping=1.0)), "box")
+    board = only(
+        around(environment=taut.environments.Environments(wall=wall, damper=taut.environments.Damper(damping=1.0))),
+        "box",
+    )
     np.testing.assert_allclose(np.add(board.p, (0.0, 0.0, board.shapes[0].size[2])), P - [0.0, 0.0, 0.1])
     assert not around()
     assert not around(environment=taut.environments.Spring(stiffness=(1e3, 10.0)))
@@ -107,10 +110,9 @@ def test_meshes_of_a_scene_stand_where_mujoco_has_them() -> None:
     assert distances.min(axis=0).max() < 1e-6
 
 
-@pytest.mark.parametrize("looks", ["plain", "meshes"])
-def test_the_arms_own_base_is_not_of_the_scene(looks: Any) -> None:
+def test_the_arm_is_not_of_the_scene() -> None:
     scene = '<mujoco><worldbody><geom type="box" size="0.1 0.1 0.1" pos="1 0 0"/></worldbody></mujoco>'
-    plant = taut.MujocoPlant(taut.load_arm("z1"), scene=scene, looks=looks)  # whose base has a cylinder
+    plant = taut.MujocoPlant(taut.load_arm("z1"), scene=scene)
     assert [shape.kind for thing in plant.around().things for shape in thing.shapes] == ["box", "sphere"]
 
 

@@ -128,7 +128,7 @@ def test_tips_that_are_none_are_refused() -> None:
     arm = taut.load_arm("panda")
     with pytest.raises(UsageError, match=r"^tip must be taut.environments.SpringTip\(\.\.\.\); got float$"):
         taut.MujocoPlant(arm, tip=1000.0)  # type: ignore[arg-type]
-    with pytest.raises(RangeError, match=r"^tip.travel must be > 0 \[m\]; got -1.0$"):
+    with pytest.raises(RangeError, match=r"^travel must be > 0 \[m\]; got -1.0$"):
         taut.environments.SpringTip(stiffness=1.0, travel=-1.0)
-    with pytest.raises(ShapeError, match=r"^tip.stiffness must be one number; got shape \(2,\)$"):
+    with pytest.raises(ShapeError, match=r"^stiffness must be a number \[N/m\]; got shape \(2,\)$"):
         taut.environments.SpringTip(stiffness=[1.0, 2.0])

@@ -25,8 +25,8 @@ from taut.controller import Controller, compile
 from taut.loop import Loop
 from taut.plant.rigid import RigidPlant
 from taut.plant.sensors import Sensors
+from taut.record.comparison_plot import compare as compare_runs
 from taut.record.metrics import METRICS
-from taut.record.plots.comparison import compare as compare_runs
 from taut.record.run import Run
 from taut.runtime.events import Event
 from taut.runtime.host import PlantBase
@@ -77,13 +77,13 @@ class WrongModel(Declared):
         'masses by 10 %, seeds 0 to 4'
     """
 
-    mass: Field = Field(0.0, minimum=0.0, maximum=1.0, doc="relative spread of each mass (log-normal)")
-    com: Field = Field(0.0, unit="m", minimum=0.0, maximum=1.0, doc="spread of each centre of mass")
-    inertia: Field = Field(0.0, minimum=0.0, maximum=1.0, doc="relative spread of the sizes of the bodies")
-    friction: Field = Field(0.0, minimum=0.0, maximum=1.0, doc="relative spread of viscous and dry friction")
-    payload: Field = Field(0.0, unit="kg", minimum=0.0, doc="largest additional payload")
-    trials: Field = Field(5, minimum=1.0, maximum=1000.0, doc="number of arms that are drawn")
-    seed: Field = Field(0, minimum=0.0, doc="of the first arm")
+    mass: Field = Field(0.0, minimum=0.0, maximum=1.0)  # relative spread of each mass (log-normal)
+    com: Field = Field(0.0, unit="m", minimum=0.0, maximum=1.0)  # spread of each centre of mass
+    inertia: Field = Field(0.0, minimum=0.0, maximum=1.0)  # relative spread of the sizes of the bodies
+    friction: Field = Field(0.0, minimum=0.0, maximum=1.0)  # relative spread of viscous and dry friction
+    payload: Field = Field(0.0, unit="kg", minimum=0.0)  # largest additional payload
+    trials: Field = Field(5, minimum=1.0, maximum=1000.0)  # number of arms that are drawn
+    seed: Field = Field(0, minimum=0.0)  # of the first arm
 
     def check(self) -> None:
         """Whole numbers, and a difference."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from taut.base.checks import finite_array, require_positive
+from taut.base.checks import finite_array, require_range
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.paths import subtree
 from taut.base.result import Cell, Content, Result, Table
@@ -15,15 +15,19 @@ from taut.base.types import ArrayLike, Float64Array
 from taut.control.combine import Sum, bare, title
 from taut.control.gains import GainValue
 from taut.control.law import Law
-from taut.control.laws.apparent import felt_impedance
-from taut.control.laws.friction import FrictionCompensation
 from taut.control.laws.impedance import Stiffness
-from taut.control.laws.joint import PID, ComputedTorque, FeedForward, GravityCompensation, GravityPID
+from taut.control.laws.joint import (
+    PID,
+    ComputedTorque,
+    FeedForward,
+    FrictionCompensation,
+    GravityCompensation,
+    GravityPID,
+)
 from taut.control.laws.task import TaskComputedTorque
 from taut.control.laws.via_joint_space import ViaJointSpace
-from taut.linear.equilibrium import WITHIN
 from taut.linear.linear_system import Complex, LinearSystem
-from taut.linear.linearise import linearise
+from taut.linear.linearise import WITHIN, linearise
 from taut.loop import Loop
 from taut.maths.model import PayloadValues
 from taut.maths.snapshot import Snapshot
@@ -120,7 +124,7 @@ class ToolImpedance(Result):
                 name="specified",
             )
         w = np.atleast_1d(finite_array("omega", omega, unit="rad/s"))
-        require_positive("omega", w, unit="rad/s")
+        require_range("omega", w, above=0.0, unit="rad/s")
         return _inverse(self.specified.admittance(w, self.direction))
 
     def content(self) -> Content:
@@ -278,7 +282,7 @@ def _closed_form(law: Law, x: Snapshot, reach: Float64Array) -> _ClosedForm | No
         return _of_task(law, x, reach)
     if isinstance(law, (PID, GravityPID, GravityCompensation, ComputedTorque, Stiffness)):
         return _of_joints(law, x)
-    apparent = felt_impedance(law, x)
+    apparent = law.apparent_impedance(x)
     if apparent is None:
         return None
     matrices = apparent.D, apparent.B, apparent.K

@@ -15,20 +15,19 @@ from numpy.typing import NDArray
 
 from taut.base.checks import (
     finite_array,
-    non_negative_scalar,
+    finite_scalar,
     positive_scalar,
     rate_in_hertz,
-    require_at_least,
 )
 from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.paths import subtree
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
 from taut.controller import Controller
-from taut.linear.equilibrium import driven_states, observed_states
 from taut.linear.joint_loop import VelocityKind, joint_matrix, pid
 from taut.linear.judgement import directions, largest_factor, without_dry_friction
 from taut.linear.linear_system import LinearSystem, names
+from taut.linear.linearise import driven_states, observed_states
 from taut.linear.period import Period
 from taut.loop import Loop
 from taut.maths.model import PayloadValues
@@ -362,7 +361,7 @@ def check_virtual_wall(
     law_of(1.0)  # refuses what has no meaning
     return StiffnessCheck(
         M=M, damping=b, gravity=np.zeros((n, n)), law_of=law_of,
-        delay=non_negative_scalar("delay", delay, unit="s"), band=_checked_band(band, rate),
+        delay=finite_scalar("delay", delay, unit="s", minimum=0.0), band=_checked_band(band, rate),
         joints=("mass",) if n == 1 else tuple(f"direction {i + 1}" for i in range(n)),
     )  # fmt: skip
 
@@ -434,10 +433,10 @@ def check_stiffness(
         )
     arm = ctrl.arm
     q = arm.home if at is None else finite_array("at", at, shape=(arm.n,), joints=arm.joint_names)
-    friction = arm.viscous if damping is None else finite_array("damping", damping, unit="N m s/rad | N s/m")
+    unit = "N m s/rad | N s/m"
+    friction = arm.viscous if damping is None else finite_array("damping", damping, unit=unit, minimum=0.0)
     if friction.shape not in ((), (arm.n,)):
         raise ShapeError(f"damping must be a number or ({arm.n},); got shape {friction.shape}", name="damping")
-    require_at_least("damping", friction, 0.0, unit="N m s/rad | N s/m")
     payload = PayloadValues.of(subtree(ctrl.parameters, "model.payload"))
     x = Snapshot(ctrl.side.model, q=q, v=np.zeros(arm.n), payload=payload)
     gravity = np.asarray(jacobian(lambda q: Snapshot(x.model, q=q, v=np.zeros(arm.n), payload=payload).g, q))
@@ -448,7 +447,7 @@ def check_stiffness(
     return StiffnessCheck(
         M=np.asarray(x.M, dtype=np.float64), damping=np.diag(np.broadcast_to(friction, (arm.n,))),
         gravity=none if compensates or ctrl.side.adds.gravity else gravity, law_of=law.times,
-        delay=non_negative_scalar("delay", delay, unit="s"), band=_checked_band(band, ctrl.rate),
+        delay=finite_scalar("delay", delay, unit="s", minimum=0.0), band=_checked_band(band, ctrl.rate),
         joints=arm.joint_names, J=np.asarray(x.J(), dtype=np.float64), growth=NO_GROWTH, tolerance=1e-3,
         source=OF_JOINTS,
     )  # fmt: skip

@@ -12,7 +12,7 @@ import numpy as np
 from taut.arm.description import STANDARD_GRAVITY, Arm
 from taut.base.checks import finite_array, one_of, positive_scalar, read_only, vector, whole_number
 from taut.base.errors import NumericalError, RangeError, ShapeError, UsageError
-from taut.base.quantity import FORCE_AND_MOMENT, Quantity, six_of
+from taut.base.fields import Declared, Field
 from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.sensing import Wrist
@@ -27,8 +27,7 @@ __all__ = ["WristCalibration", "calibrate_wrist", "calibration_poses"]
 MIN_SPREAD: Final = 0.05  # [rad] RMS, about 3 degrees: rotation of gravity that tells the numbers apart
 SIGNIFICANT: Final = 4.0  # standard deviations by which a mass must differ from zero
 AT_END: Final = 1.0 - 1e-9  # of the range
-NOISE: Final = Quantity(unit=FORCE_AND_MOMENT, rule="> 0", instead="leave it out to take it from the residual")
-RANGE: Final = Quantity(unit=FORCE_AND_MOMENT, rule="> 0", infinite=True)
+FORCE_AND_MOMENT: Final = "N, N m"
 
 # Of suggested poses.
 CANDIDATES: Final = 400
@@ -150,11 +149,24 @@ def calibrate_wrist(
     g = vector("gravity", default if gravity is None else gravity, 3, unit="m/s^2")
     if not g.any():
         raise RangeError("gravity must not be zero: without it a tool has no weight to read", name="gravity")
-    end = None if range is None else six_of("range", RANGE, range)
-    if end is not None:
-        _require_within(F, end)
-    std = None if noise is None else six_of("noise", NOISE, noise)
-    return _fitted(F, np.array([turn.T @ g for turn in R]), std, frame, end)
+    sensor = _Readings(range=range, noise=noise)
+    if sensor.range is not None:
+        _require_within(F, sensor.range)
+    return _fitted(F, np.array([turn.T @ g for turn in R]), sensor.noise, frame, sensor.range)
+
+
+class _Readings(Declared):
+    """The numbers of the sensor that a calibration takes."""
+
+    range: Field = Field(unit=FORCE_AND_MOMENT, shape=6, accepts=("pair",), above=0.0, infinite=True, optional=True)
+    noise: Field = Field(
+        unit=FORCE_AND_MOMENT,
+        shape=6,
+        accepts=("pair",),
+        above=0.0,
+        optional=True,
+        hint="leave it out to take it from the residual",
+    )
 
 
 # -------------------------------------------------------------------- readings and orientations

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
 from dataclasses import dataclass, fields
 from typing import Final
 
 import numpy as np
 
-from taut.base.checks import entry_names, finite_array, read_only, require_at_least, require_positive
+from taut.base.checks import entry_names, finite_array, read_only
 from taut.base.errors import RangeError, ShapeError
 from taut.base.types import ArrayLike, Float64Array
 
@@ -91,15 +91,18 @@ class Friction:
             if given is None and name in AT_REST:
                 kept[name] = kept[AT_REST[name]]
                 continue
-            values = finite_array(f"friction.{name}", given, unit=unit)
+            above = 0.0 if name == "stribeck_shape" else -math.inf
+            values = finite_array(f"friction.{name}", given, unit=unit, minimum=0.0, above=above)
             if values.ndim > 1 or not values.size:
                 raise ShapeError(
                     f"friction.{name} must be one number or one per joint; got shape {values.shape}", name=name
                 )
-            check = require_positive if name == "stribeck_shape" else _not_negative
-            check(f"friction.{name}", values, unit=unit)
             kept[name] = values
-        _require_one_size(kept)
+        sizes = {len(values) for values in kept.values() if values.ndim}
+        if len(sizes) > 1:
+            raise ShapeError(
+                f"the numbers of a friction are for one arm; got some for {sorted(sizes)} joints", name="friction"
+            )
         for name, moving in AT_REST.items():
             check_at_rest(kept[name], kept[moving], name)
         for name, values in kept.items():
@@ -122,24 +125,6 @@ class Friction:
 
 
 FRICTION_FIELDS: Final = tuple(field.name for field in fields(Friction))
-
-
-def _not_negative(name: str, values: Float64Array, *, unit: str) -> None:
-    require_at_least(name, values, 0.0, unit=unit)
-
-
-def _require_one_size(kept: Mapping[str, Float64Array]) -> None:
-    """What is given per joint is so for the same number of joints."""
-    first, size = "", 0
-    for name, values in kept.items():
-        if values.ndim and first and len(values) != size:
-            raise ShapeError(
-                f"friction.{name} must be one number or {size}, one per joint as friction.{first}; got shape "
-                f"{values.shape}",
-                name=name,
-            )
-        if values.ndim and not first:
-            first, size = name, len(values)
 
 
 def check_at_rest(at_rest: ArrayLike, moving: ArrayLike, name: str, prefix: str = "friction.") -> None:

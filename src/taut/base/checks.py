@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -19,14 +19,12 @@ __all__ = [
     "finite_scalar",
     "float_array",
     "in_compiled_shape",
-    "non_negative_scalar",
     "one_of",
     "positive_scalar",
     "rate_in_hertz",
     "read_only",
     "readable_file",
-    "require_at_least",
-    "require_positive",
+    "require_range",
     "rounded_up",
     "symmetric",
     "symmetric_psd",
@@ -34,17 +32,13 @@ __all__ = [
     "whole_number",
 ]
 
-T = TypeVar("T", bound=str)
+T = TypeVar("T")
 
 SYMMETRY_TOLERANCE = 1e-9  # relative to the largest entry
 
 
 def _unit(unit: str) -> str:
     return f" [{unit}]" if unit else ""
-
-
-def _number(value: float) -> str:
-    return repr(float(value))
 
 
 def entry_names(name: str, index: Sequence[int], joints: Sequence[str] | None = None) -> str:
@@ -115,6 +109,57 @@ def float_array(
     return read_only(array)
 
 
+def require_range(
+    name: str,
+    value: ArrayLike,
+    *,
+    unit: str = "",
+    joints: Sequence[str] | None = None,
+    minimum: float = -math.inf,
+    above: float = -math.inf,
+    maximum: float = math.inf,
+    infinite: bool = False,
+    hint: str = "",
+) -> None:
+    """Every entry is finite and in its range.
+
+    Args:
+        name: What messages call the numbers.
+        value: The numbers.
+        unit: Their unit, for messages.
+        joints: Names of the joints, where there is an entry for each.
+        minimum: Smallest allowed entry.
+        above: Every entry must be greater.
+        maximum: Largest allowed entry.
+        infinite: Whether infinity is allowed.
+        hint: What to do instead of zero, for the message.
+
+    Raises:
+        RangeError: An entry that is not; the message names the first.
+    """
+    array = np.asarray(value, dtype=np.float64)
+    rules = {
+        "finite": np.isnan(array) if infinite else ~np.isfinite(array),
+        f"> {above:g}": array < above if math.isinf(above) else array <= above,
+        f">= {minimum:g}": array < minimum,
+        f"<= {maximum:g}": array > maximum,
+    }
+    for rule, wrong in rules.items():
+        if not np.any(wrong):
+            continue
+        index = [int(i) for i in np.argwhere(np.atleast_1d(wrong))[0]] if array.ndim else []
+        own = joints if joints is not None and array.shape == (len(joints),) else None
+        number = float(array[tuple(index)])
+        tail = f"; {hint}" if hint and number in (0.0, math.inf) else ""
+        raise RangeError(
+            f"{entry_names(name, index, own)} must be {rule}{_unit(unit)}; got {number!r}{tail}",
+            name=name,
+            joint=own[index[0]] if own is not None else None,
+            value=number,
+            rule=rule,
+        )
+
+
 def finite_array(
     name: str,
     value: ArrayLike,
@@ -122,75 +167,45 @@ def finite_array(
     shape: tuple[int, ...] | None = None,
     unit: str = "",
     joints: Sequence[str] | None = None,
-    allow_infinite: bool = False,
+    minimum: float = -math.inf,
+    above: float = -math.inf,
+    infinite: bool = False,
 ) -> Float64Array:
-    """A read-only copy of `value` as floats, all finite and of the given shape.
+    """A read-only copy of `value` as floats of the given shape, all finite and in their range.
 
     Raises:
         ShapeError: Not numbers, or another shape.
-        RangeError: An entry is NaN or infinite; the message names it.
+        RangeError: An entry that is not; the message names it.
     """
     array = float_array(name, value, shape=shape, unit=unit, joints=joints)
-    bad = np.isnan(array) if allow_infinite else ~np.isfinite(array)
-    if bad.any():
-        index = np.argwhere(bad)[0]
-        raise RangeError(
-            f"{entry_names(name, index, joints)} must be finite{_unit(unit)}; got {_number(array[tuple(index)])}",
-            name=name,
-            joint=joints[index[0]] if joints is not None and len(index) == 1 else None,
-            value=float(array[tuple(index)]),
-            rule="finite",
-        )
+    require_range(name, array, unit=unit, joints=joints, minimum=minimum, above=above, infinite=infinite)
     return array
 
 
 def vector(
-    name: str,
-    value: ArrayLike,
-    size: int,
-    *,
-    unit: str = "",
-    joints: Sequence[str] | None = None,
-    allow_infinite: bool = False,
+    name: str, value: ArrayLike, size: int, *, unit: str = "", joints: Sequence[str] | None = None
 ) -> Float64Array:
     """A finite vector of `size` entries."""
-    return finite_array(name, value, shape=(size,), unit=unit, joints=joints, allow_infinite=allow_infinite)
+    return finite_array(name, value, shape=(size,), unit=unit, joints=joints)
 
 
-def finite_scalar(name: str, value: object, *, unit: str = "") -> float:
-    """A finite float."""
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
-        try:
-            array = _as_floats(name, value, unit)  # type: ignore[arg-type]  # checked inside
-        except ShapeError:
-            array = None
-        if array is None or array.shape != () or isinstance(value, bool):
-            raise ShapeError(f"{name} must be one number{_unit(unit)}; got {value!r}", name=name, value=value)
-        value = float(array)
-    number = float(value)
-    if not math.isfinite(number):
-        raise RangeError(
-            f"{name} must be finite{_unit(unit)}; got {number!r}",
-            name=name,
-            value=number,
-            rule="finite",
-        )
-    return number
+def finite_scalar(
+    name: str, value: object, *, unit: str = "", minimum: float = -math.inf, above: float = -math.inf
+) -> float:
+    """A finite float in its range."""
+    try:
+        array = _as_floats(name, value, unit)  # type: ignore[arg-type]  # checked inside
+    except ShapeError:
+        array = np.empty(0)
+    if array.shape != ():
+        raise ShapeError(f"{name} must be one number{_unit(unit)}; got {value!r}", name=name, value=value)
+    require_range(name, array, unit=unit, minimum=minimum, above=above)
+    return float(array)
 
 
 def positive_scalar(name: str, value: object, *, unit: str = "") -> float:
     """A finite float above zero."""
-    number = finite_scalar(name, value, unit=unit)
-    if number <= 0.0:
-        raise RangeError(f"{name} must be > 0{_unit(unit)}; got {number!r}", name=name, value=number, rule="> 0")
-    return number
-
-
-def non_negative_scalar(name: str, value: object, *, unit: str = "") -> float:
-    """A finite float that is zero or above."""
-    number = finite_scalar(name, value, unit=unit)
-    require_at_least(name, np.array(number), 0.0, unit=unit)
-    return number
+    return finite_scalar(name, value, unit=unit, above=0.0)
 
 
 def whole_number(name: str, value: object, *, minimum: int = 0, maximum: int | None = None) -> int:
@@ -213,44 +228,6 @@ def rate_in_hertz(value: object) -> float:
             rule=">= 1",
         )
     return rate
-
-
-def _require(
-    name: str,
-    array: Float64Array,
-    good: Callable[[Float64Array], np.ndarray[tuple[int, ...], np.dtype[np.bool_]]],
-    rule: str,
-    unit: str,
-    joints: Sequence[str] | None,
-) -> None:
-    bad = ~np.atleast_1d(good(array))
-    if bad.any():
-        index = [int(i) for i in np.argwhere(bad)[0]] if array.ndim else []
-        value = float(array[tuple(index)])
-        raise RangeError(
-            f"{entry_names(name, index, joints)} must be {rule}{_unit(unit)}; got {_number(value)}",
-            name=name,
-            joint=joints[index[0]] if joints is not None and len(index) == 1 else None,
-            value=value,
-            rule=rule,
-        )
-
-
-def require_at_least(
-    name: str,
-    array: Float64Array,
-    minimum: float,
-    *,
-    unit: str = "",
-    joints: Sequence[str] | None = None,
-) -> None:
-    """Every entry is at least `minimum`."""
-    _require(name, array, lambda a: a >= minimum, f">= {minimum:g}", unit, joints)
-
-
-def require_positive(name: str, array: Float64Array, *, unit: str = "", joints: Sequence[str] | None = None) -> None:
-    """Every entry is above zero."""
-    _require(name, array, lambda a: a > 0.0, "> 0", unit, joints)
 
 
 def rounded_up(value: float) -> str:
@@ -295,15 +272,12 @@ def symmetric_psd(name: str, matrix: Float64Array, *, unit: str = "", definite: 
 
 
 def one_of(name: str, value: object, options: Sequence[T]) -> T:
-    """One of a few words."""
+    """One of a few words or whole numbers."""
     for option in options:
-        if value == option:
+        if type(value) is type(option) and value == option:
             return option
-    raise UsageError(
-        f"{name} must be one of {', '.join(repr(o) for o in options)}; got {value!r}",
-        name=name,
-        value=value,
-    )
+    rule = f"must be one of {', '.join(map(repr, options))}"
+    raise UsageError(f"{name} {rule}; got {value!r}", name=name, value=value, rule=rule)
 
 
 def readable_file(kind: str, path: str | os.PathLike[str]) -> Path:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, Generic, Literal, NoReturn, Self, TypeVar, overload
 
 import numpy as np
 
-from taut.base.checks import entry_names, float_array, read_only, symmetric_psd
-from taut.base.errors import RangeError, ShapeError, TautError, UnknownNameError, UsageError, count_of, quoted_list
+from taut.base.checks import float_array, one_of, read_only, require_range, symmetric_psd, whole_number
+from taut.base.errors import RangeError, ShapeError, TautError, UsageError, count_of
 from taut.base.types import ArrayLike, Float64Array
 
 __all__ = [
@@ -21,9 +20,7 @@ __all__ = [
     "Part",
     "Parts",
     "Plain",
-    "Refusal",
     "Whole",
-    "unknown_field",
 ]
 
 T = TypeVar("T")
@@ -40,37 +37,6 @@ IN_WORDS: Final[Mapping[Any, str]] = {
 ShortForm = Literal["scalar", "pair", "force", "matrix"]
 
 
-class Refusal(Exception):  # noqa: N818  (an error for the user is made of it)
-    """A value that a declared class does not take; the front end adds the subject, an argument or a key of a file.
-
-    Args:
-        kind: Class of the error.
-        field: Name of the field, with an index where one entry is wrong; "" for the object as a whole.
-        rule: The rest of the sentence.
-        value: What was given.
-        joint: The joint that it is about, where there is one.
-        name: What the error is about, where that is no field: a name that does not exist.
-    """
-
-    def __init__(
-        self,
-        kind: type[TautError],
-        field: str,
-        rule: str,
-        value: object = None,
-        joint: str | None = None,
-        name: str | None = None,
-    ) -> None:
-        super().__init__(field, rule)
-        self.kind, self.field, self.rule, self.value, self.joint, self.name = kind, field, rule, value, joint, name
-
-    def error(self, owner: str, prefix: str = "") -> TautError:
-        """The error for the user, with the data that it is about."""
-        subject = f"{prefix}{self.field}" if self.field else owner
-        name = self.name or subject.partition("[")[0].partition(" (")[0]
-        return self.kind(f"{subject} {self.rule}", name=name, joint=self.joint, value=self.value, rule=self.rule)
-
-
 class Declaration(Generic[T]):
     """One declared field. Abstract: use Field, Whole, Choice, Part or Plain.
 
@@ -78,7 +44,6 @@ class Declaration(Generic[T]):
         default: Value where none is given; without it the field must be given, or may be None if `optional`.
         optional: Whether it may be None.
         convert: Makes the value of something shorter, such as a Pose of a point; raises a TautError.
-        doc: One sentence; the entry of the docstring's Args serves where it is left out.
     """
 
     run_time: bool = False
@@ -90,10 +55,9 @@ class Declaration(Generic[T]):
         *,
         optional: bool = False,
         convert: Callable[[Any], Any] | None = None,
-        doc: str = "",
     ) -> None:
         self.default = None if optional and default is REQUIRED else default
-        self.optional, self.convert, self.doc, self.name = optional, convert, doc, ""
+        self.optional, self.convert, self.name = optional, convert, ""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
@@ -116,37 +80,30 @@ class Declaration(Generic[T]):
             joints: Names of the joints, or their number, where it is known.
 
         Raises:
-            Refusal: The field does not take it.
+            TautError: The field does not take it; the sentence begins with the field's name.
         """
         raise NotImplementedError
 
-    def rule(self) -> str:
-        """The rule in words."""
-        raise NotImplementedError
+    def refuse(self, rule: str, value: object, kind: type[TautError] = UsageError) -> NoReturn:
+        """Refuse a value: `self.refuse("must be finite", value)`. Raises the TautError."""
+        raise kind(f"{self.name} {rule}", name=self.name, value=value, rule=rule)
 
     def stored(self, value: Any) -> Any:
         """A checked value, or a symbol in its place, as code reads it."""
         return value
 
     def taken(self, value: Any, owner: Any = None) -> Any:
-        """A given value, converted and checked, as it is stored. Raises Refusal."""
+        """A given value, converted and checked, as it is stored. Raises TautError."""
         return None if value is None and self.optional else self.stored(self.checked(self.converted(value), owner))
 
     def converted(self, value: Any) -> Any:
-        """What `convert` makes of a given value. Raises Refusal."""
+        """What `convert` makes of a given value. Raises TautError."""
         if self.convert is None:
             return value
         try:
             return self.convert(value)
         except TautError as cause:
-            text = str(cause).removeprefix(self.name).lstrip()
-            raise Refusal(type(cause), self.name, text, value) from None
-
-    def schema(self) -> dict[str, Any]:
-        """The declaration as data, like a JSON schema."""
-        default = self.default.tolist() if isinstance(self.default, np.ndarray) else self.default
-        known = {"default": default} if isinstance(default, (bool, int, float, str, list, tuple)) else {}
-        return {"description": self.doc, "unit": self.unit, "rule": self.rule(), "run_time": self.run_time, **known}
+            self.refuse(str(cause).removeprefix(self.name).lstrip(), value, type(cause))
 
 
 class Field(Declaration[Any]):
@@ -169,7 +126,6 @@ class Field(Declaration[Any]):
         run_time: Whether it may change between ticks; then it is a parameter by its path.
         optional: Whether it may be None.
         convert: As in `Declaration`.
-        doc: As in `Declaration`.
     """
 
     def __init__(
@@ -188,9 +144,8 @@ class Field(Declaration[Any]):
         run_time: bool = True,
         optional: bool = False,
         convert: Callable[[Any], Any] | None = None,
-        doc: str = "",
     ) -> None:
-        super().__init__(default, optional=optional, convert=convert, doc=doc)
+        super().__init__(default, optional=optional, convert=convert)
         if shape == "n":
             accepts = ("scalar", *accepts)
         self.unit, self.shape, self.accepts, self.run_time = unit, shape, frozenset(accepts), run_time
@@ -210,11 +165,6 @@ class Field(Declaration[Any]):
         """The unit in brackets, for messages."""
         return f" [{self.unit}]" if self.unit else ""
 
-    def rule(self) -> str:
-        low = (">", self.above) if self.above >= self.minimum else (">=", self.minimum)
-        bounds = [f"{sign} {x:g}" for sign, x in (low, ("<=", self.maximum)) if math.isfinite(x)]
-        return " and ".join(bounds) or "finite"
-
     def size(self, owner: Any, joints: Joints = None) -> int | None:
         """Length of a vector; None while it is not known, as the number of joints before a law meets its arm."""
         if self.shape == "n":
@@ -224,34 +174,32 @@ class Field(Declaration[Any]):
         return self.shape if isinstance(self.shape, int) else None
 
     def checked(self, value: Any, owner: Any = None, joints: Joints = None) -> Float64Array:
-        """The value as floats, read-only, in the shape in which it is stored. Raises Refusal."""
-        given = self._numbers(value)  # messages are about these, also where they stand for more
+        """The value as floats, read-only, in the shape in which it is stored. Raises TautError."""
+        given = float_array(self.name, value.as_array() if hasattr(value, "as_array") else value, unit=self.unit)
         array = self._shaped(given, self.size(owner, joints), joints)
-        names = joints if isinstance(joints, Sequence) else None
-        self._require(np.isnan(given) if self.infinite else ~np.isfinite(given), given, "finite", names)
-        if given.ndim == 2 and "matrix" in self.accepts:
-            self._require_psd(given)
-        elif self.zero_for_none and given.ndim:
-            self._require(given < 0.0, given, ">= 0", names)
-            if not given.any():
-                self._refuse(f"must be > 0 for one entry at least{self.unit_words}; got {given.tolist()}", 0.0)
-        else:
-            self._require(given < self.minimum, given, f">= {self.minimum:g}", names)
-            self._require(given <= self.above, given, f"> {self.above:g}", names)
-        self._require(given > self.maximum, given, f"<= {self.maximum:g}", names)
-        array.flags.writeable = False
-        return array
+        matrix, some_zero = given.ndim == 2 and "matrix" in self.accepts, self.zero_for_none and given.ndim > 0
+        low = {} if matrix else {"minimum": 0.0} if some_zero else {"minimum": self.minimum, "above": self.above}
+        require_range(  # messages are about the numbers as they were given
+            self.name,
+            given,
+            unit=self.unit,
+            joints=joints if isinstance(joints, Sequence) else None,
+            maximum=self.maximum,
+            infinite=self.infinite,
+            hint=self.hint,
+            **low,
+        )
+        if matrix:
+            symmetric_psd(self.name, given, unit=self.unit)
+        if some_zero and not given.any():
+            hint = f"; {self.hint}" if self.hint else ""
+            rule = f"must be > 0 for one entry at least{self.unit_words}; got {given.tolist()}{hint}"
+            self.refuse(rule, 0.0, RangeError)
+        return array if array is given else read_only(array)
 
     def check_shape(self, shape: tuple[int, ...], owner: Any, joints: Joints) -> None:
-        """Numbers of this shape fit the owner and the joints. Raises Refusal."""
+        """Numbers of this shape fit the owner and the joints. Raises ShapeError."""
         self._shaped(np.zeros(shape), self.size(owner, joints), joints)
-
-    def _numbers(self, value: Any) -> Float64Array:
-        given = value.as_array() if hasattr(value, "as_array") else value
-        try:
-            return np.array(float_array(self.name, given, unit=self.unit))
-        except ShapeError as cause:
-            raise Refusal(ShapeError, self.name, str(cause).removeprefix(f"{self.name} "), value) from None
 
     def _shaped(self, array: Float64Array, size: int | None, joints: Joints = None) -> Float64Array:
         """The array in one of the forms that the field takes."""
@@ -281,33 +229,8 @@ class Field(Declaration[Any]):
             got = f"{float(array):g} alone" if array.ndim == 0 else f"shape {array.shape}"
             known = self.shape == "n" and isinstance(joints, Sequence)
             whose = f" for {count_of(size or 0, 'joint')}" if known else ""
-            raise Refusal(ShapeError, self.name, f"must be {words}{self.unit_words}{whose}; got {got}", array)
+            self.refuse(f"must be {words}{self.unit_words}{whose}; got {got}", array, ShapeError)
         return array
-
-    def _require(self, wrong: Any, array: Float64Array, rule: str, joints: Sequence[str] | None) -> None:
-        if not np.any(wrong):
-            return
-        index = [int(i) for i in np.argwhere(np.atleast_1d(wrong))[0]] if array.ndim else []
-        number = float(array[tuple(index)])
-        own = joints if joints is not None and array.shape == (len(joints),) else None
-        joint = own[index[0]] if own is not None else None
-        self._refuse(f"must be {rule}{self.unit_words}; got {number!r}", number, index, joint)
-
-    def _refuse(self, rule: str, number: float, index: Sequence[int] = (), joint: str | None = None) -> NoReturn:
-        place = entry_names(self.name, index) + (f" (joint '{joint}')" if joint is not None else "")
-        raise Refusal(
-            RangeError,
-            place,
-            f"{rule}{f'; {self.hint}' if self.hint and number in (0.0, math.inf) else ''}",
-            number,
-            joint,
-        )
-
-    def _require_psd(self, array: Float64Array) -> None:
-        try:
-            symmetric_psd(self.name, array, unit=self.unit)
-        except RangeError as cause:
-            raise Refusal(RangeError, self.name, str(cause).removeprefix(f"{self.name} "), cause.value) from None
 
 
 class Whole(Declaration[int]):
@@ -318,7 +241,6 @@ class Whole(Declaration[int]):
         minimum: Smallest value.
         maximum: Largest value.
         optional: Whether it may be None.
-        doc: As in `Declaration`.
     """
 
     def __init__(
@@ -326,22 +248,14 @@ class Whole(Declaration[int]):
         default: Any = REQUIRED,
         *,
         minimum: int = 0,
-        maximum: float = math.inf,
+        maximum: int | None = None,
         optional: bool = False,
-        doc: str = "",
     ) -> None:
-        super().__init__(default, optional=optional, doc=doc)
+        super().__init__(default, optional=optional)
         self.minimum, self.maximum = minimum, maximum
 
-    def rule(self) -> str:
-        bound = f" and <= {self.maximum:g}" if self.maximum < math.inf else ""
-        return f"a whole number >= {self.minimum}{bound}"
-
     def checked(self, value: Any, owner: Any = None, joints: Joints = None) -> int:  # noqa: ARG002
-        whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-        if not whole or not self.minimum <= value <= self.maximum:
-            raise Refusal(RangeError, self.name, f"must be {self.rule()}; got {value!r}", value)
-        return int(value)
+        return whole_number(self.name, value, minimum=self.minimum, maximum=self.maximum)
 
 
 class Choice(Declaration[T]):
@@ -350,21 +264,14 @@ class Choice(Declaration[T]):
     Args:
         options: The words.
         optional: Whether it may be None, which is the default then.
-        doc: As in `Declaration`.
     """
 
-    def __init__(self, *options: T, optional: bool = False, doc: str = "") -> None:
-        super().__init__(None if optional else options[0], optional=optional, doc=doc)
+    def __init__(self, *options: T, optional: bool = False) -> None:
+        super().__init__(None if optional else options[0], optional=optional)
         self.options = options
 
-    def rule(self) -> str:
-        return f"one of {', '.join(map(repr, self.options))}"
-
     def checked(self, value: Any, owner: Any = None, joints: Joints = None) -> Any:  # noqa: ARG002
-        for option in self.options:
-            if type(value) is type(option) and value == option:
-                return option
-        raise Refusal(UsageError, self.name, f"must be {self.rule()}; got {value!r}", value)
+        return one_of(self.name, value, self.options)
 
 
 class Part(Declaration[T]):
@@ -376,7 +283,6 @@ class Part(Declaration[T]):
         optional: Whether it may be None.
         inline: Whether the paths of its parameters and memory are those of the owner, as of a law in a wrapper.
         convert: As in `Declaration`.
-        doc: As in `Declaration`.
     """
 
     def __init__(
@@ -386,27 +292,24 @@ class Part(Declaration[T]):
         optional: bool = False,
         inline: bool = False,
         convert: Callable[[Any], Any] | None = None,
-        doc: str = "",
     ) -> None:
-        super().__init__(default, optional=optional, convert=convert, doc=doc)
+        super().__init__(default, optional=optional, convert=convert)
         self.of, self.inline = of, inline
 
     def rule(self) -> str:
+        """The rule in words."""
         return " or ".join(IN_WORDS.get(kind, f"{_article(kind.__name__)} {kind.__name__}") for kind in self.of)
 
     def checked(self, value: Any, owner: Any = None, joints: Joints = None) -> Any:  # noqa: ARG002
         wrong = isinstance(value, bool) and bool not in self.of  # a flag is no whole number
         if self.of and (wrong or not isinstance(value, self.of)):
             words = f"{value!r}" if isinstance(value, (str, int, float, type)) else type(value).__name__
-            raise Refusal(UsageError, self.name, f"must be {self.rule()}; got {words}", value)
+            self.refuse(f"must be {self.rule()}; got {words}", value)
         return value
 
 
 class Plain(Part[T]):
     """A value without a unit: a text, a flag, a whole number, a function; `Plain()` takes anything."""
-
-    def rule(self) -> str:
-        return super().rule() or "any"
 
     def checked(self, value: Any, owner: Any = None, joints: Joints = None) -> Any:
         own = super().checked(value, owner, joints)
@@ -419,23 +322,9 @@ class Parts(Part[T]):
     def checked(self, value: Any, owner: Any = None, joints: Joints = None) -> Any:
         many = (value,) if isinstance(value, self.of) else value
         if not isinstance(many, (list, tuple)):
-            raise Refusal(UsageError, self.name, f"must be several of {self.rule()}; got {value!r}", value)
+            self.refuse(f"must be several of {self.rule()}; got {value!r}", value)
         return tuple(super(Parts, self).checked(one, owner, joints) for one in many)
 
 
 def _article(word: str) -> str:
     return "an" if word[0] in "AEIOU" else "a"
-
-
-def unknown_field(name: str, known: Iterable[str], kind: str = "field") -> Refusal:
-    """The refusal of a name that does not exist, with the nearest one that does."""
-    known = list(known)
-    close = difflib.get_close_matches(name, known, n=1) or [word for word in known if word.lower() == name.lower()]
-    hint = (
-        f"did you mean '{close[0]}'?"
-        if close
-        else f"it has {quoted_list(known, most=30)}"
-        if known
-        else "it has none"
-    )
-    return Refusal(UnknownNameError, "", f"has no {kind} '{name}'; {hint}", name, name=name)

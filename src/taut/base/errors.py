@@ -6,6 +6,7 @@ data as attributes, so that a program can act on it without reading the text.
 
 from __future__ import annotations
 
+import copy
 import difflib
 import functools
 import pickle
@@ -16,7 +17,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar, Final, Self
 
 __all__ = [
     "FileError",
@@ -72,6 +73,14 @@ class TautError(Exception):
         self.joint = joint
         self.value = value
         self.rule = rule
+
+    def about(self, name: str, other: str) -> Self:
+        """The error under another name of what it is about: a path in the place of a field's own name."""
+        error, text = copy.copy(self), str(self)
+        if text.startswith(name):
+            error.args = (other + text.removeprefix(name),)
+        error.name = other if self.name == name else self.name
+        return error
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copies and pickles go without the constructor; a value that cannot be pickled becomes text."""
@@ -217,7 +226,7 @@ def unknown_name(owner: str, kind: str, name: Any, known: Iterable[str], hint: s
     if close:
         way_out = f"did you mean {' or '.join(repr(other) for other in close)}?"
     elif known:
-        way_out = f"it has {quoted_list(known)}"
+        way_out = f"it has {quoted_list(known, most=30)}"
     else:
         way_out = "it has none"
     tail = f" ({hint})" if hint else ""

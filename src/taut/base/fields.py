@@ -5,8 +5,8 @@
         noise: Field = Field(0.0, unit="rad | m", minimum=0.0)
         side: Choice[Side] = Choice("link", "motor")
 
-From one declaration come validation, the error sentence, rows for `explain()`, a schema, run-time parameters by path,
-and the reader of a TOML table. Relations between fields stand in the one method `check(self)` of a class.
+From one declaration come validation, the error sentence, run-time parameters by path, and the reader of a TOML
+table. Relations between fields stand in the one method `check(self)` of a class.
 A sentence begins with the name of the field and contains no Python syntax, so that it reads the same for an argument
 (`kp[2] must be >= 0 [1/s^2]; got -3.0`) and for a key of a file (`law.kp[2] must be >= 0 [1/s^2]; got -3.0`).
 """
@@ -15,9 +15,8 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-import re
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple, NoReturn, Self, dataclass_transform
+from typing import Any, ClassVar, NoReturn, Self, dataclass_transform
 
 import numpy as np
 
@@ -29,11 +28,9 @@ from taut.base.declarations import (
     Part,
     Parts,
     Plain,
-    Refusal,
     Whole,
-    unknown_field,
 )
-from taut.base.errors import TautError, UsageError
+from taut.base.errors import ShapeError, TautError, UsageError, unknown_name
 from taut.base.types import Float64Array
 
 __all__ = [
@@ -45,20 +42,8 @@ __all__ = [
     "Part",
     "Parts",
     "Plain",
-    "Refusal",
-    "Row",
     "Whole",
 ]
-
-
-class Row(NamedTuple):
-    """One field in a help text, in `explain()` or in a table of the documentation."""
-
-    path: str
-    value: Any
-    unit: str
-    rule: str
-    doc: str
 
 
 @dataclass_transform(kw_only_default=True, frozen_default=True)
@@ -131,30 +116,21 @@ class Declared:
                 f"{type(self).__name__}({', '.join(f'{name}=...' for name in self.declared)})",
                 name=type(self).__name__,
             )
-        try:
-            self._build(values)
-        except Refusal as refusal:
-            raise refusal.error(type(self).__name__) from None
-
-    def _build(self, values: Mapping[str, Any]) -> None:
-        """Check and store all values. Raises Refusal."""
         for name in values:
             if name not in self.declared:
-                raise unknown_field(name, self.declared)
+                raise unknown_name(type(self).__name__, "field", name, self.declared)
         missing = [
             f"{name} [{field.unit}]" if field.unit else name
             for name, field in self.declared.items()
             if field.default is REQUIRED and name not in values
         ]
         if missing:
-            raise Refusal(UsageError, "", f"needs {', '.join(missing)}")
-        specified = set()
+            self.refuse("", f"needs {', '.join(missing)}")
         for name, field in self.declared.items():  # in order: a size such as "rows" may depend on a field before it
             self.__dict__[name] = values.get(name, field.default)
-            self.__dict__[name] = stored = field.taken(values.get(name, field.default), self)
-            if name in values and not _same(stored, field.default):
-                specified.add(name)
-        self.__dict__["_specified"] = frozenset(specified)
+            self.__dict__[name] = field.taken(values.get(name, field.default), self)
+        given = {name for name in values if not _same(self.__dict__[name], self.declared[name].default)}
+        self.__dict__["_specified"] = frozenset(given)
         self.check()
 
     @property
@@ -170,9 +146,10 @@ class Declared:
         """Refuse the value of a field: `self.refuse("zeta", "is for a law without B; leave one of them out")`.
 
         Raises:
-            Refusal: Always; the constructor makes the error of it. Field "" is the object as a whole.
+            TautError: Always. Field "" is the object as a whole.
         """
-        raise Refusal(kind, field, rule, self.__dict__.get(field))
+        subject = field or type(self).__name__
+        raise kind(f"{subject} {rule}", name=subject, value=self.__dict__.get(field), rule=rule)
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
         raise dataclasses.FrozenInstanceError(
@@ -230,7 +207,7 @@ class Declared:
             below = self._below(name)
             if path.startswith(below) and path.removeprefix(below) in part.parameters():
                 return part.find(path.removeprefix(below))
-        raise unknown_field(path, self.parameters(), "parameter").error(type(self).__name__)
+        raise unknown_name(type(self).__name__, "parameter", path, self.parameters())
 
     def changed(self, path: str, value: Any, *, name: str = "") -> Self:
         """A copy with another value of the parameter at a path, checked as when it was made.
@@ -253,12 +230,11 @@ class Declared:
                 value = parts[inner].changed(rest, value, name=name or path)
                 return self._with_parts({inner: value})
             if not own:
-                raise unknown_field(path, self.parameters(), "parameter")
+                raise unknown_name(type(self).__name__, "parameter", path, self.parameters())
             copy = self._replaced({path: self.declared[path].taken(value, self)})
             copy.check()
-        except Refusal as refusal:
-            refusal.field = refusal.field.replace(path, name or path, 1) if refusal.field else ""
-            raise refusal.error(type(self).__name__) from None
+        except TautError as cause:
+            raise cause.about(path, name or path) from None
         return copy
 
     def checked_parameter(
@@ -278,9 +254,8 @@ class Declared:
         owner, field = self.find(path)
         try:
             checked: Float64Array = field.checked(field.converted(value), owner, joints)
-        except Refusal as refusal:
-            refusal.field = refusal.field.replace(field.name, name or path, 1)
-            raise refusal.error(type(self).__name__) from None
+        except TautError as cause:
+            raise cause.about(field.name, name or path) from None
         return checked
 
     def units(self) -> dict[str, str]:
@@ -318,36 +293,10 @@ class Declared:
             if isinstance(field, Field) and isinstance(field.shape, str) and value is not None:
                 try:
                     field.check_shape(np.shape(value), self, joints)
-                except Refusal as refusal:
-                    raise refusal.error(type(self).__name__, prefix) from None
+                except ShapeError as cause:
+                    raise cause.about(name, f"{prefix}{name}") from None
         for name, part in self.declared_parts().items():
             part.check_size(joints, f"{prefix}{self._below(name)}")
-
-    # ---------------------------------------------------------------- as data
-
-    def explain(self, prefix: str = "") -> list[Row]:
-        """The rows of `explain()`: every field with its value, those of parts below their names."""
-        out, docs = [], _argument_docs(type(self))
-        for name, field in self.declared.items():
-            value = self.__dict__[name]
-            below = value.explain(f"{prefix}{self._below(name)}") if isinstance(value, Declared) else []
-            row = Row(f"{prefix}{name}", value, field.unit, field.rule(), field.doc or docs.get(name, ""))
-            out += below or [row]
-        return out
-
-    @classmethod
-    def schema(cls) -> dict[str, Any]:
-        """The class as data: for `--json`, an editor's completion, tables of the documentation."""
-        docs = _argument_docs(cls)
-        fields = {name: field.schema() for name, field in cls.declared.items()}
-        for name, row in fields.items():
-            row["description"] = row["description"] or docs.get(name, "")
-        return {
-            "title": cls.__name__,
-            "description": (cls.__doc__ or "").strip().partition("\n")[0],
-            "required": [name for name, field in cls.declared.items() if field.default is REQUIRED],
-            "properties": fields,
-        }
 
     def _as_by_default(self, name: str) -> bool:
         """Whether a field has the value of its default; a copy of a part may be another object of the same text."""
@@ -357,8 +306,8 @@ class Declared:
     def __repr__(self) -> str:
         shown = (
             f"{name}={_shown(self.__dict__[name])}"
-            for name, field in self.declared.items()
-            if field.default is REQUIRED or name in self.specified or not self._as_by_default(name)
+            for name in self.declared
+            if name in self.specified or not self._as_by_default(name)
         )
         return f"{type(self).__name__}({', '.join(shown)})"
 
@@ -394,21 +343,3 @@ def _signature(cls: type[Declared]) -> inspect.Signature:
             for name, field in cls.declared.items()
         ]
     )
-
-
-def _argument_docs(cls: type) -> dict[str, str]:
-    """The entries of Args in a docstring, by name."""
-    lines = (inspect.getdoc(cls) or "").splitlines()
-    if "Args:" not in lines:
-        return {}
-    out: dict[str, str] = {}
-    name = ""
-    for line in lines[lines.index("Args:") + 1 :]:
-        if line and not line.startswith(" "):
-            break
-        entry = re.match(r" {4}(\w+): (.*)", line)
-        if entry:
-            name, out[entry[1]] = entry[1], entry[2]
-        elif name and line.strip():
-            out[name] += f" {line.strip()}"
-    return out

@@ -9,9 +9,9 @@ from typing import Final
 
 import numpy as np
 
-from taut.arm.angles import TURN, require_radians
 from taut.arm.description import Arm
-from taut.base.checks import one_of, positive_scalar, require_at_least, vector
+from taut.arm.parts import TURN, require_radians
+from taut.base.checks import one_of, positive_scalar, require_range, vector
 from taut.base.errors import RangeError, UsageError, count_of
 from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.kernel import NativeFunction, native
@@ -126,7 +126,7 @@ def inverse_kinematics(
     wanted = start if posture is None else search.checked("posture", posture)
     linear, angular = tolerance
     within = positive_scalar("tolerance[0]", linear, unit="m"), positive_scalar("tolerance[1]", angular, unit="rad")
-    require_at_least("restarts", np.asarray(restarts), 0)
+    require_range("restarts", restarts, minimum=0.0)
     found = search.from_starts(pose, start, wanted, within, int(restarts), seed)
     return search.near(found, start, wanted, pose, within)
 

@@ -15,11 +15,9 @@ from scipy.optimize import brentq
 from taut.base.checks import (
     finite_array,
     finite_scalar,
-    non_negative_scalar,
     positive_scalar,
     rate_in_hertz,
-    require_at_least,
-    require_positive,
+    require_range,
     rounded_up,
     symmetric,
     symmetric_psd,
@@ -115,11 +113,13 @@ def second_order(
     References:
         Chapter, section 10.2.1.1, equations 10.8 to 10.10.
     """
-    M, b = positive_scalar("M", M, unit="kg m^2"), non_negative_scalar("b", b, unit="N m s/rad")
+    M, b = positive_scalar("M", M, unit="kg m^2"), finite_scalar("b", b, unit="N m s/rad", minimum=0.0)
     units = {"kp": "N m/rad", "kd": "N m s/rad", "zeta": "", "omega_n": "rad/s", "settling": "s", "overshoot": "%"}
     values = zip(units.items(), (kp, kd, zeta, omega_n, settling, overshoot), strict=True)
     given = {
-        name: (positive_scalar if name in ("omega_n", "settling") else non_negative_scalar)(name, value, unit=unit)
+        name: finite_scalar(
+            name, value, unit=unit, minimum=0.0, above=0.0 if name in ("omega_n", "settling") else -math.inf
+        )
         for (name, unit), value in values
         if value is not None
     }
@@ -227,8 +227,8 @@ def joint_matrix(
     n: int,
     unit: str = "",
     *,
-    minimum: float | None = None,
-    above: float | None = None,
+    minimum: float = -math.inf,
+    above: float = -math.inf,
 ) -> Float64Array:
     """(n, n) of a number, of one number for each joint, or of a symmetric matrix.
 
@@ -237,7 +237,7 @@ def joint_matrix(
         value: The numbers.
         n: Number of joints.
         unit: Of them.
-        minimum: 0 for numbers of zero or more, and a positive semidefinite matrix; None for any.
+        minimum: 0 for numbers of zero or more, and a positive semidefinite matrix; any if left out.
         above: 0 for numbers above zero, and a positive definite matrix.
 
     Raises:
@@ -247,15 +247,12 @@ def joint_matrix(
     if given.shape not in ((), (n,), (n, n)):
         raise ShapeError(f"{name} must be a number, ({n},) or ({n}, {n}); got shape {given.shape}", name=name)
     if given.ndim == 2:
-        if minimum is None and above is None:
+        if max(minimum, above) == -math.inf:
             symmetric(name, given, unit=unit)
         else:
-            symmetric_psd(name, given, unit=unit, definite=above is not None)
+            symmetric_psd(name, given, unit=unit, definite=above == 0.0)
         return 0.5 * (given + given.T)
-    if above is not None:
-        require_positive(name, given, unit=unit)
-    elif minimum is not None:
-        require_at_least(name, given, minimum, unit=unit)
+    require_range(name, given, unit=unit, minimum=minimum, above=above)
     return np.diag(np.broadcast_to(given, (n,)))
 
 

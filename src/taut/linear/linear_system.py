@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from taut.base.checks import finite_array, non_negative_scalar, positive_scalar, read_only, whole_number
+from taut.base.checks import finite_array, finite_scalar, positive_scalar, read_only, whole_number
 from taut.base.errors import RangeError, ShapeError, UsageError, missing_extra, unknown_name
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
@@ -353,7 +353,7 @@ class LinearSystem(Result):
         if self.dt is not None:
             raise UsageError(f"the system is sampled already, with the period {self.dt:g} s", name="dt")
         dt = positive_scalar("dt", dt, unit="s")
-        delay = non_negative_scalar("delay", delay, unit="s")
+        delay = finite_scalar("delay", delay, unit="s", minimum=0.0)
         n, m = self.B.shape
         whole = int(np.floor(delay / dt + WHOLE))
         fraction = delay / dt - whole if delay / dt - whole > WHOLE else 0.0

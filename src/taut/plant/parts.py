@@ -12,7 +12,7 @@ import numpy as np
 from taut.arm.description import COMMANDS, Arm, CommandKind
 from taut.arm.friction import AT_REST, check_at_rest
 from taut.arm.parts import checked_payload_entry
-from taut.base.checks import finite_array, in_compiled_shape, require_at_least, require_positive
+from taut.base.checks import finite_array, in_compiled_shape, require_range
 from taut.base.errors import RangeError, ShapeError, UsageError, unknown_name
 from taut.base.fields import Choice, Declared, Part, Plain
 from taut.base.paths import flatten, subtree
@@ -237,9 +237,9 @@ class PlantParts(Declared):
             return new
         new = finite_array(path, value)
         if path == f"{FRICTION}stribeck_shape":
-            require_positive(path, new)
+            require_range(path, new, above=0.0)
         else:
-            require_at_least(path, new, 0.0, joints=self.arm.joint_names if new.shape == (self.arm.n,) else None)
+            require_range(path, new, minimum=0.0, joints=self.arm.joint_names if new.shape == (self.arm.n,) else None)
         if path == ROTOR and new.shape in ((), (self.arm.n,)):
             require_rotors(self.arm, self.drivetrain.compliant, np.broadcast_to(new, (self.arm.n,)))
         return new

@@ -10,7 +10,7 @@ import numpy as np
 
 from taut.arm.description import Arm, Payload
 from taut.base.errors import ShapeError, UsageError
-from taut.base.fields import Choice, Declared, Field, Part, Plain, Refusal
+from taut.base.fields import Choice, Declared, Field, Part, Plain
 from taut.base.paths import subtree
 from taut.base.types import Array, Float64Array
 from taut.maths import dynamics as dyn
@@ -378,7 +378,7 @@ class OneSensor(Part[Any]):
             return value
         at_motor = self.name.startswith("motor")
         if at_motor and value.side == "link":
-            raise Refusal(UsageError, self.name, "is at the motor; got side='link'; leave side out")
+            self.refuse("is at the motor; got side='link'; leave side out", value)
         return dataclasses.replace(value, side="motor") if at_motor and value.side is None else value
 
 

@@ -35,9 +35,9 @@ class RunSection(Declared):
     """[run]: how long each run takes, from where, and with which noise."""
 
     duration: Field = Field(unit="s", above=0.0)
-    seed: Whole = Whole(0, doc="of the noise")
-    q0: Plain[Any] = Plain(default=None, doc='positions at the start, or "home"; the plant\'s home if left out')
-    v0: Plain[Any] = Plain(default=None, doc="velocities at the start; at rest if left out")
+    seed: Whole = Whole(0)  # of the noise
+    q0: Plain[Any] = Plain(default=None)  # positions at the start, or "home"; the plant's home if left out
+    v0: Plain[Any] = Plain(default=None)  # velocities at the start; at rest if left out
 
 
 def read_control_side_and_plant(root: Table) -> dict[str, Any]:

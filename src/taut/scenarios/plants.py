@@ -12,13 +12,10 @@ from taut.base.fields import Declared, Field, Part, Whole
 from taut.base.types import Float64Array
 from taut.drives import ElectricMotor, Motor, MotorModel
 from taut.environments import (
-    BandNoise,
     Damper,
     Environment,
     Environments,
     Hand,
-    Oscillation,
-    PrescribedMotion,
     Push,
     Spring,
     StiffWall,
@@ -42,7 +39,6 @@ ENVIRONMENTS: Final[Mapping[str, Callable[..., Any]]] = {
     "hand": Hand,
     "push": Push,
 }
-MOTIONS: Final[Mapping[str, Callable[..., Any]]] = {"oscillation": Oscillation, "noise": BandNoise}
 
 
 @reads(Environment)
@@ -54,11 +50,6 @@ def _environment(table: Table, key: str) -> Environment:
     parts = {name: of_kind(ENVIRONMENTS, below.table(name)) for name in below.values}
     with below.blamed():
         return Environments(**parts)
-
-
-@reads(PrescribedMotion)
-def _motion(table: Table, key: str) -> Any:
-    return of_kind(MOTIONS, table.table(key))
 
 
 @reads(MotorModel)
@@ -126,11 +117,11 @@ class Spread(Declared):
     tilt about one, at the origin of the scene. The place of a run depends on the seed and its number alone.
     """
 
-    at: Part[Pose] = Part(Pose, doc="where the scene stands in the file")
-    runs: Whole = Whole(minimum=2, maximum=1000, doc="how many")
+    at: Part[Pose] = Part(Pose)  # where the scene stands in the file
+    runs: Whole = Whole(minimum=2, maximum=1000)  # how many
     seed: Whole = Whole(0)
-    shift: Field = Field(0.0, unit="m", minimum=0.0, doc="the largest, in any direction across z")
-    tilt: Field = Field(0.0, unit="rad", minimum=0.0, maximum=MAX_TILT, doc="the largest, about any axis across z")
+    shift: Field = Field(0.0, unit="m", minimum=0.0)  # the largest, in any direction across z
+    tilt: Field = Field(0.0, unit="rad", minimum=0.0, maximum=MAX_TILT)  # the largest, about any axis across z
 
     def check(self) -> None:
         """Something is spread."""

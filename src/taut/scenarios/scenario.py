@@ -54,8 +54,8 @@ FILES: Final = {
 class OfRuns(Declared):
     """Base of sections about the runs: of which case, which joint, and which part of the time."""
 
-    joint: Plain[str | None] = Plain(str, optional=True, doc="the joint; all joints together if left out")
-    window: Field = Field(unit="s", shape=2, minimum=0.0, optional=True, doc="[start, end] of the part of a run")
+    joint: Plain[str | None] = Plain(str, optional=True)  # the joint; all joints together if left out
+    window: Field = Field(unit="s", shape=2, minimum=0.0, optional=True)  # [start, end] of the part of a run
 
     def check(self) -> None:
         if self.window is not None and not self.window[0] < self.window[1]:
@@ -98,9 +98,9 @@ class Outputs(OfRuns):
     video: Plain[str | None] = Plain(str, optional=True)
     log: Plain[str | None] = Plain(str, optional=True)
     csv: Plain[str | None] = Plain(str, optional=True)
-    shown: Plain[str | None] = Plain(str, optional=True, doc="the law of video and log; the last if left out")
-    shown_case: Plain[str | None] = Plain(str, optional=True, doc="the case; the last if left out")
-    columns: Plain[list[str] | None] = Plain(list, optional=True, doc="metrics in the table and the plot")
+    shown: Plain[str | None] = Plain(str, optional=True)  # the law of video and log; the last if left out
+    shown_case: Plain[str | None] = Plain(str, optional=True)  # the case; the last if left out
+    columns: Plain[list[str] | None] = Plain(list, optional=True)  # metrics in the table and the plot
 
     def check(self) -> None:
         super().check()
@@ -121,8 +121,8 @@ class PassFigure(OfRuns):
 
     law: Plain[str] = Plain(str)
     metric: Plain[str] = Plain(str)
-    case: Plain[str | None] = Plain(str, optional=True, doc="every case if left out")
-    part: Plain[str | None] = Plain(str, optional=True, doc="of laws side by side the one, or of a task the phase")
+    case: Plain[str | None] = Plain(str, optional=True)  # every case if left out
+    part: Plain[str | None] = Plain(str, optional=True)  # of laws side by side the one, or of a task the phase
     min: Field = Field(optional=True)
     max: Field = Field(optional=True)
 

@@ -2,104 +2,63 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from scipy.linalg import eigh
 
-from taut.base.checks import finite_array
 from taut.base.errors import RangeError, UsageError
-from taut.base.quantity import Quantity
-from taut.base.types import ArrayLike, Float64Array
+from taut.base.fields import Declared, Field
+from taut.base.types import Float64Array
 from taut.control.closed_loop import ClosedLoop, PlacedGains
 from taut.control.law import Law
 from taut.linear.joint_loop import second_order
 
-__all__ = ["QUANTITIES", "Specification", "place_poles", "square"]
+__all__ = ["Specification", "place_poles", "square"]
 
-QUANTITIES: Final = {
-    "zeta": Quantity(unit="-", rule="> 0", instead="zeta = 1 is critical damping"),
-    "overshoot": Quantity(unit="%", rule=">= 0"),
-    "omega_n": Quantity(unit="rad/s", rule="> 0"),
-    "settling": Quantity(unit="s", rule="> 0"),
-    "K": Quantity(unit="N/m, N m/rad", rule=">= 0"),
-    "contact": Quantity(unit="N/m, N m/rad", rule="> 0"),
-    "force": Quantity(unit="1/s", rule="> 0"),
-    "integral": Quantity(unit="-", rule=">= 0"),
-}
-SCALARS: Final = ("zeta", "overshoot", "force", "integral")
 SETTLED_RATIO: Final = 50.0  # [-] of a step and the 2 % within which it has settled
 FREE: Final = 1e-9  # [-] of the largest stiffness over inertia: a motion that no spring draws back
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Specification:
+class Specification(Declared):
     """The numbers that a design asks for; None for those that it does not.
 
-    Args:
-        zeta: Damping ratio of every mode.
-        overshoot: Of a step [%], in place of zeta.
-        omega_n: Natural frequency [rad/s]: a number, one for each direction, or (linear, angular) at the tool;
-            without a damping, the single pole of each direction.
-        settling: Exact 2 % settling time of a step [s], likewise.
-        K: Stiffness [N/m, N m/rad]: one for each direction, (linear, angular), or a matrix; of joints also a number.
-        contact: Stiffness of what a law of force presses on, likewise.
-        force: Pole of the force [1/s].
-        integral: ki as a fraction of its stability limit kd kp / M.
+    Speeds and stiffnesses are a number, one for each direction, or (linear, angular) at the tool; K and contact also
+    matrices.
 
     Raises:
         RangeError, ShapeError: A number outside of its range.
         UsageError: Two numbers for the same thing, or none.
     """
 
-    zeta: float | None = None
-    overshoot: float | None = None
-    omega_n: ArrayLike | None = None
-    settling: ArrayLike | None = None
-    K: ArrayLike | None = None
-    contact: ArrayLike | None = None
-    force: float | None = None
-    integral: float = 0.0
+    zeta: Field = Field(above=0.0, run_time=False, optional=True, hint="zeta = 1 is critical damping")
+    overshoot: Field = Field(unit="%", minimum=0.0, run_time=False, optional=True)
+    omega_n: Field = Field(unit="rad/s", shape="n", above=0.0, optional=True)
+    settling: Field = Field(unit="s", shape="n", above=0.0, optional=True)
+    K: Field = Field(unit="N/m, N m/rad", shape="n", accepts=("matrix",), minimum=0.0, optional=True)
+    contact: Field = Field(unit="N/m, N m/rad", shape="n", accepts=("matrix",), above=0.0, optional=True)
+    force: Field = Field(unit="1/s", above=0.0, run_time=False, optional=True)
+    integral: Field = Field(0.0, minimum=0.0, run_time=False)
 
-    def __post_init__(self) -> None:
-        for name, value in self.given.items():
-            quantity = QUANTITIES[name]
-            if name in ("K", "contact") and np.ndim(value) == 2:
-                checked: Any = finite_array(name, value, unit=quantity.unit)
-            else:
-                checked = quantity.checked(name, value)
-            if name in SCALARS:
-                if checked.ndim:
-                    raise UsageError(f"{name} must be one number; got shape {checked.shape}", name=name)
-                checked = float(checked)
-            object.__setattr__(self, name, checked)
-        self._refuse_both("zeta", "overshoot")
-        self._refuse_both("omega_n", "settling", "K")
+    def check(self) -> None:
+        for names in (("zeta", "overshoot"), ("omega_n", "settling", "K")):
+            given = [name for name in names if getattr(self, name) is not None]
+            if len(given) > 1:
+                raise UsageError(
+                    f"{' and '.join(given)} determine the same number; give one of {', '.join(names)}", name=given[-1]
+                )
         for name, limit in (("overshoot", 100.0), ("integral", 1.0)):
             value = getattr(self, name)
             if value is not None and value >= limit:
-                raise RangeError(
-                    f"{name} must be below {limit:g}, where the loop oscillates without damping; got {value:g}",
-                    name=name,
-                    value=value,
-                    rule=f"< {limit:g}",
-                )
-
-    def _refuse_both(self, *names: str) -> None:
-        given = [name for name in names if getattr(self, name) is not None]
-        if len(given) > 1:
-            raise UsageError(
-                f"{' and '.join(given)} determine the same number; give one of {', '.join(names)}", name=given[-1]
-            )
+                rule = f"must be below {limit:g}, where the loop oscillates without damping; got {value:g}"
+                self.refuse(name, rule, RangeError)
 
     @property
     def given(self) -> dict[str, Any]:
         """What is asked for, by name."""
-        every = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        every = {name: getattr(self, name) for name in self.declared}
         return {name: value for name, value in every.items() if value is not None and (name != "integral" or value)}
 
     @property
@@ -115,7 +74,7 @@ class Specification:
         angle = math.log(SETTLED_RATIO) if zeta is None else second_order(zeta=zeta, settling=1.0).omega_n
         return angle / per_coordinate("settling", self.settling, loop)
 
-    def check(self, law: str, loop: ClosedLoop) -> None:
+    def check_fit(self, law: str, loop: ClosedLoop) -> None:
         """What is asked for must be what the closed loop of a law has.
 
         Raises:
@@ -129,19 +88,15 @@ class Specification:
         takes += ["integral"] if loop.contact is None and loop.single_pole == "never" else []
         wrong = [name for name in self.given if name not in takes]
         if wrong:
-            reason = ""
-            if wrong[0] == "K":
-                reason = " (its gains are accelerations, and the stiffness changes with the pose)"
             raise UsageError(
-                f"{wrong[0]} does not apply to {law}{reason}, whose design takes {', '.join(takes)}; leave it out",
+                f"{wrong[0]} does not apply to {law}, whose design takes {', '.join(takes)}; leave it out",
                 name=wrong[0],
             )
         if not any(name in self.given for name in speeds):
             raise UsageError(f"{law} needs one of {', '.join(speeds)}", name=speeds[0])
-        if not single and loop.single_pole != "always" and self.damping_ratio is None:
+        undamped = loop.single_pole != "always" and self.damping_ratio is None
+        if undamped and (not single or self.K is not None):
             raise UsageError(f"{law} needs its damping: zeta or overshoot", name="zeta")
-        if single and self.K is not None:
-            raise UsageError(f"{law} with K needs its damping: zeta or overshoot", name="zeta")
 
 
 def per_coordinate(name: str, value: Any, loop: ClosedLoop) -> Float64Array:

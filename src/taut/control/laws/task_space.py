@@ -318,7 +318,7 @@ def _asked(law: Law) -> Asked | None:
 
 
 def check_damping(law: Law, K: GainValue, B: GainValue | None, zeta: GainValue | None, D: GainValue | None) -> None:
-    """Exactly one of B and zeta; zeta needs a stiffness to oscillate on; D is divided by. Raises Refusal."""
+    """Exactly one of B and zeta; zeta needs a stiffness to oscillate on; D is divided by. Raises TautError."""
     if (B is None) == (zeta is None):
         law.refuse("zeta", "designs B from K and the inertia; give exactly one of B and zeta")
     if zeta is not None and smallest(K) <= 0.0:

@@ -8,7 +8,7 @@ from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
 
-from taut.base.checks import finite_scalar, one_of, require_at_least, vector, whole_number
+from taut.base.checks import finite_scalar, one_of, vector, whole_number
 from taut.base.errors import RangeError, ShapeError, UsageError, unknown_name
 from taut.base.types import ArrayLike
 from taut.control.trajectories.reference import JointMotion
@@ -88,8 +88,7 @@ def contact(x: Seen, force: float, direction: ArrayLike | None = None, frame: Ax
         >>> law = taut.laws.GravityPID(kp=10.0, kd=1.0)
         >>> task = [taut.Phase(law, until=lambda x: contact(x, 2.0, direction=[0, 0, 1]), timeout=1.0)]
     """
-    force = finite_scalar("force", force, unit="N")
-    require_at_least("force", np.asarray(force), 0.0, unit="N")
+    force = finite_scalar("force", force, unit="N", minimum=0.0)
     one_of("frame", frame, FRAMES)
     F = x.F_ext[:3]
     if direction is None:
@@ -137,9 +136,7 @@ def reached(
         UsageError: No tolerance, or one that the target has no meaning for.
     """
     tolerances = {"q": q, "position": position, "rotation": rotation}
-    given = {name: finite_scalar(name, value) for name, value in tolerances.items() if value is not None}
-    for name, value in given.items():
-        require_at_least(name, np.asarray(value), 0.0)
+    given = {name: finite_scalar(name, value, minimum=0.0) for name, value in tolerances.items() if value is not None}
     wanted, fitting = _wanted(target)
     if not given or not given.keys() <= fitting:
         raise UsageError(
@@ -193,8 +190,7 @@ def moved(x: GuardView, distance: float, tool: str | None = None) -> Any:
         distance: [m].
         tool: The frame; that of the phase's law if left out.
     """
-    distance = finite_scalar("distance", distance, unit="m")
-    require_at_least("distance", np.asarray(distance), 0.0, unit="m")
+    distance = finite_scalar("distance", distance, unit="m", minimum=0.0)
     frame = x.tool if tool is None else tool
     return tm.norm(x.T(frame).p - x.begin.T(frame).p) >= distance
 
