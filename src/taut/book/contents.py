@@ -61,12 +61,12 @@ def table(pages: Iterable[Page]) -> Table:
 
 
 def _number(value: float) -> str:
-    """Of at most six digits."""
+    """A number with at most six digits."""
     return f"{value:.6g}" if abs(value) >= 1e-13 or value == 0.0 else "0"
 
 
 def _difference(each: Row) -> str:
-    """How far apart the two are: of the expected number where that says something, and that it is too far."""
+    """The difference, relative to the expected number where that is not zero; (!) where it is too large."""
     apart = each.difference
     if abs(apart) <= 1e-13 * max(abs(each.expected), 1.0):
         text = "none"

@@ -218,7 +218,7 @@ def _turn(W: Matrix, r: Vector, touch: Touch, p: list[Any], most: Any) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class _Mode:
-    """How a contact behaves at some impulses, and what Newton's method needs of it.
+    """Behaviour of a contact at some impulses, and what Newton's method needs of it.
 
     With z = p_t - step u_t its friction is z where |z| is within the cone, and else shortened to its border:
     p_t = share z = most d.
@@ -360,7 +360,7 @@ def _sum(start: Any, products: Any) -> Any:
 
 
 def both(a: Any, b: Any) -> Any:
-    """Whether both hold; either may be known when traced."""
+    """Both hold; either may be known when traced."""
     if isinstance(a, bool):
         return b if a else False
     if isinstance(b, bool):
@@ -369,7 +369,7 @@ def both(a: Any, b: Any) -> Any:
 
 
 def opposite(a: Any) -> Any:
-    """Whether it does not hold."""
+    """It does not hold."""
     return not a if isinstance(a, bool) else ~a
 
 
