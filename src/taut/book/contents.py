@@ -46,16 +46,15 @@ def cells(each: Row) -> tuple[str, ...]:
 
 
 def table(pages: Iterable[Page]) -> Table:
-    """All rows, for a terminal: what the chapter states stands below the quantity."""
+    """All rows, for a terminal: what the chapter states stands below the quantity, the sources are in the files."""
     out = Table("id", "quantity", "unit", title="the chapter, computed")
     for head in COLUMNS[3:6]:
         out.add_column(head, justify="right", no_wrap=True)
-    out.add_column(COLUMNS[6])
     for page in pages:
         for k, each in enumerate(page.rows):
-            quantity, unit, states, *others = cells(each)
+            quantity, unit, states, *numbers, _ = cells(each)
             quantity = f"{quantity}\n(chapter: {states})" if states else quantity
-            out.add_row(page.entry.id if not k else "", quantity, unit, *others)
+            out.add_row(page.entry.id if not k else "", quantity, unit, *numbers)
         out.add_section()
     return out
 
