@@ -281,7 +281,7 @@ def refused(text: str, scene: Scene | None, source: str = "") -> ModelError:
     found = _LINE.search(text)
     said = re.sub(r"^(XML )?(Error: )*(Schema violation: )?", "", text.splitlines()[0] if text else "no reason given")
     if scene is None or found is None or not 0 < int(found[1]) <= len(scene.lines):
-        origin = source or (scene.source if scene else "model")
+        origin = scene.source if scene else source
         message = f"MuJoCo refuses the model: {said}"
         return ModelError(origin, [Problem(object=origin, attribute=None, message=message)])
     element = scene.lines[int(found[1]) - 1]
