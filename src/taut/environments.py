@@ -10,10 +10,8 @@ if TYPE_CHECKING:
     from taut.base.fields import Field as Field
     from taut.plant.environments.environment import Environment as Environment
     from taut.plant.environments.environment import Environments as Environments
-    from taut.plant.environments.hands import BandNoise as BandNoise
     from taut.plant.environments.hands import Hand as Hand
     from taut.plant.environments.hands import Oscillation as Oscillation
-    from taut.plant.environments.hands import PrescribedMotion as PrescribedMotion
     from taut.plant.environments.hands import Push as Push
     from taut.plant.environments.springs import Damper as Damper
     from taut.plant.environments.springs import Spring as Spring

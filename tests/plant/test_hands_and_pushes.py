@@ -61,7 +61,8 @@ class TestAHandle:
 
     def test_is_felt_as_its_mass(self) -> None:
         """A push of the tool moves arm and handle together."""
-        both = taut.environments.Hand(mass=1.5) + taut.environments.Push(peak=[0, 0, 9.0], t=0.0, duration=0.05)
+        push = taut.environments.Push(peak=[0, 0, 9.0], t=0.0, duration=0.05)
+        both = taut.environments.Environments(hand=taut.environments.Hand(mass=1.5), push=push)
         out = free(rigid(both), duration=0.5)
         assert out.v[-1, 2] == pytest.approx(9.0 * 0.05 * 2.0 / np.pi / (M + 1.5), rel=1e-9)
 
@@ -99,30 +100,6 @@ class TestAHand:
         assert np.fft.rfftfreq(len(late), 1e-3)[np.argmax(spectrum)] == pytest.approx(3.0, abs=0.34)
 
 
-class TestANoise:
-    def wanted(self, noise: taut.environments.BandNoise, t: Any) -> Float64Array:
-        p, phases = noise.parameters(), noise.start()
-        return np.array([noise.value(phases + s * noise.rates(p), p) for s in t])
-
-    def test_has_its_rms_and_its_band(self) -> None:
-        noise = taut.environments.BandNoise(rms=[1.0, 2.0, 0.0], low=0.5, high=4.0, seed=4)
-        t = np.arange(0.0, 200.0, 0.02)
-        x = self.wanted(noise, t)
-        np.testing.assert_allclose(np.sqrt((x**2).mean(axis=0)), [1.0, 2.0, 0.0], rtol=0.02)
-        f = np.fft.rfftfreq(len(t), 0.02)
-        power = np.abs(np.fft.rfft(x[:, 0] * np.hanning(len(t)))) ** 2
-        outside = (f < 0.45) | (f > 4.05)
-        assert power[outside].sum() < 1e-4 * power.sum()
-
-    def test_is_its_seeds(self) -> None:
-        t = [0.0, 0.1, 0.7]
-        one, same, other = (
-            self.wanted(taut.environments.BandNoise(rms=1.0, low=0.5, high=4.0, seed=s), t) for s in (1, 1, 2)
-        )
-        np.testing.assert_array_equal(one, same)
-        assert np.abs(one - other).max() > 0.1
-
-
 class TestAPush:
     @pytest.mark.parametrize("rate", [200.0, 1000.0, 1300.0])
     @pytest.mark.parametrize(("shape", "mean"), [("half-sine", 2.0 / np.pi), ("rectangular", 1.0)])
@@ -131,7 +108,6 @@ class TestAPush:
         out = free(rigid(push), duration=0.3, rate=rate)
         expected = np.array([30.0, -20.0, 10.0]) * 0.0567 * mean / MASSES
         np.testing.assert_allclose(out.v[-1], expected, rtol=1e-12)
-        np.testing.assert_allclose(push.impulse[:3] / MASSES, expected, rtol=1e-14)
         assert (out.v[out.t < 0.1234] == 0.0).all()
 
     def test_has_its_shape(self) -> None:
@@ -160,10 +136,6 @@ class TestSeveralAtOnce:
         both = taut.environments.Environments(a=self.SPRING, b=self.DAMPER)
         p, v = [0.1, 0.2, -0.3], [1.0, 2.0, 3.0]
         np.testing.assert_allclose(at(both, p, v), at(self.SPRING, p, v) + at(self.DAMPER, p, v), rtol=1e-15)
-
-    def test_made_by_plus_have_the_names_of_their_classes(self) -> None:
-        three = self.SPRING + self.DAMPER + taut.environments.Spring(stiffness=1.0)
-        assert sorted(three.parameters()) == ["Damper.damping", "Spring.stiffness", "Spring2.stiffness"]
 
     def test_keep_their_memories_apart(self) -> None:
         two = taut.environments.Environments(
@@ -194,7 +166,6 @@ HAND = taut.environments.Hand(
         (lambda: taut.environments.Spring(stiffness=1.0, at="here"), taut.errors.UsageError, "at"),
         (lambda: taut.environments.Spring(stiffness=(1.0, 2.0), slack=0.1), taut.errors.UsageError, "slack"),
         (lambda: taut.environments.Spring(stiffness=1.0, slack=-0.1), taut.errors.RangeError, "slack"),
-        (lambda: taut.environments.Damper(damping=1.0, frame="base"), taut.errors.UsageError, "frame"),
         (lambda: taut.environments.StiffWall(point=[0, 0], normal=[0, 0, 1], stiffness=1.0), taut.errors.ShapeError, "point"),
         (lambda: taut.environments.StiffWall(point=[0, 0, 0], normal=[0, 0, 0], stiffness=1.0), taut.errors.RangeError, "normal"),
         (lambda: taut.environments.StiffWall(point=[0, 0, 0], normal=[0, 0, 1], stiffness=0.0), taut.errors.RangeError, "stiffness"),
@@ -203,10 +174,6 @@ HAND = taut.environments.Hand(
         (lambda: taut.environments.Hand(mass=1.0, damping=[1.0, 2.0]), taut.errors.ShapeError, "damping"),
         (lambda: taut.environments.Hand(mass=1.0, damping=1.0, stiffness=1.0, motion=3.0), taut.errors.UsageError, "motion"),  # type: ignore[arg-type]
         (lambda: taut.environments.Oscillation(amplitude=1.0, frequency=-1.0), taut.errors.RangeError, "frequency"),
-        (lambda: taut.environments.BandNoise(rms=1.0, low=2.0, high=1.0), taut.errors.RangeError, "low"),
-        (lambda: taut.environments.BandNoise(rms=1.0, low=1.0, high=2.0, tones=0), taut.errors.RangeError, "tones"),
-        (lambda: taut.environments.BandNoise(rms=1.0, low=1.0, high=2.0, seed=1.5), taut.errors.UsageError, "seed"),  # type: ignore[arg-type]
-        (lambda: taut.environments.BandNoise(rms=1.0, low=1.0, high=2.0, seed=-1), taut.errors.RangeError, "seed"),
         (lambda: taut.environments.Push(peak=[1.0, 2.0]), taut.errors.ShapeError, "peak"),
         (lambda: taut.environments.Push(peak=[1.0, 2.0, 3.0], duration=0.0), taut.errors.RangeError, "duration"),
         (lambda: taut.environments.Push(peak=[1.0, 2.0, 3.0], t=-1.0), taut.errors.RangeError, "t"),
@@ -214,7 +181,6 @@ HAND = taut.environments.Hand(
         (lambda: taut.environments.Environments(), taut.errors.UsageError, None),
         (lambda: taut.environments.Environments(wall=3.0), taut.errors.UsageError, "wall"),  # type: ignore[arg-type]
         (lambda: taut.environments.Environments(wall=taut.environments.StiffWall), taut.errors.UsageError, "wall"),  # type: ignore[arg-type]
-        (lambda: WALL + 3.0, taut.errors.UsageError, "a part of a sum"),  # type: ignore[operator]
         (lambda: taut.Event.push(t=1.0, peak=[1.0]), taut.errors.ShapeError, "peak"),
     ],
 )  # fmt: skip
@@ -230,8 +196,8 @@ def test_what_cannot_be_is_refused(make: Any, kind: type[taut.TautError], name: 
         (WALL, "stiffness", 0.0),
         (WALL, "stiffness", np.inf),
         (WALL, "normal", [0, 0, 0]),
-        (WALL + HAND, "Hand.motion.frequency", -2.0),
-        (WALL + HAND, "Hand.mass", [1.0, 2.0, 3.0]),
+        (taut.environments.Environments(wall=WALL, hand=HAND), "hand.motion.frequency", -2.0),
+        (taut.environments.Environments(wall=WALL, hand=HAND), "hand.mass", [1.0, 2.0, 3.0]),
         (HAND, "damping", [1.0, 2.0, 3.0]),
         (taut.environments.Spring(stiffness=(1.0, 1.0)), "stiffness", 3.0),
         (taut.environments.Push(), "t", -1.0),
@@ -247,8 +213,8 @@ def test_a_parameter_is_checked_when_it_changes(plant: Any, environment: Any, pa
 
 def test_a_changed_parameter_is_kept_as_it_would_be_made() -> None:
     spring = taut.environments.Spring(stiffness=np.eye(6), at=taut.Pose([1, 2, 3]))
-    plant = taut.RigidPlant(GANTRY, environment=spring + WALL)
+    plant = taut.RigidPlant(GANTRY, environment=taut.environments.Environments(spring=spring, wall=WALL))
     np.testing.assert_array_equal(
-        plant.checked_parameter("environment.Spring.stiffness", (2.0, 3.0)), np.diag([2.0] * 3 + [3.0] * 3)
+        plant.checked_parameter("environment.spring.stiffness", (2.0, 3.0)), np.diag([2.0] * 3 + [3.0] * 3)
     )
-    np.testing.assert_array_equal(plant.checked_parameter("environment.StiffWall.normal", [0, 3, 0]), [0, 1, 0])
+    np.testing.assert_array_equal(plant.checked_parameter("environment.wall.normal", [0, 3, 0]), [0, 1, 0])

@@ -71,7 +71,10 @@ def test_a_surface_that_sways_goes_with_its_time() -> None:
 
 def test_walls_are_shown_and_what_has_no_surface_is_said() -> None:
     wall = taut.environments.StiffWall(point=P - [0.3, 0.0, 0.1], normal=[0.0, 0.0, 2.0], stiffness=1e3)
-    board = only(around(environment=wall + taut.environments.Damper(damping=1.0)), "box")
+    board = only(
+        around(environment=taut.environments.Environments(wall=wall, damper=taut.environments.Damper(damping=1.0))),
+        "box",
+    )
     np.testing.assert_allclose(np.add(board.p, (0.0, 0.0, board.shapes[0].size[2])), P - [0.0, 0.0, 0.1])
     assert not around()
     assert not around(environment=taut.environments.Spring(stiffness=(1e3, 10.0)))

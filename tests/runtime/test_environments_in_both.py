@@ -31,8 +31,10 @@ def tool(arm: taut.Arm = PANDA) -> taut.Pose:
 ENVIRONMENTS: dict[str, Any] = {
     "spring": taut.environments.Spring(stiffness=(400.0, 20.0), at=taut.Pose(tool().p + 0.05, R=tool().R)),
     "cord": taut.environments.Spring(stiffness=500.0, slack=0.02, at=tool().p + 0.05),
-    "damper": taut.environments.Damper(damping=(20.0, 0.5), frame="tool")
-    + taut.environments.Push(peak=[20.0, 5.0, 0.0], t=0.0),
+    "damper": taut.environments.Environments(
+        damper=taut.environments.Damper(damping=(20.0, 0.5)),
+        push=taut.environments.Push(peak=[20.0, 5.0, 0.0], t=0.0),
+    ),
     "wall": taut.environments.StiffWall(
         point=tool().p + 0.002, normal=[0, 0, 1], stiffness=2e4, damping=200.0, friction=0.3
     ),
@@ -42,7 +44,7 @@ ENVIRONMENTS: dict[str, Any] = {
         damping=10.0,
         stiffness=200.0,
         motion=taut.environments.Oscillation(amplitude=[0.02, 0.0, 0.01], frequency=3.0),
-        force=taut.environments.BandNoise(rms=3.0, low=1.0, high=8.0),
+        force=taut.environments.Oscillation(amplitude=3.0, frequency=8.0, phase=0.4),
     ),
     "push": taut.environments.Push(peak=[20.0, 0.0, -10.0, 0.0, 1.0, 0.0], t=0.1, duration=0.07),
 }
@@ -65,7 +67,7 @@ class TestBothPlants:
         arm = PANDA.with_gears(ratio=100.0, motor_inertia=1e-5)
         arm = arm.with_friction(taut.Friction(viscous=0.5, load_external=0.05))
         drives = taut.drives.Actuation(bandwidth=1000.0, transmission=taut.drives.Transmission(efficiency=0.9))
-        environment = ENVIRONMENTS["spring"] + ENVIRONMENTS["push"]
+        environment = taut.environments.Environments(spring=ENVIRONMENTS["spring"], push=ENVIRONMENTS["push"])
         ours = run(taut.RigidPlant(arm, actuation=drives, environment=environment, substeps=2), duration=0.3)
         theirs = run(taut.MujocoPlant(arm, actuation=drives, environment=environment, timestep=5e-4), duration=0.3)
         np.testing.assert_allclose(theirs.q, ours.q, rtol=0.0, atol=1e-6)

@@ -47,7 +47,7 @@ def written(folder: Path, kind: str, more: str) -> str:
             taut.environments.Spring,
         ),
         ('kind = "spring"\nstiffness = 300\nat = [0.1, 0, 0]\nslack = 0.05', taut.environments.Spring),
-        ('kind = "damper"\ndamping = 30\nframe = "tool"', taut.environments.Damper),
+        ('kind = "damper"\ndamping = 30', taut.environments.Damper),
         (
             'kind = "wall"\npoint = [0, 0, -0.3]\nnormal = [0, 0, 1]\nstiffness = 1e4\nfriction = 0.3',
             taut.environments.StiffWall,
@@ -55,8 +55,8 @@ def written(folder: Path, kind: str, more: str) -> str:
         ('kind = "hand"\nmass = 0.5\ndamping = 3\nstiffness = 100', taut.environments.Hand),
         (
             'kind = "hand"\nmass = 0.5\ndamping = 3\nstiffness = 100\n'
-            'motion = { kind = "oscillation", amplitude = [0.02, 0, 0], frequency = 1 }\n'
-            'force = { kind = "noise", rms = 2, low = 0.5, high = 3, seed = 4 }',
+            "motion = { amplitude = [0.02, 0, 0], frequency = 1 }\n"
+            "force = { amplitude = 2, frequency = 3 }",
             taut.environments.Hand,
         ),
         ('kind = "push"\npeak = [10, 0, 0]\nt = 0.1\nduration = 0.2\nshape = "rectangular"', taut.environments.Push),

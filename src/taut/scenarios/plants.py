@@ -12,13 +12,10 @@ from taut.base.fields import Declared, Field, Part, Whole
 from taut.base.types import Float64Array
 from taut.drives import ElectricMotor, Motor, MotorModel
 from taut.environments import (
-    BandNoise,
     Damper,
     Environment,
     Environments,
     Hand,
-    Oscillation,
-    PrescribedMotion,
     Push,
     Spring,
     StiffWall,
@@ -42,7 +39,6 @@ ENVIRONMENTS: Final[Mapping[str, Callable[..., Any]]] = {
     "hand": Hand,
     "push": Push,
 }
-MOTIONS: Final[Mapping[str, Callable[..., Any]]] = {"oscillation": Oscillation, "noise": BandNoise}
 
 
 @reads(Environment)
@@ -54,11 +50,6 @@ def _environment(table: Table, key: str) -> Environment:
     parts = {name: of_kind(ENVIRONMENTS, below.table(name)) for name in below.values}
     with below.blamed():
         return Environments(**parts)
-
-
-@reads(PrescribedMotion)
-def _motion(table: Table, key: str) -> Any:
-    return of_kind(MOTIONS, table.table(key))
 
 
 @reads(MotorModel)

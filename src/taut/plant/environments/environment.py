@@ -39,7 +39,7 @@ class Environment(Declared):
     The wrench is that of the environment on the arm, force first, in world axes at the tool's origin. Each `Field` is
     a parameter of the plant by its path, environment.stiffness, checked by its declaration whenever it changes. A
     subclass writes `wrench`; what remembers something writes `start` too, and what oscillates or brakes fast writes
-    `rates`, from which the plant knows whether its steps are short enough. Two act together as their sum.
+    `rates`, from which the plant knows whether its steps are short enough. `Environments` lets several act together.
 
     Example:
         >>> from taut.environments import Environment, Field
@@ -52,7 +52,7 @@ class Environment(Declared):
         ['force']
     """
 
-    def start(self, T_WE: Pose) -> dict[str, Any]:  # noqa: ARG002
+    def start(self, T_WE: Pose) -> dict[str, Any]:
         """Memory at the start, from the tool's pose: none."""
         return {}
 
@@ -62,7 +62,7 @@ class Environment(Declared):
         """(6,) [N, N m] on the arm, and the new memory."""
         raise NotImplementedError
 
-    def rates(self, mobility: Float64Array, parameters: Values) -> tuple[float, float]:  # noqa: ARG002
+    def rates(self, mobility: Float64Array, parameters: Values) -> tuple[float, float]:
         """How fast the tool oscillates in it [rad/s], and how fast its damping brakes the tool [1/s]: not at all.
 
         Args:
@@ -71,28 +71,11 @@ class Environment(Declared):
         """
         return 0.0, 0.0
 
-    def __add__(self, other: Environment) -> Environments:
-        """Both at once; sums are flattened, and parts have the names of their classes."""
-        parts: dict[str, Environment] = {}
-        for each in (self, other):
-            require_environment("a part of a sum", each)
-            named = each.parts if isinstance(each, Environments) else {type(each).__name__: each}
-            for name, part in named.items():
-                k, unique = 1, name
-                while unique in parts:
-                    k += 1
-                    unique = f"{name}{k}"
-                parts[unique] = part
-        return Environments(**parts)
-
 
 class Environments(Environment):
     """Several environments at once, which act on the tool together.
 
     Law:          F_ext = F_1 + F_2 + ...
-
-    `spring + damper` makes one too, whose parts have the names of their classes; a run-time parameter is then
-    environment.Spring.stiffness.
 
     Args:
         parts: The environments by name; a run-time parameter is environment.NAME.stiffness.

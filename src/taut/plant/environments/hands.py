@@ -8,123 +8,35 @@ from typing import Any, Final
 
 import numpy as np
 
-from taut.base.errors import RangeError
-from taut.base.fields import Choice, Declared, Field, Part, Plain
+from taut.base.fields import Choice, Declared, Field, Part
 from taut.base.paths import subtree
-from taut.base.types import Float64Array, Twist, Vector, Vector3, Wrench
+from taut.base.types import Float64Array, Twist, Wrench
 from taut.plant.environments.environment import Environment
 from taut.trace import math as tm
 from taut.trace.pose import Pose
 
-__all__ = ["BandNoise", "Hand", "Oscillation", "PrescribedMotion", "Push"]
+__all__ = ["Hand", "Oscillation", "Push"]
 
 Values = Mapping[str, Any]
 GRIP: Final = 300.0  # [rad/s]
-PRESCRIBED: Final = ("motion", "force")
-MAX_TONES: Final = 64
 
 
-# -------------------------------------------------------------------- what a hand wants over time
-
-
-class PrescribedMotion(Declared):
-    """Base of what a hand wants over time: three numbers of phases that go on at rates, so that no change jumps."""
-
-    def start(self) -> Float64Array:
-        """(k,) phases at the start [rad]."""
-        raise NotImplementedError
-
-    def rates(self, parameters: Values) -> Vector:
-        """(k,) rates of the phases [rad/s]."""
-        raise NotImplementedError
-
-    def value(self, phases: Vector, parameters: Values) -> Vector3:
-        """(3,) what is wanted, in world axes."""
-        raise NotImplementedError
-
-
-class Oscillation(PrescribedMotion):
-    """One frequency.
+class Oscillation(Declared):
+    """What a hand wants over time, at one frequency.
 
     Law:          wanted = amplitude sin(2 pi frequency t + phase)
 
+    The phase goes on at the frequency's rate, so that a change of it makes no jump.
+
     Args:
         amplitude: (3,) or scalar, in world axes [m] of a motion, [N] of a force.
-        frequency: [Hz]. A change of it makes no jump.
+        frequency: [Hz].
         phase: [rad].
     """
 
     amplitude: Field = Field(unit="m | N", shape=3, accepts=("scalar",))
     frequency: Field = Field(unit="Hz", minimum=0.0)
     phase: Field = Field(0.0, unit="rad")
-
-    def start(self) -> Float64Array:
-        """(1,) phase at the start [rad]."""
-        return np.zeros(1)
-
-    def rates(self, parameters: Values) -> Vector:
-        """(1,) [rad/s]."""
-        return tm.array([2.0 * math.pi * parameters["frequency"]])
-
-    def value(self, phases: Vector, parameters: Values) -> Vector3:
-        """(3,) what is wanted, in world axes."""
-        sine = tm.sin(phases[0] + parameters["phase"])
-        return parameters["amplitude"] * sine + np.zeros(3)  # type: ignore[no-any-return]
-
-
-class BandNoise(PrescribedMotion):
-    """A band of frequencies with phases from a seed: smooth, and the same in every run.
-
-    Law:          wanted_j = rms_j sqrt(2 / tones) sum_i sin(2 pi f_i t + phase_ij), one f_i in each of `tones` equal
-                  parts of the band from low to high
-
-    Args:
-        rms: (3,) or scalar, in world axes [m] of a motion, [N] of a force.
-        low: Lowest frequency [Hz].
-        high: Highest frequency [Hz].
-        seed: Of frequencies and phases.
-        tones: How many frequencies.
-    """
-
-    rms: Field = Field(unit="m | N", shape=3, accepts=("scalar",), minimum=0.0)
-    low: Field = Field(unit="Hz", minimum=0.0)
-    high: Field = Field(unit="Hz", above=0.0, hint="it ends the band")
-    seed: Plain[int] = Plain(int, default=0)
-    tones: Plain[int] = Plain(int, default=8)
-
-    def check(self) -> None:
-        """A band that is one, and counts that there are."""
-        if self.low > self.high:
-            self.refuse("low", f"must be <= high, {float(self.high):g} [Hz]; got {float(self.low):g}", RangeError)
-        if self.seed < 0:
-            self.refuse("seed", f"must be >= 0; got {self.seed}", RangeError)
-        if not 1 <= self.tones <= MAX_TONES:
-            self.refuse("tones", f"must be between 1 and {MAX_TONES}; got {self.tones}", RangeError)
-
-    def _drawn(self) -> tuple[Float64Array, Float64Array]:
-        """Places of the frequencies in the band, in [0, 1), and (tones, 3) phases [rad]."""
-        rng = np.random.default_rng(self.seed)
-        places = (np.arange(self.tones) + rng.random(self.tones)) / self.tones
-        return places, rng.uniform(0.0, 2.0 * math.pi, (self.tones, 3))
-
-    def start(self) -> Float64Array:
-        """(tones,) phases at the start [rad]."""
-        return np.zeros(self.tones)
-
-    def rates(self, parameters: Values) -> Vector:
-        """(tones,) [rad/s]."""
-        places, _ = self._drawn()
-        band = parameters["high"] - parameters["low"]
-        return 2.0 * math.pi * (parameters["low"] + band * places)  # type: ignore[no-any-return]
-
-    def value(self, phases: Vector, parameters: Values) -> Vector3:
-        """(3,) what is wanted, in world axes."""
-        _, offsets = self._drawn()
-        total = sum(tm.sin(phases[i] + offsets[i]) for i in range(self.tones))
-        return parameters["rms"] * (math.sqrt(2.0 / self.tones) * total)  # type: ignore[no-any-return]
-
-
-# -------------------------------------------------------------------- what is held
 
 
 class Hand(Environment):
@@ -148,8 +60,7 @@ class Hand(Environment):
         mass: [kg].
         damping: (3,) in world axes or scalar [N s/m].
         stiffness: (3,) in world axes or scalar [N/m].
-        motion: Where it wants to be, counted from `at` [m]: a taut.environments.Oscillation or a
-            taut.environments.BandNoise; none for a handle.
+        motion: Where it wants to be, counted from `at` [m]: a taut.environments.Oscillation; none for a handle.
         force: What it pushes with besides [N]: the same.
         at: (3,) where its spring is at rest [m]; where the tool starts if left out.
         grip: Natural frequency of the mass in the grip of a tool that rests [rad/s].
@@ -174,8 +85,8 @@ class Hand(Environment):
     )
     damping: Field = Field(0.0, unit="N s/m", shape=3, accepts=("scalar",), minimum=0.0)
     stiffness: Field = Field(0.0, unit="N/m", shape=3, accepts=("scalar",), minimum=0.0)
-    motion: Part[PrescribedMotion | None] = Part(PrescribedMotion, optional=True)
-    force: Part[PrescribedMotion | None] = Part(PrescribedMotion, optional=True)
+    motion: Part[Oscillation | None] = Part(Oscillation, optional=True)
+    force: Part[Oscillation | None] = Part(Oscillation, optional=True)
     at: Field = Field(unit="m", shape=3, optional=True)
     grip: Field = Field(GRIP, unit="rad/s", above=0.0, hint="not to hold it leave it out")
 
@@ -184,31 +95,23 @@ class Hand(Environment):
         memory: dict[str, Any] = {"p": T_WE.p, "v": np.zeros(3)}
         if self.at is None:
             memory["at"] = T_WE.p
-        prescribed = {name: each for name in PRESCRIBED if (each := getattr(self, name)) is not None}
-        return memory | {f"{name}.phases": each.start() for name, each in prescribed.items()}
+        return memory | {f"{name}.phase": 0.0 for name in self.declared_parts()}
 
     def wrench(
-        self,
-        T_WE: Pose,
-        twist: Twist,
-        t: Any,  # noqa: ARG002
-        memory: Values,
-        parameters: Values,
-        dt: Any,
+        self, T_WE: Pose, twist: Twist, t: Any, memory: Values, parameters: Values, dt: Any
     ) -> tuple[Wrench, dict[str, Any]]:
         """(6,) [N, N m] on the arm, and the motion after a step: semi-implicit, its damping at the step's end."""
-        wants: dict[str, Any] = dict.fromkeys(PRESCRIBED, np.zeros(3))
+        wanted: dict[str, Any] = {"motion": np.zeros(3), "force": np.zeros(3)}
         phases: dict[str, Any] = {}
-        for name, each in self.declared_parts().items():
-            assert isinstance(each, PrescribedMotion)
-            own = subtree(parameters, name)
-            wants[name] = each.value(memory[f"{name}.phases"], own)
-            phases[f"{name}.phases"] = memory[f"{name}.phases"] + dt * each.rates(own)
+        for name in self.declared_parts():
+            own, phase = subtree(parameters, name), memory[f"{name}.phase"]
+            wanted[name] = own["amplitude"] * tm.sin(phase + own["phase"]) + np.zeros(3)
+            phases[f"{name}.phase"] = phase + dt * (2.0 * math.pi * own["frequency"])
         m, k, b, omega = (parameters[name] for name in ("mass", "stiffness", "damping", "grip"))
         p, v = memory["p"], memory["v"]
         at = parameters["at"] if "at" in parameters else memory["at"]
         grip = m * omega * (omega * (T_WE.p - p) + (twist[:3] - v))
-        v_new = (m * v + dt * (grip + k * (at + wants["motion"] - p) + wants["force"])) / (m + dt * b)
+        v_new = (m * v + dt * (grip + k * (at + wanted["motion"] - p) + wanted["force"])) / (m + dt * b)
         return tm.array([*(-grip), 0.0, 0.0, 0.0]), {**memory, "p": p + dt * v_new, "v": v_new, **phases}
 
     def rates(self, mobility: Float64Array, parameters: Values) -> tuple[float, float]:
@@ -217,9 +120,6 @@ class Hand(Environment):
         both = float(np.linalg.eigvalsh(mobility[:3, :3]).max()) + 1.0 / m
         behind = float(np.max(parameters["stiffness"])) / m
         return float(np.sqrt(m * omega**2 * both + behind)), m * omega * both
-
-
-# -------------------------------------------------------------------- pushes
 
 
 class Push(Environment):
@@ -244,9 +144,8 @@ class Push(Environment):
         UsageError: Another shape of the pulse.
 
     Example:
-        >>> push = Push(peak=[20.0, 0.0, 0.0], t=1.0, duration=0.1)
-        >>> [round(float(x), 3) for x in push.impulse]
-        [1.273, 0.0, 0.0, 0.0, 0.0, 0.0]
+        >>> Push(peak=[20.0, 0.0, 0.0], t=1.0, duration=0.1).peak.tolist()
+        [20.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     """
 
     peak: Field = Field((0.0, 0.0, 0.0), unit="N, N m", shape=6, accepts=("force",))
@@ -254,20 +153,8 @@ class Push(Environment):
     duration: Field = Field(0.1, unit="s", above=0.0, hint="for no push leave it out")
     shape: Choice[str] = Choice("half-sine", "rectangular")
 
-    @property
-    def impulse(self) -> Float64Array:
-        """(6,) integral of the wrench over time [N s, N m s]."""
-        mean = 1.0 if self.shape == "rectangular" else 2.0 / math.pi
-        return np.asarray(self.peak) * float(np.asarray(self.duration)) * mean
-
     def wrench(
-        self,
-        T_WE: Pose,  # noqa: ARG002
-        twist: Twist,  # noqa: ARG002
-        t: Any,
-        memory: Values,  # noqa: ARG002
-        parameters: Values,
-        dt: Any,
+        self, T_WE: Pose, twist: Twist, t: Any, memory: Values, parameters: Values, dt: Any
     ) -> tuple[Wrench, dict[str, Any]]:
         """(6,) [N, N m] on the arm: the mean from t to t + dt."""
         length = parameters["duration"]

@@ -9,7 +9,7 @@ import numpy as np
 
 from taut.base.checks import finite_array
 from taut.base.errors import RangeError, UsageError
-from taut.base.fields import Choice, Declared, Field, Part
+from taut.base.fields import Declared, Field, Part
 from taut.base.types import ArrayLike, Float64Array, Twist, Wrench
 from taut.maths.spatial import left_jacobian_inverse, rotated, rotation_log
 from taut.plant.environments.environment import Environment, applied, fastest
@@ -83,13 +83,7 @@ class Spring(Environment):
         return {} if self.at is not None else {"p": T_WE.p, "R": T_WE.R}
 
     def wrench(
-        self,
-        T_WE: Pose,
-        twist: Twist,  # noqa: ARG002
-        t: Any,  # noqa: ARG002
-        memory: Values,
-        parameters: Values,
-        dt: Any,  # noqa: ARG002
+        self, T_WE: Pose, twist: Twist, t: Any, memory: Values, parameters: Values, dt: Any
     ) -> tuple[Wrench, dict[str, Any]]:
         """(6,) [N, N m] on the arm, and the memory as it was."""
         K = parameters["stiffness"]
@@ -120,12 +114,10 @@ class Damper(Environment):
 
     Args:
         damping: One number of the position alone [N s/m], (linear, angular) [N s/m, N m s/rad], six, or a matrix
-            (6, 6).
-        frame: The axes that it is given in: "world", or "tool" for those that turn with the tool.
+            (6, 6), in world axes.
 
     Raises:
         ShapeError, RangeError: Numbers of another shape, negative, not finite, a matrix that is not symmetric.
-        UsageError: Other axes.
 
     Example:
         >>> Damper(damping=(20.0, 0.5)).parameters()["damping"].tolist()
@@ -133,36 +125,16 @@ class Damper(Environment):
     """
 
     damping: Field = Field(unit="N s/m | N m s/rad", shape=6, accepts=("scalar", "pair", "matrix"), minimum=0.0)
-    frame: Choice[str] = Choice("world", "tool")
 
     def wrench(
-        self,
-        T_WE: Pose,
-        twist: Twist,
-        t: Any,  # noqa: ARG002
-        memory: Values,  # noqa: ARG002
-        parameters: Values,
-        dt: Any,  # noqa: ARG002
+        self, T_WE: Pose, twist: Twist, t: Any, memory: Values, parameters: Values, dt: Any
     ) -> tuple[Wrench, dict[str, Any]]:
         """(6,) [N, N m] on the arm."""
-        if self.frame == "world":
-            return -applied(parameters["damping"], twist), {}
-        return rotated(T_WE.R, -applied(parameters["damping"], rotated(T_WE.R.T, twist))), {}
+        return -applied(parameters["damping"], twist), {}
 
     def rates(self, mobility: Float64Array, parameters: Values) -> tuple[float, float]:
         """How fast it brakes the tool [1/s]."""
-        if self.frame == "world":
-            return 0.0, fastest(mobility, parameters["damping"])
-        return 0.0, fastest(mobility, _bound(parameters["damping"]))
-
-
-def _bound(gain: ArrayLike) -> Float64Array:
-    """(6,) a damping in world axes that is no less than this one, however the tool is turned."""
-    values = np.asarray(gain, dtype=np.float64)
-    if values.ndim < 2:
-        return np.repeat([values[:3].max(), values[3:].max()], 3) if values.ndim else values
-    blocks = [np.linalg.eigvalsh(values[i : i + 3, i : i + 3]).max() for i in (0, 3)]
-    return 2.0 * np.repeat(blocks, 3)  # of a positive matrix, twice its blocks is no less than it
+        return 0.0, fastest(mobility, parameters["damping"])
 
 
 class StiffWall(Environment):
@@ -217,13 +189,7 @@ class StiffWall(Environment):
         return own if self.friction is not None else {name: x for name, x in own.items() if name != "sliding_damping"}
 
     def wrench(
-        self,
-        T_WE: Pose,
-        twist: Twist,
-        t: Any,  # noqa: ARG002
-        memory: Values,  # noqa: ARG002
-        parameters: Values,
-        dt: Any,  # noqa: ARG002
+        self, T_WE: Pose, twist: Twist, t: Any, memory: Values, parameters: Values, dt: Any
     ) -> tuple[Wrench, dict[str, Any]]:
         """(6,) [N, N m] on the arm."""
         p, n, v = parameters, parameters["normal"], twist[:3]
