@@ -9,8 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import taut
 from taut.codegen.loop import StepLoop
-from taut.linear.equilibrium import WITHIN
-from taut.linear.linearise import rest_of
+from taut.linear.linearise import WITHIN, rest_of
 from taut.linear.period import loop_map, small_rotations
 from taut.plant.environments.environment import WRENCH
 

@@ -387,16 +387,6 @@ def test_the_delay_margin_is_where_a_delay_makes_the_loop_unstable() -> None:
     assert d.limit("gain margin").value > 1.0
 
 
-def test_the_lowest_rate_is_where_the_loop_becomes_unstable() -> None:
-    arm = taut.load_arm("planar2")
-    d = taut.design(laws.ComputedTorque, arm, at=[0.3, 0.8], zeta=0.7, omega_n=12.0)
-    lowest = d.limit("lowest rate").value
-    for factor, stable in ((1.03, True), (0.97, False)):
-        plant = taut.RigidPlant(arm, friction=None, integrator="rk4", substeps=20)
-        loop = taut.Loop(taut.compile(d.law, arm, rate=factor * lowest), plant, duration=1.0)
-        assert taut.linearise(loop, at=[0.3, 0.8]).stable == stable
-
-
 # -------------------------------------------------------------------- a law of one's own, refusals, the result
 
 

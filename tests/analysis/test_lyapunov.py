@@ -132,26 +132,6 @@ def test_a_payload_that_the_law_does_not_know_shows(kd: float) -> None:
     assert found.worst > 0.01
 
 
-@pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
-def test_what_the_proof_does_not_assume_is_named() -> None:
-    arm = taut.load_arm("planar2")
-    law = laws.GravityPID(kp=100.0, kd=20.0)
-    assert taut.analysis.lyapunov(run_of(law, arm)).notes == ()
-    loaded = taut.analysis.lyapunov(run_of(law, arm, Plant(arm.with_payload(0.5), friction=None)))
-    assert [note.partition(":")[0] for note in loaded.notes] == ["the law's g is not that of the arm"]
-    late = Plant(arm, friction=None, actuation=taut.drives.Actuation(delay=0.01))
-    lagging = taut.analysis.lyapunov(run_of(law, arm, late, ref=taut.JointMotion(q=[1.0, 1.0]), duration=0.5))
-    fault, drives = lagging.notes
-    assert fault.startswith("the run ended in a fault: the simulation diverged")
-    assert drives.startswith("the torque is not what is commanded")
-    ctrl = taut.compile(law, arm, limits=taut.Limits(tau=[5.0, 1.0]))
-    cut = taut.analysis.lyapunov(
-        taut.run(ctrl, Plant(arm, friction=None), taut.JointMotion(q=[1.0, 1.0]), duration=0.2)
-    )
-    assert cut.notes == ("limits of the controller cut or changed what the law commands",)
-    assert cut.notes[0] in str(cut)
-
-
 def test_without_damping_its_rate_is_none_and_in_ticks_it_grows() -> None:
     arm = taut.load_arm("planar2")
     found = taut.analysis.lyapunov(run_of(laws.GravityCompensation(), arm, ref=None, v0=[1.0, 1.0], duration=0.5))

@@ -329,15 +329,6 @@ def test_via_joint_space_is_the_law_that_it_holds_about_where_its_reference_rest
     assert follows[np.ix_([0, 2], [0, 2])] == pytest.approx(np.eye(2), abs=1e-9)
 
 
-def test_a_law_that_paces_what_jumps_is_told() -> None:
-    """At 4 kHz and from rest it goes by no more than dt^2 / rise of full speed in a tick: less than one looks for."""
-    arm = taut.load_arm("planar2")
-    law = taut.via_joint_space(laws.ComputedTorque(kp=100.0, kd=20.0))
-    lin = taut.linearise(loop_of(law, arm, rate=4000.0), at=[0.3, 0.9])
-    (sentence,) = lin.point.branches
-    assert "law.q_des[0]" in sentence
-
-
 # -------------------------------------------------------------------- margins, python-control
 
 

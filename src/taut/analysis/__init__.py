@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from taut.analysis.constraints.specification import check_specification as check_specification
     from taut.analysis.constraints.specification import possible_specifications as possible_specifications
     from taut.analysis.design.achieved import Requirement as Requirement
-    from taut.analysis.design.result import Design as Design
+    from taut.analysis.design.design import Design as Design
     from taut.analysis.diagnosis.check import Check as Check
     from taut.analysis.diagnosis.check import ExaminedRun as ExaminedRun
     from taut.analysis.diagnosis.check import Finding as Finding
@@ -28,15 +28,15 @@ if TYPE_CHECKING:
     from taut.analysis.grading import Grade as Grade
     from taut.analysis.impedance_at_tool import ToolImpedance as ToolImpedance
     from taut.analysis.impedance_at_tool import tool_impedance as tool_impedance
-    from taut.analysis.joint_coupling import Coupling as Coupling
-    from taut.analysis.joint_coupling import coupling as coupling
     from taut.analysis.loci import RootLocus as RootLocus
     from taut.analysis.loci import StabilityMap as StabilityMap
     from taut.analysis.loci import root_locus as root_locus
     from taut.analysis.loci import stability_map as stability_map
-    from taut.analysis.lyapunov_function import Lyapunov as Lyapunov
-    from taut.analysis.lyapunov_function import lyapunov as lyapunov
     from taut.analysis.run_gradient import Tick as Tick
+    from taut.analysis.several_joints import Coupling as Coupling
+    from taut.analysis.several_joints import Lyapunov as Lyapunov
+    from taut.analysis.several_joints import coupling as coupling
+    from taut.analysis.several_joints import lyapunov as lyapunov
     from taut.analysis.stiffness import StiffnessCheck as StiffnessCheck
     from taut.analysis.stiffness import check_stiffness as check_stiffness
     from taut.analysis.stiffness import check_virtual_wall as check_virtual_wall
@@ -55,10 +55,10 @@ if TYPE_CHECKING:
     from taut.linear.linear_system import OperatingPoint as OperatingPoint
     from taut.linear.routh_table import RouthTable as RouthTable
     from taut.linear.routh_table import routh as routh
+    from taut.record.friction_plot import plot_friction as plot_friction
     from taut.record.metrics import METRICS as METRICS
     from taut.record.metrics import Metric as Metric
     from taut.record.metrics import metric as metric
-    from taut.record.plots.friction_curves import plot_friction as plot_friction
     from taut.scenarios.compare import grade as grade
 
 __getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

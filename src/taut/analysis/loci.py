@@ -31,8 +31,6 @@ NEAR_ZERO: Final = 1e-6  # [-] of the distance of two values, below which a boun
 STABLE: Final = "#C4E7DC"  # a light shade of colour(2), opaque: neighbouring cells show no seam
 SHOWN_QUANTILE: Final = 0.98  # quantile of the poles that a picture shows
 
-Points = list[tuple[float, float]]
-
 
 def bisected(same: Callable[[float], bool], low: float, high: float, tolerance: float = LOCUS_TOLERANCE) -> float:
     """The value between two at which something changes, by bisection.
@@ -115,19 +113,15 @@ class RootLocus(Result):
             ax.plot(there.real, there.imag, color=colour(k), linewidth=1.5, solid_joinstyle="round")
             ax.plot(there.real[:1], there.imag[:1], "x", color=colour(k), markersize=6.0, markeredgewidth=1.5)
             ax.plot(there.real[-1:], there.imag[-1:], "o", color=colour(k), markersize=4.5, markerfacecolor="white")
+        marked = [(point.pole, f"{point.value:.4g}", "D") for point in self.limits]
         for k, value in enumerate(mark):
             at = self.poles[np.argmin(np.abs(self.values - value))]
-            for s in at[np.isfinite(at) & (at.imag >= 0.0)]:
-                ax.plot([s.real] * 2, [s.imag, -s.imag], "o", color=INK, markersize=3.5, zorder=4)
-                ax.annotate(
-                    str(k + 1), (s.real, s.imag), xytext=(3.0, 3.0), textcoords="offset points", fontsize=SMALL,
-                    color=INK,
-                )  # fmt: skip
-        for point in self.limits:
-            ax.plot(point.pole.real, abs(point.pole.imag), "D", color=INK, markersize=3.5, zorder=4)
+            marked += [(s, str(k + 1), "o") for s in at[np.isfinite(at) & (at.imag >= 0.0)]]
+        for s, text, marker in marked:
+            ax.plot(s.real, abs(s.imag), marker, color=INK, markersize=3.5, zorder=4)
             ax.annotate(
-                f"{point.value:.4g}", (point.pole.real, abs(point.pole.imag)), xytext=(-6.0, 3.0), ha="right",
-                textcoords="offset points", fontsize=SMALL, color=INK, zorder=5,
+                text, (s.real, abs(s.imag)), xytext=(-6.0, 3.0), ha="right", textcoords="offset points",
+                fontsize=SMALL, color=INK, zorder=5,
             )  # fmt: skip
 
 
@@ -217,18 +211,18 @@ class StabilityMap(Result):
         x: (m,) values of the first parameter.
         y: (k,) values of the second.
         stable: (m, k) whether the system is stable.
+        decay_rate: (m, k) [1/s] of the system, negative where it is not stable.
         boundary: (p, 2) points on the boundary, by bisection.
         along: (p,) the parameter that was bisected for each: 0 for x, 1 for y.
-        stable_above: (p,) whether the system is stable at larger values of that parameter.
         labels: The two parameters, with their units.
     """
 
     x: Float64Array
     y: Float64Array
     stable: NDArray[np.bool_]
+    decay_rate: Float64Array
     boundary: Float64Array
     along: NDArray[np.intp]
-    stable_above: NDArray[np.bool_]
     labels: tuple[str, str]
 
     def content(self) -> Content:
@@ -255,46 +249,16 @@ class StabilityMap(Result):
             ax: Axes.
             log: Logarithmic scales.
         """
-        from matplotlib.collections import LineCollection, PolyCollection
-
         prepared(ax, "", self.labels[1], self.labels[0])
-        areas, lines = self._cells()
-        ax.add_collection(PolyCollection(areas, facecolor=STABLE, edgecolor=STABLE, linewidth=0.5, zorder=0.4))
-        ax.add_collection(LineCollection(lines, color=INK, linewidth=1.2))
+        finite = self.decay_rate[np.isfinite(self.decay_rate)]
+        rate = np.clip(self.decay_rate, finite.min(initial=0.0), finite.max(initial=0.0)).T
+        ax.contourf(self.x, self.y, rate, levels=[0.0, np.inf], colors=[STABLE])
+        ax.plot(*self.boundary.T, ".", color=INK, markersize=3.0, label="boundary")
         ax.fill_between([], [], color=STABLE, label="stable")
-        ax.plot([], [], color=INK, linewidth=1.2, label="boundary")
         if log:
             ax.set_xscale("log")
             ax.set_yscale("log")
-        ax.set_xlim(self.x[0], self.x[-1])
-        ax.set_ylim(self.y[0], self.y[-1])
         ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK, loc="best")
-
-    def _cells(self) -> tuple[list[Points], list[Points]]:
-        """The stable part of each cell of the grid, and the boundary in it."""
-        x, y = self.x.tolist(), self.y.tolist()
-        cuts = {}
-        for (one, other), along in zip(self.boundary.tolist(), self.along.tolist(), strict=True):
-            i = int(np.searchsorted(x, one, side="right")) - 1
-            j = int(np.searchsorted(y, other, side="right")) - 1
-            cuts[along, i, j] = (one, other)
-        areas, lines = [], []
-        for i in range(len(x) - 1):
-            for j in range(len(y) - 1):
-                corners = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)]
-                edges = [(0, i, j), (1, i + 1, j), (0, i, j + 1), (1, i, j)]
-                area: Points = []
-                border: Points = []
-                for (a, b), edge in zip(corners, edges, strict=True):
-                    if self.stable[a, b]:
-                        area.append((x[a], y[b]))
-                    if edge in cuts:
-                        area.append(cuts[edge])
-                        border.append(cuts[edge])
-                if len(area) > 2:
-                    areas.append(area)
-                lines += [border[k : k + 2] for k in range(0, len(border), 2)]
-        return areas, lines
 
 
 def stability_map(
@@ -330,27 +294,27 @@ def stability_map(
         Chapter, section 10.2.1.1, practical bounds on feedback gains.
     """
     grids = _grid("x", x), _grid("y", y)
-    stable = np.array([[_system(system_of, a, b).stable for b in grids[1].tolist()] for a in grids[0].tolist()])
-    points: list[tuple[float, float]] = []
-    along: list[int] = []
-    above: list[bool] = []
+    systems = [[_system(system_of, a, b) for b in grids[1].tolist()] for a in grids[0].tolist()]
+    stable = np.array([[system.stable for system in row] for row in systems])
+    points, along = [], []
     for axis in (0, 1):
         for place in np.argwhere(np.diff(stable, axis=axis)).tolist():
             point = [float(grids[0][place[0]]), float(grids[1][place[1]])]
             low, high = grids[axis][place[axis] : place[axis] + 2].tolist()
-            first = bool(stable[tuple(place)])
 
-            def same(value: float, point: list[float] = point, axis: int = axis, first: bool = first) -> bool:
-                one, other = (value if axis == k else point[k] for k in (0, 1))
-                return system_of(one, other).stable == first
+            def same(
+                value: float, point: list[float] = point, axis: int = axis, first: bool = stable[*place]
+            ) -> bool:
+                point[axis] = value
+                return system_of(*point).stable == first
 
             point[axis] = bisected(same, low, high, MAP_TOLERANCE)
-            points.append((point[0], point[1]))
+            points.append(point)
             along.append(axis)
-            above.append(not first)
     return StabilityMap(
-        x=grids[0], y=grids[1], stable=stable, boundary=np.array(points).reshape(-1, 2),
-        along=np.array(along, dtype=np.intp), stable_above=np.array(above, dtype=bool), labels=labels,
+        x=grids[0], y=grids[1], stable=stable,
+        decay_rate=np.array([[system.decay_rate for system in row] for row in systems]),
+        boundary=np.array(points).reshape(-1, 2), along=np.array(along, dtype=np.intp), labels=labels,
     )  # fmt: skip
 
 

@@ -24,10 +24,10 @@ from taut.base.paths import subtree
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
 from taut.controller import Controller
-from taut.linear.equilibrium import driven_states, observed_states
 from taut.linear.joint_loop import VelocityKind, joint_matrix, pid
 from taut.linear.judgement import directions, largest_factor, without_dry_friction
 from taut.linear.linear_system import LinearSystem, names
+from taut.linear.linearise import driven_states, observed_states
 from taut.linear.period import Period
 from taut.loop import Loop
 from taut.maths.model import PayloadValues

@@ -1,39 +1,64 @@
-"""taut.linearise: the exact linear model of a loop about an equilibrium, and its non-smooth points."""
+"""taut.linearise: the equilibrium of a loop, its exact linear model there, and non-smooth points."""
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from taut.arm.angles import require_radians
+from taut.arm.parts import require_radians
 from taut.base.checks import finite_array, positive_scalar, read_only
-from taut.base.errors import UsageError
+from taut.base.errors import RangeError, UsageError
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.limits import LIMIT_TERMS
 from taut.control.trajectories.reference import Hold, Sample
-from taut.linear.equilibrium import WITHIN, Flags, Rest, driven_states, equilibrium, observed_states
 from taut.linear.linear_system import LinearSystem, OperatingPoint
-from taut.linear.period import Derivative, LoopMap, Point, beside, loop_map, starting
+from taut.linear.period import (
+    Derivative,
+    LoopMap,
+    PeriodMap,
+    Point,
+    beside,
+    finite_derivative,
+    loop_map,
+    mean_of,
+    starting,
+)
 from taut.loop import Loop
 from taut.plant.rigid import RigidPlant
 
-__all__ = ["linearise", "rest_of"]
+__all__ = [
+    "NEWTON_STEPS",
+    "WITHIN",
+    "Rest",
+    "driven_states",
+    "equilibrium",
+    "linearise",
+    "observed_states",
+    "rest_of",
+    "standing_states",
+]
+
+Flags = NDArray[np.bool_]
+
+WITHIN: Final = 0.5  # [rad | m] between the start pose and the equilibrium at most
+NEWTON_STEPS: Final = 60
+REST_CHANGE: Final = 1e-10  # [-] of a state's size per period: the loop rests
+DRIFT: Final = 1e-7  # [-] likewise: a drift that is named
+MAX_NEWTON_STEP: Final = 0.3  # [rad | m] of a joint in one step of Newton's method
+RANK: Final = 1e-9  # [-] of the largest singular value: a motion below it is free, and stays where it is
+EFFECT: Final = 1e-9  # [-] of a drift: the smallest effect on an output
 
 NO_EFFECT: Final = "nothing depends on it"
 NOT_DRIVEN: Final = "nothing moves it"
 LIMITED: Final = 1e-9  # [N m | N | rad/s] of a limit's term above which the limit acts
 SLIDING: Final = 1e-9  # [rad/s | m/s] above which a joint slides
-APART: Final = 1e-6  # [-] of a state's size: distance of the slopes on each side
-NEARER: Final = 3e-8  # [-] likewise, where a non-smooth point lies between
 DIFFERENT: Final = 1e-2  # [-] of the larger slope: the difference of two branches
-FLAT: Final = 3e-5  # [-] a smaller slope is zero: curves have slopes of that size so far off
-FARTHER: Final = 3.0  # [-] times the distance: slopes of a curve differ by as much more, those of two branches do not
-CURVED: Final = 2.0  # [-] times the difference: a curve
+FLAT: Final = 3e-5  # [-] a smaller slope is zero
 MAX_SENTENCES: Final = 6
 
 
@@ -114,16 +139,13 @@ def _model(map_: LoopMap, rest: Rest, start: Float64Array) -> LinearSystem:
     names, outputs = map_.state_coordinates.names, map_.output_coordinates.names
     # Of all states first: where a law is non-smooth by rounding alone, its branch at the very point may differ from
     # that beside it, so that some states seem to have no effect.
-    whole, slopes = smooth(map_, point, found, list(range(len(names))))
+    whole, _ = _smooth(map_, point, found, range(len(names)))
     observed, driven = observed_states(whole.A, whole.C), driven_states(whole.A, whole.B)
     needed = observed & driven
     for path in ("plant.q", "plant.v"):  # also of an arm in stiction
         needed[map_.state_coordinates.places[path]] = True
     keep = [int(i) for i in np.flatnonzero(needed)]
-    slopes = slopes.among(keep)
-    if whole is not found:
-        nearer = beside(map_, point, found, keep)  # the fewer states are moved, the more exact
-        found = whole if slopes.misses(nearer) else nearer
+    found, kinks = _smooth(map_, point, found, keep)  # the fewer states are moved, the more exact
     left = {name: NOT_DRIVEN if observed[i] else NO_EFFECT for i, name in enumerate(names) if not needed[i]}
     q = np.array(map_.memory.views(point.memory)["plant.q"])
     return LinearSystem(
@@ -131,7 +153,7 @@ def _model(map_: LoopMap, rest: Rest, start: Float64Array) -> LinearSystem:
         states=[names[i] for i in keep], inputs=map_.input_coordinates.names, outputs=outputs,
         point=OperatingPoint(
             joints=map_.side.arm.joint_names, q=read_only(q), moved=read_only(q - start),
-            branches=branches_of(map_, point, found, slopes), left_out=left, drifting=rest.drifting,
+            branches=(*_branches(map_, point, found), *kinks), left_out=left, drifting=rest.drifting,
         ),
     )  # fmt: skip
 
@@ -139,86 +161,44 @@ def _model(map_: LoopMap, rest: Rest, start: Float64Array) -> LinearSystem:
 # -------------------------------------------------------------------- non-smooth points
 
 
-def branches_of(map_: LoopMap, at: Point, found: Derivative, slopes: Slopes) -> tuple[str, ...]:
-    """Sentences about each non-smooth point, and the branch that the model is of."""
+def _smooth(map_: LoopMap, at: Point, found: Derivative, states: Sequence[int]) -> tuple[Derivative, list[str]]:
+    """The derivative, and sentences about states in which the derivatives to either side differ.
+
+    Where those are one and that at the point is another, the point is non-smooth by rounding alone, and the mean of
+    both is the derivative: at rest a law may compare two energies that are both zero but for rounding. A length that
+    is zero counts by its mean slope, and is not named.
+    """
+    sides, block = beside(map_, at, states), np.ix_(states, states)
+    A, one, other = (x.A[block].T for x in (found, *sides))  # a row for each state that is moved
+    least = (
+        DIFFERENT * np.minimum(np.abs(one).max(axis=0, initial=0.0), np.abs(other).max(axis=0, initial=0.0)) + FLAT
+    )
+
+    def differ(x: Float64Array, y: Float64Array) -> Flags:
+        flags: Flags = np.abs(x - y) > np.maximum(DIFFERENT * np.maximum(np.abs(x), np.abs(y)), least)
+        return flags
+
+    apart = differ(one, other)
+    if (differ(A, one) & differ(A, other) & ~apart).any():
+        return mean_of(found, sides), []
+    names, out = [map_.state_coordinates.names[i] for i in states], []
+    for i in np.flatnonzero((apart & differ(A, 0.5 * (one + other))).any(axis=1)):
+        k = int(np.argmax(np.abs(one[i] - other[i])))
+        out.append(
+            f"the loop is non-smooth in {names[i]}: to one side the slope of {names[k]} is {one[i, k]:.3g}, to the "
+            f"other {other[i, k]:.3g}; the model has {A[i, k]:.3g}"
+        )
+    more = len(out) - MAX_SENTENCES
+    return found, out if more <= 0 else [*out[:MAX_SENTENCES], f"and {more} non-smooth points more"]
+
+
+def _branches(map_: LoopMap, at: Point, found: Derivative) -> list[str]:
+    """Sentences about known non-smooth elements, and the branch of each that the model is of."""
     record, memory = map_.recorded(found), map_.memory.views(at.memory)
     out = [f"quantisation of {path} counts by its mean slope" for path in map_.steps]
     out += _limits(map_, record)
     out += _sticking(map_, memory, map_.parameters.views(at.parameters))
-    out += _flags(map_, record, memory)
-    return (*out, *_others(map_, at, found, slopes))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Slopes:
-    """Slopes of the memory by some states, upwards and downwards, at a small distance: (k, k) each, row by state."""
-
-    states: list[int]
-    up: Float64Array
-    down: Float64Array
-    least: Float64Array  # (k,) of each column: a smaller difference of slopes is rounding
-    curved: Flags  # (k, k) whether slopes differ as those of a curve do: the more the larger the distance
-
-    @classmethod
-    def at(cls, map_: LoopMap, at: Point, found: Derivative, states: list[int], apart: float = APART) -> Slopes:
-        """By differences on each side, at a distance."""
-        up, down = _slopes(map_, at, found, states, states, apart)
-        # Rounding of an entry of the memory over a step is no second branch.
-        scale = np.minimum(np.abs(up).max(axis=0, initial=0.0), np.abs(down).max(axis=0, initial=0.0))
-        curved = np.zeros(up.shape, dtype=bool)
-        out = cls(states=states, up=up, down=down, least=DIFFERENT * scale + FLAT, curved=curved)
-        rows = np.flatnonzero(out.differ(up, down).any(axis=1))
-        if len(rows):
-            ends = _slopes(map_, at, found, [states[i] for i in rows], states, FARTHER * apart)
-            curved[rows] = np.abs(ends[0] - ends[1]) > CURVED * np.abs(up - down)[rows]
-        return out
-
-    def among(self, states: list[int]) -> Slopes:
-        """Those of some states."""
-        kept = [self.states.index(i) for i in states]
-        both = np.ix_(kept, kept)
-        parts = {name: getattr(self, name)[both] for name in ("up", "down", "curved")}
-        return dataclasses.replace(self, states=states, least=self.least[kept], **parts)
-
-    def differ(self, one: Float64Array, other: Float64Array) -> Flags:
-        """(k, k) where two kinds of slopes differ."""
-        out: Flags = np.abs(one - other) > np.maximum(DIFFERENT * np.maximum(np.abs(one), np.abs(other)), self.least)
-        return out
-
-    def misses(self, found: Derivative) -> bool:
-        """Whether a derivative is not that of the motion beside it, which is smooth."""
-        A = found.A[np.ix_(self.states, self.states)].T
-        return bool((self.differ(A, self.up) & self.differ(A, self.down) & ~self.differ(self.up, self.down)).any())
-
-
-def _slopes(
-    map_: LoopMap, at: Point, found: Derivative, moved: list[int], states: list[int], apart: float
-) -> tuple[Float64Array, Float64Array]:
-    """(m, k) slopes of the states by those that are moved, upwards and downwards, by differences at a distance."""
-    coordinates = map_.state_coordinates
-    values = coordinates.numbers(at.memory)
-    steps = apart * (1.0 + np.abs(values[moved]))
-    moves = coordinates.basis(at.memory)[moved] * steps[:, np.newaxis]
-    after = map_.after(at, at.memory + np.concatenate([moves, -moves]))
-    each = coordinates.read(found.memory, after - found.memory)[:, states] / np.tile(steps, 2)[:, np.newaxis]
-    return each[: len(moved)], -each[len(moved) :]
-
-
-def _near(map_: LoopMap, at: Point, found: Derivative, states: list[int]) -> bool:
-    """Whether a derivative that misses the slopes is right at a smaller distance."""
-    return not Slopes.at(map_, at, found, states, NEARER).misses(found)
-
-
-def smooth(map_: LoopMap, at: Point, found: Derivative, states: list[int]) -> tuple[Derivative, Slopes]:
-    """The derivative, as the mean of two points beside it where the point is non-smooth by rounding alone.
-
-    At rest a law may compare two energies that are both zero but for rounding.
-    """
-    slopes = Slopes.at(map_, at, found, states)
-    if not slopes.misses(found) or _near(map_, at, found, states):
-        return found, slopes
-    mean = beside(map_, at, found, states)
-    return (found if slopes.misses(mean) else mean), slopes
+    return out + _flags(map_, record, memory)
 
 
 def _limits(map_: LoopMap, record: Mapping[str, Any]) -> list[str]:
@@ -265,27 +245,161 @@ def _flags(map_: LoopMap, record: Mapping[str, Any], memory: Mapping[str, Any]) 
     return out + [notices[path] for path in notices if path in memory and np.any(np.asarray(memory[path]) != 0.0)]
 
 
-def _others(map_: LoopMap, at: Point, found: Derivative, slopes: Slopes) -> list[str]:
-    """States whose slopes on the two sides differ, so that the model is of one branch or of neither."""
-    names = [map_.state_coordinates.names[i] for i in slopes.states]
-    A = found.A[np.ix_(slopes.states, slopes.states)].T
-    differ = slopes.differ(slopes.up, slopes.down) & ~slopes.curved
-    if not differ.any() and slopes.misses(found):
-        if not _near(map_, at, found, slopes.states):
-            return ["the loop is non-smooth here, and the model is of neither branch"]
-        missed = slopes.differ(A, slopes.up) & slopes.differ(A, slopes.down)
-        name = names[int(np.argmax(missed.any(axis=1)))]
-        return [
-            f"the loop is non-smooth near here, {APART:g} of {name} away or less, as where a law limits the rate of "
-            "a jump; the model is of smaller deviations"
-        ]
-    out = []
-    for i in np.flatnonzero(differ.any(axis=1)):
-        apart = np.where(differ[i], np.abs(slopes.up[i] - slopes.down[i]), 0.0)
-        k = int(np.argmax(apart))
-        out.append(
-            f"the loop is non-smooth in {names[i]}: upwards the slope of {names[k]} is {slopes.up[i, k]:.3g}, "
-            f"downwards {slopes.down[i, k]:.3g}; the model has {A[i, k]:.3g}"
+# -------------------------------------------------------------------- the equilibrium
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rest:
+    """An equilibrium: a point at which nothing changes that has an effect.
+
+    Args:
+        point: The point.
+        found: The derivative there.
+        drifting: States that go on changing without any effect, and by how much in a period.
+    """
+
+    point: Point
+    found: Derivative
+    drifting: Mapping[str, float]
+
+
+def observed_states(A: Float64Array, C: Float64Array) -> Flags:
+    """(n,) whether a state has an effect on an output, now or later."""
+    observed: Flags = (C != 0.0).any(axis=0)
+    while True:
+        more = observed | (A[observed] != 0.0).any(axis=0)
+        if (more == observed).all():
+            return observed
+        observed = more
+
+
+def driven_states(A: Float64Array, B: Float64Array) -> Flags:
+    """(n,) whether an input has an effect on a state, now or later."""
+    driven: Flags = (B != 0.0).any(axis=1)
+    while True:
+        more = driven | (A[:, driven] != 0.0).any(axis=1)
+        if (more == driven).all():
+            return driven
+        driven = more
+
+
+def standing_states(found: Derivative, tolerance: float) -> Flags:
+    """(n,) states that nothing changes, such as the rest position of a spring."""
+    eye = np.eye(len(found.A))
+    still: Flags = (
+        (np.abs(found.A - eye) <= tolerance * eye).all(axis=1)
+        & (found.B == 0.0).all(axis=1)
+        & (found.residual == 0.0)
+    )
+    return still
+
+
+def equilibrium(map_: PeriodMap, start: Point, within: float = WITHIN, steps: int = NEWTON_STEPS) -> Rest:
+    """The nearest point to a start at which the loop rests with the same inputs and parameters.
+
+    Args:
+        map_: The map of a period.
+        start: Inputs, parameters, and the memory of the first tick.
+        within: Maximum distance of a joint from the start [rad | m].
+        steps: Steps of Newton's method at most.
+
+    Raises:
+        RangeError: There is none so near; the message names a joint and its distance.
+    """
+    memory, coordinates = start.memory, map_.state_coordinates
+    joints = coordinates.places["plant.q"]
+    step = np.full(len(coordinates), np.inf)
+    at, found = start, finite_derivative(map_, start)
+    for _ in range(steps):
+        solved = observed_states(found.A, found.C) & ~standing_states(found, map_.tolerance)
+        scale = 1.0 + np.abs(coordinates.numbers(memory))
+        wrong = np.abs(found.residual) / scale
+        settled = (np.abs(step) / scale)[solved].max(initial=0.0) < REST_CHANGE and _rests(found, solved, wrong)
+        if settled or wrong[solved].max(initial=0.0) < map_.rest:
+            return _at_rest(map_, at, found, wrong, start, within)
+        step = np.zeros(len(coordinates))
+        step[solved] = _newton(found, solved, scale)
+        longest = float(np.abs(step[joints]).max(initial=0.0))
+        if longest > MAX_NEWTON_STEP:
+            step *= MAX_NEWTON_STEP / longest
+        # A state without an effect, which Newton's method does not solve for, follows the period.
+        memory = coordinates.moved(np.where(_expanded(map_, solved), memory, found.memory), step)
+        at = Point(inputs=start.inputs, parameters=start.parameters, memory=memory)
+        found = finite_derivative(map_, at)
+    raise _never(map_, found)
+
+
+def _expanded(map_: PeriodMap, states: Flags) -> Flags:
+    """(size,) numbers of the memory that belong to some states."""
+    basis = map_.state_coordinates.basis(np.ones(map_.memory.size))
+    numbers: Flags = (basis[states] != 0.0).any(axis=0)
+    return numbers
+
+
+def _newton(found: Derivative, solved: Flags, scale: Float64Array) -> Float64Array:
+    """The shortest step that makes the residual of some states zero, to first order."""
+    sizes = scale[solved]
+    matrix = (found.A - np.eye(len(found.A)))[np.ix_(solved, solved)] * sizes
+    rows = np.abs(matrix).max(axis=1)
+    weights = 1.0 / np.where(rows > 0.0, rows, 1.0)
+    step, *_ = np.linalg.lstsq(matrix * weights[:, np.newaxis], -found.residual[solved] * weights, rcond=RANK)
+    return np.asarray(step * sizes)
+
+
+def _rests(found: Derivative, solved: Flags, wrong: Float64Array) -> bool:
+    """Whether nothing changes that has an effect, in this period and in those that follow."""
+    drift = np.where(solved & (wrong > REST_CHANGE), found.residual, 0.0)
+    if not drift.any():
+        return True
+    size = float(np.abs(drift).max())
+    shown = float(np.abs(found.C @ drift).max(initial=0.0))
+    return shown <= EFFECT * size and float(np.abs(found.A @ drift - drift)[solved].max()) <= EFFECT * size
+
+
+def _at_rest(map_: PeriodMap, at: Point, found: Derivative, wrong: Float64Array, start: Point, within: float) -> Rest:
+    q, q0 = (map_.memory.views(point.memory)["plant.q"] for point in (at, start))
+    off = np.abs(q - q0)
+    i = int(np.argmax(off))
+    if off[i] > within:
+        arm = map_.side.arm
+        raise RangeError(
+            f"not an equilibrium: from at= joint '{arm.joint_names[i]}' moves {off[i]:.4g} {arm.units[i]} until "
+            f"the loop rests, and {within:g} is the maximum; the nearest is q = {np.round(q, 4).tolist()}; start "
+            "there, or hold the arm at at= with gravity compensation or higher gains",
+            name="at",
+            joint=arm.joint_names[i],
+            value=float(off[i]),
+            rule=f"an equilibrium within {within:g}",
         )
-    more = len(out) - MAX_SENTENCES
-    return out if more <= 0 else [*out[:MAX_SENTENCES], f"and {more} non-smooth points more"]
+    names = map_.state_coordinates.names
+    # A state that had to follow once, such as the command held until the next tick, does not change again.
+    later = map_.after(at, found.memory[np.newaxis])[0]
+    again = np.abs(map_.state_coordinates.difference(later, found.memory))
+    drifting = {
+        names[j]: float(found.residual[j])
+        for j in np.flatnonzero((wrong > DRIFT) & (again > DRIFT))
+        if not names[j].startswith("plant.work.") and names[j] != "plant.t"
+    }
+    return Rest(point=at, found=found, drifting=drifting)
+
+
+def _never(map_: PeriodMap, found: Derivative) -> RangeError:
+    """The error of a loop without an equilibrium near: the joint that still accelerates most, or another state."""
+    arm, coordinates = map_.side.arm, map_.state_coordinates
+    wrong = np.where(observed_states(found.A, found.C), np.abs(found.residual), 0.0)
+    left = np.abs(found.residual[coordinates.places["plant.v"]]) / map_.dt
+    i = int(np.argmax(left))
+    if left[i] > REST_CHANGE:
+        joint, value = arm.joint_names[i], float(left[i])
+        what = f"joint '{joint}' still accelerates with {value:.3g} {arm.units[i]}/s^2"
+    else:
+        joint, value = None, float(wrong.max())
+        what = f"'{coordinates.names[int(np.argmax(wrong))]}' still changes by {value:.3g} in a period"
+    return RangeError(
+        f"not an equilibrium, and none is near: after all steps of Newton's method {what}; the load is "
+        "not balanced there (gravity, a limit that is reached, a target out of reach); begin at= another pose",
+        name="at",
+        joint=joint,
+        value=value,
+        rule="an equilibrium",
+    )

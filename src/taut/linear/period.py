@@ -2,11 +2,12 @@
 
 `Period` is the loop that simulates, differentiated by central differences: quick to make, for it is compiled anyway.
 `LoopMap` has the exact derivative of the same map, by automatic differentiation of the loop's program, and inputs.
-`taut.linear.equilibrium` searches with either.
+`equilibrium` of `taut.linear.linearise` searches with either.
 """
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Container, Iterable, Mapping
@@ -16,6 +17,7 @@ from typing import Any, Final, Literal, Protocol, cast, runtime_checkable
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 
 from taut.arm.description import CommandKind
 from taut.base.errors import RangeError, UsageError
@@ -51,6 +53,7 @@ __all__ = [
     "beside",
     "finite_derivative",
     "loop_map",
+    "mean_of",
     "small_rotations",
     "smooth_plant",
     "starting",
@@ -148,12 +151,19 @@ class Period(PeriodMap):
         memory = loop.start(q, np.zeros_like(q), self.inputs.views(row), self.parameters.views(values))
         self.memory = Block.of({path: np.shape(value) for path, value in memory.items()})
         self.state_coordinates = BlockCoordinates(self.memory)
+        self._columns = np.arange(len(self.state_coordinates))
         self._clock = [self.memory.field(CLOCK).offset] if CLOCK in self.memory.shapes else []
         self.start = Point(inputs=row, parameters=values, memory=self.memory.pack(memory))
         blocks, example = (self.inputs, self.parameters, self.memory), (row, values, self.start.memory)
         self._run = compiled_loop(loop, blocks, example)
         outputs = [self._run.outputs.field(path) for path in ("q", "v", "command")]
         self._shown = np.concatenate([np.arange(field.offset, field.offset + field.size) for field in outputs])
+
+    def only(self, states: NDArray[np.intp]) -> Period:
+        """The same period, differentiated by some states alone: the others count as without effect."""
+        other = copy.copy(self)
+        other._columns = states
+        return other
 
     def values(self, point: Point) -> dict[str, Float64Array]:
         """The parameters of a point by path."""
@@ -185,16 +195,18 @@ class Period(PeriodMap):
         """The map and its derivative, without inputs, by central differences."""
         states = self.state_coordinates
         memory, record = self._period(at, at.memory)
-        steps = step * (1.0 + np.abs(states.numbers(at.memory)))[:, np.newaxis]
+        steps = step * (1.0 + np.abs(states.numbers(at.memory)))[self._columns, np.newaxis]
         ends = [
             [self._period(at, at.memory + sign * move) for sign in (1.0, -1.0)]
-            for move in steps * states.basis(at.memory)
+            for move in steps * states.basis(at.memory)[self._columns]
         ]
         new = np.stack([more[0] - less[0] for more, less in ends])
         shown = np.stack([(more[1] - less[1])[self._shown] for more, less in ends])
+        A, C = np.zeros((len(states), len(states))), np.zeros((len(self._shown), len(states)))
+        A[:, self._columns] = (states.read(memory, new) / (2.0 * steps)).T
+        C[:, self._columns] = (shown / (2.0 * steps)).T
         return Derivative(
-            A=(states.read(memory, new) / (2.0 * steps)).T, B=np.zeros((len(states), 0)),
-            C=(shown / (2.0 * steps)).T, D=np.zeros((len(self._shown), 0)),
+            A=A, B=np.zeros((len(states), 0)), C=C, D=np.zeros((len(self._shown), 0)),
             residual=states.difference(memory, at.memory), memory=memory, record=record,
         )  # fmt: skip
 
@@ -327,18 +339,23 @@ def starting(loop: Loop, map_: LoopMap, q: Float64Array) -> Point:
     return Point(inputs=inputs, parameters=values, memory=memory)
 
 
-def beside(map_: PeriodMap, at: Point, found: Derivative, states: Iterable[int]) -> Derivative:
-    """The mean derivative of two points on either side, for a point that itself has none.
-
-    A law that takes the length of an error that is zero, or compares two energies that are, has such a point.
-    """
+def beside(map_: PeriodMap, at: Point, states: Iterable[int]) -> tuple[Derivative, Derivative]:
+    """The derivatives at two points, to either side of a point in some states."""
     coordinates = map_.state_coordinates
     values, which = coordinates.numbers(at.memory), list(states)
     by = np.zeros(len(coordinates))
     by[which] = BESIDE * (1.0 + np.abs(values[which])) * np.cos(np.arange(len(which)))
     places = (coordinates.moved(at.memory, change) for change in (by, -by))
     one, other = (map_.derivative(dataclasses.replace(at, memory=memory)) for memory in places)
-    means = {name: 0.5 * (getattr(one, name) + getattr(other, name)) for name in "ABCD"}
+    return one, other
+
+
+def mean_of(found: Derivative, sides: tuple[Derivative, Derivative]) -> Derivative:
+    """The derivative at a point that itself has none: the mean of those beside it.
+
+    A law that takes the length of an error that is zero, or compares two energies that are, has such a point.
+    """
+    means = {name: 0.5 * (getattr(sides[0], name) + getattr(sides[1], name)) for name in "ABCD"}
     return dataclasses.replace(found, **means)
 
 
@@ -350,16 +367,15 @@ def finite_derivative(map_: PeriodMap, at: Point) -> Derivative:
     """
     found, names = map_.derivative(at), map_.state_coordinates.names
     if not all(np.isfinite(x).all() for x in (found.A, found.B, found.C, found.D)):
-        found = beside(map_, at, found, range(len(names)))
-    for matrix in (found.residual[np.newaxis].T, found.A, found.B):
-        wrong = ~np.isfinite(matrix).all(axis=1)
-        if wrong.any():
-            name = names[int(np.argmax(wrong))]
-            raise RangeError(
-                f"the loop has no derivative here: '{name}' after a period, or how it depends on the others, is not "
-                "finite; linearise at another pose",
-                name=name,
-            )
+        found = mean_of(found, beside(map_, at, range(len(names))))
+    wrong = ~np.isfinite(np.column_stack([found.residual, found.A, found.B])).all(axis=1)
+    if wrong.any():
+        name = names[int(np.argmax(wrong))]
+        raise RangeError(
+            f"the loop has no derivative here: '{name}' after a period, or how it depends on the others, is not "
+            "finite; linearise at another pose",
+            name=name,
+        )
     return found
 
 

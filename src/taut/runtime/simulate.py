@@ -15,7 +15,6 @@ from taut.base.errors import RangeError, StabilityWarning, UsageError, warn
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.law import Law
-from taut.control.laws.apparent import felt_impedance
 from taut.control.lawside import LawSide
 from taut.control.side_by_side import SideBySide
 from taut.control.tasks.phase import Phase
@@ -31,8 +30,7 @@ from taut.maths.model import PayloadValues
 from taut.maths.snapshot import Snapshot
 from taut.plant.contact import each_contact
 from taut.plant.rigid import RigidPlant
-from taut.record.film.surroundings import Around, Shape, Thing
-from taut.record.info import Change, PartInfo, RunInfo, Stability, versions
+from taut.record.info import Around, Change, PartInfo, RunInfo, Shape, Stability, Thing, versions
 from taut.record.progress import Progress
 from taut.record.run import Run
 from taut.runtime.events import Event, Schedule, listed
@@ -190,7 +188,7 @@ def _of_tool(law: Law | Task, side: LawSide, q: Float64Array, parameters: Mappin
 def _part(law: Law | Task, x: Snapshot) -> PartInfo:
     frame, impedance = law.controlled_frame, None
     if isinstance(law, Law) and frame in (None, x.arm.tool):  # F_ext is taken at the arm's tool
-        impedance = felt_impedance(law, x)
+        impedance = law.apparent_impedance(x)
     return PartInfo(tool=Chain.of(x.model, frame), impedance=impedance)
 
 

@@ -16,10 +16,10 @@ from taut.base.errors import FileError, MissingExtraError, ScenarioError, TautEr
 from taut.base.result import Cell, Content, Result, Table
 from taut.codegen.engine import EngineChoice
 from taut.controller import Controller
+from taut.record.comparison_plot import compare, spread_figure
 from taut.record.info import ScenarioInfo
 from taut.record.log.files import checked_target, written_aside
 from taut.record.metrics import METRICS, Metrics
-from taut.record.plots.comparison import compare, spread_figure
 from taut.record.run import Run
 from taut.scenarios.scenario import FILES, PassFigure, Scenario, Trial
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -27,9 +27,7 @@ STATIC: Final = 0.01  # [-] likewise of a stiffness
 OVERSHOOT: Final = 1.0  # [%] of the step that an overshoot may differ besides
 BAND: Final = 0.02  # [-] of a step: the settling band; a mode with a smaller part in a step is not seen in it
 SMALL_PART: Final = 1e-4  # [-] of a step: a mode with a smaller part is not one of its two poles
-SAME_POLE: Final = (
-    0.02  # [-] of a pole: nearer ones are one, which rounding sets apart where several directions have it
-)
+SAME_POLE: Final = 0.02  # [-] of a pole: nearer ones are one, set apart by rounding where several directions have it
 REAL: Final = 1e-5  # [-] of a pole: a smaller imaginary part is rounding
 STEP_TIME_CONSTANTS: Final = 8.0  # of the slowest mode that is seen in a step, for which it is followed
 MIN_TICKS, MAX_TICKS = 50, 40_000  # of a step
@@ -38,7 +36,7 @@ RANK: Final = 1e-9  # [-] of the largest singular value, or of a step: less is r
 INSTANT: Final = 1e-6  # [-] modulus in z of a mode that is over within a period
 ROUNDING: Final = 1e-9  # [-] of the imaginary part of a pole in z: that of a real one
 DROOP: Final = 1e-9  # [rad | m] of a steady-state error: rounding
-UNITS: Final = {name: field.unit for name, field in Specification.declared.items()}
+SHOWN: Final = ("zeta", "overshoot", "omega_n", "settling")  # requirements that a step has in each direction
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +69,7 @@ class Limit:
     """One limit of a loop with the gains that were found.
 
     Args:
-        name: "largest step", "delay margin", "lowest rate", "gain margin", "droop" or "largest factor".
+        name: "largest step", "delay margin", "gain margin", "droop" or "largest factor".
         value: The limit; infinite for none.
         unit: Of the value.
         where: The direction, joint or gain that it is about.
@@ -229,34 +227,42 @@ class Achieved:
     def requirements(self) -> Iterator[Requirement]:
         """A row for each number that was asked for, in each direction."""
         given, r = self.specification.given, len(self.stated.directions)
-        got: dict[str, list[float]] = {name: [math.nan] * r for name in UNITS}
+        got = {name: np.full(r, math.nan) for name in (*SHOWN, "K")}
         if self.system.stable:
-            pairs = [(*self.damping_and_frequency(i), *self.overshoot_and_settling(i)) for i in range(r)]
-            got |= dict(
-                zip(("zeta", "omega_n", "overshoot", "settling"), map(list, zip(*pairs, strict=True)), strict=True)
-            )
-            if "K" in given:
-                got["K"] = self.stiffness().tolist()
-        for name in ("zeta", "overshoot", "omega_n", "settling"):
+            for i in range(r):
+                got["zeta"][i], got["omega_n"][i] = self.damping_and_frequency(i)
+                got["overshoot"][i], got["settling"][i] = self.overshoot_and_settling(i)
+            got["K"] = self.stiffness() if "K" in given else got["K"]
+        axes = self.stated.axes
+        for name in SHOWN:
             if name in given:
-                asked = per_coordinate(name, given[name], self.stated)
-                for i, axis in enumerate(self.stated.axes):
-                    yield self._requirement(name, i, float(asked[axis]), got[name][i])
+                asked = per_coordinate(name, given[name], self.stated)[axes]
+                yield from self._rows(name, [Specification.declared[name].unit] * r, asked, got[name])
         if "K" in given:
             K = self.stated.inside(square("K", given["K"], self.stated))
-            for i, asked_K in enumerate(1.0 / np.diag(np.linalg.inv(K))):
-                yield self._requirement("K", i, float(asked_K), got["K"][i])
+            units = ["N/m" if self.stated.units[axis] == "m" else "N m/rad" for axis in axes]
+            yield from self._rows("K", units, 1.0 / np.diag(np.linalg.inv(K)), got["K"])
         if "force" in given:
-            yield from self._of_force(given["force"])
+            force = self._of_force()
+            yield from self._rows(
+                "force", ["1/s"] * len(force), np.full(len(force), given["force"]), force.values(), force
+            )
 
-    def _requirement(self, name: str, direction: int, asked: float, got: float) -> Requirement:
-        unit = UNITS[name]
-        if name == "K":
-            unit = "N/m" if self.stated.units[self.stated.axes[direction]] == "m" else "N m/rad"
-        return Requirement(
-            name=name, direction=self.stated.directions[direction], unit=unit, asked=asked, got=float(got),
-            met=self._met(name, asked, got), pose=self.pose,
-        )  # fmt: skip
+    def _rows(
+        self,
+        name: str,
+        units: Sequence[str],
+        asked: Float64Array,
+        got: Iterable[float],
+        directions: Iterable[str] | None = None,
+    ) -> Iterator[Requirement]:
+        """A row for each direction."""
+        for each in zip(directions or self.stated.directions, units, asked.tolist(), map(float, got), strict=True):
+            direction, unit, wanted, found = each
+            met = self._met(name, wanted, found)
+            yield Requirement(
+                name=name, direction=direction, unit=unit, asked=wanted, got=found, met=met, pose=self.pose
+            )
 
     def _met(self, name: str, asked: float, got: float) -> bool:
         if name in ("settling", "overshoot"):
@@ -266,24 +272,16 @@ class Achieved:
         more = self.several and name in ("zeta", "omega_n")
         return bool(got >= lowest * (1.0 - tolerance) and (more or got <= asked * (1.0 + tolerance)))
 
-    def _of_force(self, asked: float) -> Iterator[Requirement]:
-        """The slow pole of the force: on the contact, or against each row of a rigid constraint."""
+    def _of_force(self) -> dict[str, float]:
+        """The slow pole of the force [1/s]: on the contact, or against each row of a rigid constraint."""
         if self.stated.force is None:
             poles, parts = self._modes
-            rows = [
-                (name, float(np.abs(poles[parts[:, i] > RANK]).min()) if self.system.stable else math.nan)
-                for i, name in enumerate(self.stated.directions)
-            ]
-        else:
-            kfp, kfi = (np.diag(gain) for gain in self.stated.force)
-            dt = self.system.period
-            late = round(self.delay / dt)
-            rows = [(f"row {i}", force_pole(float(kfp[i]), float(kfi[i]), dt, late)) for i in range(len(kfp))]
-        for direction, got in rows:
-            yield Requirement(
-                name="force", direction=direction, unit="1/s", asked=asked, got=got,
-                met=self._met("force", asked, got), pose=self.pose,
-            )  # fmt: skip
+            slow = [np.abs(poles[column > RANK]).min() if self.system.stable else math.nan for column in parts.T]
+            return dict(zip(self.stated.directions, slow, strict=True))
+        kfp, kfi = (np.diag(gain).tolist() for gain in self.stated.force)
+        dt = self.system.period
+        late = round(self.delay / dt)
+        return {f"row {i}": force_pole(kfp[i], kfi[i], dt, late) for i in range(len(kfp))}
 
     # ---------------------------------------------------------------- limits
 

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Any, Final, Literal
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from taut.analysis.design.achieved import Achieved, Limit, Requirement
-from taut.analysis.design.result import Design
+from taut.analysis.design.achieved import Achieved, Limit, Requirement, Steps
 from taut.analysis.design.specification import Specification, place_poles, square
-from taut.arm.angles import require_radians
 from taut.arm.description import Arm
 from taut.arm.friction import Friction
+from taut.arm.parts import require_radians
 from taut.base.checks import finite_array, one_of, rate_in_hertz
 from taut.base.declarations import REQUIRED
 from taut.base.errors import RangeError, ShapeError, TautError, UsageError
+from taut.base.plot_style import INK, SMALL, WIDTH, colour, prepared
+from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.closed_loop import ClosedLoop
 from taut.control.gains import Gain
@@ -26,9 +27,8 @@ from taut.control.sensing import Sensing
 from taut.controller import Controller, compile
 from taut.linear.judgement import judge
 from taut.linear.linear_system import LinearSystem
-from taut.linear.linearise import linearise, rest_of
-from taut.linear.period import finite_derivative, loop_map
-from taut.loop import DT, Loop
+from taut.linear.linearise import linearise
+from taut.loop import Loop
 from taut.maths.adds import Adds
 from taut.maths.snapshot import Snapshot, snapshot
 from taut.plant.actuation import Actuation
@@ -36,14 +36,138 @@ from taut.plant.environments.hands import Push
 from taut.plant.environments.springs import Spring
 from taut.plant.rigid import RigidPlant
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 __all__ = ["Design", "Limit", "Requirement", "design"]
 
+HEIGHT: Final = 3.2  # [inch] of a picture
 ANYWHERE: Final = 1e3  # [rad | m] from the reference: an equilibrium is taken wherever it is
 DRIVE: Final = 1e4  # [rad/s] bandwidth of drives that are as good as ideal
 ACCURATE: Final = 0.3  # [-] of a step of rk4 times the fastest rate in it: its error is below 1e-4
 MAX_DESIGN_SUBSTEPS: Final = 50
-MIN_RATE: Final = 4.0  # [Hz] below which no lower servo rate is looked for
-FINE: Final = 0.01  # [-] of the lowest rate
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Design(Result):
+    """A law with its gains, what was asked for and what the sampled loop has, and the limits of the loop.
+
+    Args:
+        law: The law with its gains.
+        specification: What was asked for.
+        requirements: A row for each number that was asked for, in each direction, at each pose.
+        limits: Of the loop, the worst of all poses.
+        arm: Name of the arm.
+        rate: [Hz].
+        poses: (k, n) [rad | m].
+        systems: The linear model of the sampled loop at each pose.
+        directions: Names of the directions.
+        steps: Unit steps at the first pose where something is missed, or at the first; None for an unstable loop.
+        unstable: Why the loop is unstable; empty where it is stable.
+    """
+
+    law: Law
+    specification: Specification
+    requirements: tuple[Requirement, ...]
+    limits: tuple[Limit, ...]
+    arm: str
+    rate: float
+    poses: Float64Array
+    systems: tuple[LinearSystem, ...]
+    directions: tuple[str, ...]
+    steps: Steps | None
+    unstable: str
+
+    @property
+    def stable(self) -> bool:
+        """Whether the sampled loop is stable at all poses."""
+        return not self.unstable
+
+    @property
+    def met(self) -> bool:
+        """Whether the loop is stable and has all that was asked for."""
+        return self.stable and all(each.met for each in self.requirements)
+
+    def got(self, name: str) -> Float64Array:
+        """What the loop has of a number that was asked for, in each direction at each pose."""
+        return np.array([each.got for each in self.requirements if each.name == name])
+
+    def limit(self, name: str) -> Limit:
+        """The limit of a name; the smallest, where each direction has one.
+
+        Raises:
+            KeyError: There is none.
+        """
+        found = [each for each in self.limits if each.name == name]
+        if not found:
+            raise KeyError(name)
+        return min(found, key=lambda each: each.value)
+
+    def content(self) -> Content:
+        """The description of the design."""
+        missed = [each for each in self.requirements if not each.met]
+        several = len(self.poses) > 1
+        faults = [self.unstable] if self.unstable else []
+        for name in dict.fromkeys(each.name for each in missed if self.stable):
+            rows = [each for each in missed if each.name == name]
+            places = ", ".join(dict.fromkeys(f"{each.direction} ({each.got:.4g})" for each in rows))
+            faults.append(f"{name} is missed: {places}; asked for {rows[0].asked:.4g} {rows[0].unit}".rstrip())
+        asked = Table(
+            title="asked and got",
+            columns=("number", "direction", *(["pose"] * several), "unit", "asked", "got", "met"),
+            rows=[
+                (each.name, each.direction, *([each.pose] * several), each.unit, each.asked, each.got, each.met)
+                for each in self.requirements
+            ],
+            note="by the linear model of the sampled loop about its equilibrium",
+        )
+        limits = Table(
+            title="limits",
+            columns=("limit", "of", "value", "unit"),
+            rows=[(each.name, each.where, each.value, each.unit) for each in self.limits],
+        )
+        gains = Table(
+            title="gains",
+            columns=("gain", "value"),
+            rows=[
+                (f"{path}[{i}]" if np.ndim(value) == 2 else path, ", ".join(f"{x:.5g}" for x in np.atleast_1d(row)))
+                for path, value in self.law.parameters().items()
+                for i, row in enumerate(np.asarray(value) if np.ndim(value) == 2 else [value])
+            ],
+        )
+        words = ", ".join(
+            f"{name} = {np.asarray(value).tolist()}" for name, value in self.specification.given.items()
+        )
+        return Content(
+            title=f"{type(self.law).__name__} on {self.arm} at {self.rate:g} Hz, for {words}",
+            faults=faults,
+            tables=[gains, asked, *([limits] if self.limits else [])],
+            figures={} if self.steps is None else {"steps": self._steps},
+            settings={"poses": str(np.round(self.poses, 4).tolist()), "rate [Hz]": f"{self.rate:g}"},
+        )
+
+    def json(self) -> dict[str, Any]:
+        """The result as plain data, with the gains by path."""
+        gains = {path: np.asarray(value).tolist() for path, value in self.law.parameters().items()}
+        return {**super().json(), "met": self.met, "stable": self.stable, "gains": gains}
+
+    def _steps(self) -> Figure:
+        """The error of a unit step in each direction, and the largest command that it takes of a joint."""
+        from matplotlib.figure import Figure
+
+        steps = self.steps
+        assert steps is not None
+        figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
+        left, right = figure.subplots(1, 2)
+        prepared(left, f"{type(self.law).__name__} on {self.arm}: error after a step", "e / e(0)", "t [s]")
+        prepared(right, "command of a unit step, largest joint", "[N m | N], of drives [rad/s | m/s]", "t [s]")
+        for i, name in enumerate(self.directions):
+            left.plot(steps.t, steps.e[:, i], color=colour(i), linewidth=1.3, label=name)
+            command = np.abs(steps.command[:, :, i]).max(axis=1)
+            right.plot(steps.t, command, color=colour(i), linewidth=1.3)
+        left.axhspan(-0.02, 0.02, color=INK, alpha=0.08, linewidth=0.0)
+        left.legend(fontsize=SMALL, frameon=False, labelcolor=INK)
+        return figure
 
 
 def design(
@@ -141,11 +265,7 @@ def design(
     limits = [limit for each in found if each.system.stable for limit in each.limits()]
     unstable = ""
     for q, each in zip(poses, found, strict=True):
-        if each.system.stable:
-            slowest = lowest_rate(loop, q, each.system)
-            if slowest:
-                limits.append(Limit(name="lowest rate", value=slowest, unit="Hz", where="all joints"))
-        elif not unstable:
+        if not each.system.stable and not unstable:
             unstable, factors = blamed(loop, q, each.system)
             limits += factors
     missed = next((row.pose for row in requirements if not row.met), 0)
@@ -309,30 +429,6 @@ def achieved(
     )
 
 
-def lowest_rate(loop: Loop, q: Float64Array, system: LinearSystem) -> float:
-    """[Hz] the servo rate down to which the loop is stable with the same gains; 0 for none that was found."""
-    map_ = loop_map(loop)
-    point = rest_of(loop, map_, q, ANYWHERE).point
-    states = [map_.state_coordinates.names.index(name) for name in system.states]
-
-    def stable(rate: float) -> bool:
-        parameters = point.parameters.copy()
-        map_.parameters.views(parameters)[DT][...] = 1.0 / rate
-        A = finite_derivative(map_, dataclasses.replace(point, parameters=parameters)).A
-        return LinearSystem(A=A[np.ix_(states, states)], dt=1.0 / rate).stable
-
-    high = 1.0 / system.period
-    low = 0.5 * high
-    while low > MIN_RATE and stable(low):
-        high, low = low, 0.5 * low
-    if low <= MIN_RATE:
-        return 0.0
-    while high > low * (1.0 + FINE):
-        middle = math.sqrt(low * high)
-        low, high = (low, middle) if stable(middle) else (middle, high)
-    return high
-
-
 def blamed(loop: Loop, q: Float64Array, system: LinearSystem) -> tuple[str, list[Limit]]:
     """Why a loop is unstable, and the largest factors on single gains with which it would be stable."""
     try:
@@ -344,12 +440,11 @@ def blamed(loop: Loop, q: Float64Array, system: LinearSystem) -> tuple[str, list
 
 
 def worst(limits: Sequence[Limit]) -> tuple[Limit, ...]:
-    """Of limits at several poses the one that is met first: the smallest, of a droop or a rate the largest."""
+    """Of limits at several poses the one that is met first: the smallest, of a droop the largest."""
     found: dict[tuple[str, str], Limit] = {}
     for limit in limits:
         key = limit.name, limit.where.partition(" (")[0] if limit.name.startswith("largest") else ""
         known = found.setdefault(key, limit)
-        largest = limit.name in ("droop", "lowest rate")
-        if (limit.value > known.value) if largest else (limit.value < known.value):
+        if (limit.value > known.value) if limit.name == "droop" else (limit.value < known.value):
             found[key] = limit
     return tuple(found.values())

@@ -25,16 +25,8 @@ FREE: Final = 1e-9  # [-] of the largest stiffness over inertia: a motion that n
 class Specification(Declared):
     """The numbers that a design asks for; None for those that it does not.
 
-    Args:
-        zeta: Damping ratio of every mode.
-        overshoot: Of a step [%], in place of zeta.
-        omega_n: Natural frequency [rad/s]: a number, one for each direction, or (linear, angular) at the tool;
-            without a damping, the single pole of each direction.
-        settling: Exact 2 % settling time of a step [s], likewise.
-        K: Stiffness [N/m, N m/rad]: one for each direction, (linear, angular), or a matrix; of joints also a number.
-        contact: Stiffness of what a law of force presses on, likewise.
-        force: Pole of the force [1/s].
-        integral: ki as a fraction of its stability limit kd kp / M.
+    Speeds and stiffnesses are a number, one for each direction, or (linear, angular) at the tool; K and contact also
+    matrices.
 
     Raises:
         RangeError, ShapeError: A number outside of its range.
@@ -51,20 +43,17 @@ class Specification(Declared):
     integral: Field = Field(0.0, minimum=0.0, run_time=False)
 
     def check(self) -> None:
-        self._refuse_both("zeta", "overshoot")
-        self._refuse_both("omega_n", "settling", "K")
+        for names in (("zeta", "overshoot"), ("omega_n", "settling", "K")):
+            given = [name for name in names if getattr(self, name) is not None]
+            if len(given) > 1:
+                raise UsageError(
+                    f"{' and '.join(given)} determine the same number; give one of {', '.join(names)}", name=given[-1]
+                )
         for name, limit in (("overshoot", 100.0), ("integral", 1.0)):
             value = getattr(self, name)
             if value is not None and value >= limit:
                 rule = f"must be below {limit:g}, where the loop oscillates without damping; got {value:g}"
                 self.refuse(name, rule, RangeError)
-
-    def _refuse_both(self, *names: str) -> None:
-        given = [name for name in names if getattr(self, name) is not None]
-        if len(given) > 1:
-            raise UsageError(
-                f"{' and '.join(given)} determine the same number; give one of {', '.join(names)}", name=given[-1]
-            )
 
     @property
     def given(self) -> dict[str, Any]:
@@ -99,19 +88,15 @@ class Specification(Declared):
         takes += ["integral"] if loop.contact is None and loop.single_pole == "never" else []
         wrong = [name for name in self.given if name not in takes]
         if wrong:
-            reason = ""
-            if wrong[0] == "K":
-                reason = " (its gains are accelerations, and the stiffness changes with the pose)"
             raise UsageError(
-                f"{wrong[0]} does not apply to {law}{reason}, whose design takes {', '.join(takes)}; leave it out",
+                f"{wrong[0]} does not apply to {law}, whose design takes {', '.join(takes)}; leave it out",
                 name=wrong[0],
             )
         if not any(name in self.given for name in speeds):
             raise UsageError(f"{law} needs one of {', '.join(speeds)}", name=speeds[0])
-        if not single and loop.single_pole != "always" and self.damping_ratio is None:
+        undamped = loop.single_pole != "always" and self.damping_ratio is None
+        if undamped and (not single or self.K is not None):
             raise UsageError(f"{law} needs its damping: zeta or overshoot", name="zeta")
-        if single and self.K is not None:
-            raise UsageError(f"{law} with K needs its damping: zeta or overshoot", name="zeta")
 
 
 def per_coordinate(name: str, value: Any, loop: ClosedLoop) -> Float64Array:

@@ -13,10 +13,10 @@ from taut.base.checks import finite_array, require_range, symmetric_psd
 from taut.base.errors import UsageError
 from taut.base.fields import Part, Plain
 from taut.base.types import Rotation, Vector, Vector3
+from taut.control.closed_loop import ApparentImpedance
 from taut.control.combine import Wrapper
 from taut.control.command import Command, Terms, Torque
-from taut.control.gains import Gain, GainValue, Memory
-from taut.control.law import MemoryView
+from taut.control.gains import Gain, GainValue, Memory, MemoryView
 from taut.control.laws.constraints import check_place, check_reference
 from taut.control.laws.force import ForceControl
 from taut.control.laws.hybrid import HybridMotionForce
@@ -94,6 +94,9 @@ class EnergyTank(Wrapper):
                 symmetric_psd("K", values)
             else:
                 require_range("K", values, minimum=0.0)
+
+    def apparent_impedance(self, x: Snapshot) -> ApparentImpedance | None:
+        return None if self.stiffness is not None else super().apparent_impedance(x)
 
     def start(self, x: Snapshot, ref: Any) -> Mapping[str, Any]:  # noqa: ARG002
         return {"energy": self.capacity.as_array(), "now": self._wanted(x)}

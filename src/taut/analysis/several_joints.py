@@ -1,8 +1,8 @@
-"""The Lyapunov function of PD control with gravity compensation, along a run: equations 10.24 to 10.27."""
+"""Section 10.2.2: coupling of joints, and the Lyapunov function of PD control with gravity compensation."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -12,22 +12,139 @@ from taut.arm.description import Arm
 from taut.base.errors import UsageError
 from taut.base.paths import subtree
 from taut.base.result import Content, Result, Table
-from taut.base.types import Float64Array, Vector
+from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.codegen.engine import Steps, best_engine
 from taut.codegen.loop import StepLoop
 from taut.codegen.program import Block
+from taut.linear.linearise import linearise
+from taut.linear.margins import frequency_grid
+from taut.loop import Loop
 from taut.maths import dynamics as dyn
 from taut.maths.model import PayloadValues, model_of
+from taut.maths.snapshot import Snapshot
 from taut.record.run import Run
 from taut.trace.derivative import jacobian
 
-__all__ = ["Lyapunov", "lyapunov"]
+__all__ = ["Coupling", "Lyapunov", "coupling", "lyapunov"]
 
+MAX_CROSSTALK: Final = 0.1  # [-] of decentralised control
 LAWS: Final = ("GravityPID", "GravityCompensation")
 VISCOUS: Final = "plant.friction.viscous"
 ENERGY_ROUNDING: Final = 1e-12  # of V
-MAX_TORQUE_DIFFERENCE: Final = 1e-9  # of torques, by which those of two ways differ that are the same
-GEARS: Final = "actuation.transmission."
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Coupling(Result):
+    """Coupling of the joints of a loop about a pose.
+
+    Args:
+        joints: Their names.
+        inertia: 0 to 1, one less the smallest eigenvalue of D^-1/2 M D^-1/2, with D the diagonal of M, and M with
+            rotors and payload: 0 for axes whose accelerations are decoupled.
+        crosstalk: (n, n) largest gain over all frequencies from the reference of each joint (column) to each (row).
+        droop: (n,) steady-state error of each joint under gravity [rad | m].
+        unit: Of the joints, all of one kind.
+    """
+
+    joints: tuple[str, ...]
+    inertia: float
+    crosstalk: Float64Array
+    droop: Float64Array
+    unit: str
+
+    @property
+    def worst(self) -> tuple[float, str, str]:
+        """The largest crosstalk of two joints, the joint that moves, and the one whose reference it was."""
+        apart = np.where(np.eye(len(self.joints), dtype=bool), -1.0, self.crosstalk)
+        i, j = np.unravel_index(int(np.argmax(apart)), apart.shape)
+        return max(float(apart[i, j]), 0.0), self.joints[i], self.joints[j]
+
+    @property
+    def ok(self) -> bool:
+        """Decentralised control is enough: no crosstalk of different joints is above 10 %."""
+        return self.worst[0] <= MAX_CROSSTALK
+
+    def content(self) -> Content:
+        """The verdict, and a table of the joints."""
+        size, joint, other = self.worst
+        verdict = f"decentralised control is {'enough' if self.ok else 'not enough'}"
+        if len(self.joints) > 1:
+            verdict += (
+                f": joint '{joint}' follows up to {100.0 * size:.3g} % of the reference of '{other}', and the "
+                f"limit is {100.0 * MAX_CROSSTALK:g} %"
+            )
+        apart = self.crosstalk - np.diag(np.diag(self.crosstalk))
+        rows = list(zip(self.joints, (100.0 * apart.max(axis=1)).tolist(), self.droop.tolist(), strict=True))
+        return Content(
+            title="coupling of the joints",
+            summary=[verdict] if self.ok else [],
+            faults=[] if self.ok else [verdict],
+            tables=[Table(columns=("joint", "crosstalk [%]", f"droop under gravity [{self.unit}]"), rows=rows)],
+            notes=[f"coupling of the inertia matrix {self.inertia:.3g} (0 is diagonal, 1 is singular)"],
+        )
+
+
+def coupling(loop: Loop, *, at: ArrayLike | None = None) -> Coupling:
+    """Coupling of the joints of an arm at a pose, in the sampled loop: whether decentralised control is enough.
+
+    The dynamics are decoupled where each joint's acceleration depends on its own torque and state alone: in gantries,
+    and nearly in arms with large gears, whose rotors are most of the diagonal of M, and where gravity is small
+    beside the torques of the joints. How much that matters depends on the gains of the loop.
+
+    Args:
+        loop: A loop of a law of joints, with a reference that stays.
+        at: (n,) joint positions to begin at [rad | m]; home if left out.
+
+    Raises:
+        UsageError: A law that follows no joint positions; joints of metres beside joints of radians; an unstable
+            loop.
+        RangeError: No equilibrium near `at`.
+
+    Example:
+        >>> import taut
+        >>> arm = taut.load_arm("gantry3")
+        >>> ctrl = taut.compile(taut.laws.GravityPID(kp=1000.0, kd=100.0), arm)
+        >>> loop = taut.Loop(ctrl, taut.RigidPlant(arm, friction=None), duration=1.0)
+        >>> taut.analysis.coupling(loop).ok
+        True
+
+    References:
+        Section 10.2.2.1 decentralised multi-joint control; section 10.2.1.5 on gears.
+    """
+    lin = linearise(loop, at=at)
+    if "ref.q[0]" not in lin.inputs:
+        raise UsageError(
+            f"coupling is for laws that follow joint positions; {type(loop.side.law).__name__} does not", name="loop"
+        )
+    units = loop.plant.arm.units
+    if len(set(units)) > 1:
+        raise UsageError(
+            "coupling compares joints of one kind, and this arm has some in rad and some in m, whose crosstalk "
+            "has units; look at lin.frequency_response(omega, input='ref.q', output='q') of taut.linearise",
+            name="loop",
+        )
+    if not lin.stable:
+        raise UsageError(
+            f"crosstalk is that of a stable loop; this one is {lin.unstable_because}; lower the gains",
+            name="loop",
+        )
+    payload = PayloadValues.of(subtree(loop.parameters, "plant.payload"))
+    arm, q = loop.plant.arm, lin.point.q
+    M = np.array(Snapshot(model_of(arm), q=q, v=np.zeros(arm.n), payload=payload).M, dtype=float)
+    root = np.sqrt(np.diag(M))
+    scaled = M / np.outer(root, root)
+    omega = frequency_grid(lin.period, np.abs(np.angle(lin.poles)) / lin.period)
+    T = lin.frequency_response(omega, input="ref.q", output="q")
+    return Coupling(
+        joints=lin.point.joints,
+        inertia=1.0 - float(np.linalg.eigvalsh(scaled)[0]),
+        crosstalk=np.abs(T).max(axis=0),
+        droop=lin.point.moved,
+        unit=units[0],
+    )
+
+
+# -------------------------------------------------------------------- the Lyapunov function, eqs. 10.24 to 10.27
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,7 +158,6 @@ class Lyapunov(Result):
         rate: (k,) [W] dV/dt right after each tick, of the true arm under the torque that acted then:
             v . (M a + M-dot v / 2) - e . Kp v, with M-dot by differentiation and M a from the equation of motion.
         expected: (k,) [W] -v . Kd v, and what viscous friction takes besides.
-        notes: Assumptions of the proof that the run violates, in sentences.
     """
 
     t: Float64Array
@@ -49,7 +165,6 @@ class Lyapunov(Result):
     kinetic: Float64Array
     rate: Float64Array
     expected: Float64Array
-    notes: tuple[str, ...] = ()
 
     @property
     def worst(self) -> float:
@@ -75,7 +190,6 @@ class Lyapunov(Result):
             summary=[verdict] if self.decreases else [],
             faults=[] if self.decreases else [verdict],
             tables=[Table(columns=("quantity", "value"), rows=rows)],
-            notes=self.notes,
         )
 
 
@@ -133,27 +247,7 @@ def lyapunov(run: Run) -> Lyapunov:
         kinetic=kinetic,
         rate=rate - np.einsum("ki,ij,kj->k", e, kp, run.v),
         expected=-np.einsum("ki,ij,kj->k", run.v, kd, run.v),
-        notes=tuple(_broken(run, g)),
     )
-
-
-def _broken(run: Run, g: Float64Array) -> Iterator[str]:
-    """Assumptions of the proof that a run violates, as far as its record shows."""
-    if not run.outcome.ok:
-        yield f"the run ended in a fault: {run.outcome}"
-
-    def far(one: Float64Array, other: Float64Array) -> bool:
-        return bool(
-            np.abs(one - other).max(initial=0.0)
-            > MAX_TORQUE_DIFFERENCE * max(1.0, float(np.abs(other).max(initial=0.0)))
-        )
-
-    if far(run.terms["gravity"], g):
-        yield "the law's g is not that of the arm: masses, a payload or a direction of gravity that it does not know"
-    if far(np.sum([run.terms[name] for name in ("P", "D", "gravity") if name in run.terms], axis=0), run.command):
-        yield "limits of the controller cut or changed what the law commands"
-    if far(run.tau, run.command):
-        yield "the torque is not what is commanded: the drives give it late, or not all of it"
 
 
 def _energies(
@@ -195,23 +289,19 @@ def _check(run: Run, law: str, values: Mapping[str, Any]) -> None:
     if np.any(np.asarray(values.get("law.ki", 0.0))):
         raise UsageError(f"eq. 10.24 is for ki = 0; this run has law.ki = {values['law.ki']}", name="law.ki")
     q, v = getattr(run.reference, "q", np.zeros(1)), getattr(run.reference, "v", 0.0)
+    moves = law == "GravityPID" and bool(np.ptp(q, axis=0).any() or np.any(v))
     dry = [path for path in values if path.startswith("plant.friction.") and path != VISCOUS]
+    others = [path for path in values if path.startswith(("actuation.transmission.", "environment.", "contact."))]
     refused = {
-        "is for runs that hold their arm; this one was loaded from a file": run.arm is None,
-        "is for gains that stay, and this run has events; run it without": bool(run.info.events),
-        "is for a set-point, and the reference of this run moves": law == "GravityPID"
-        and bool(np.ptp(q, axis=0).any() or np.any(v)),
-        f"is without dry friction, and the plant has {', '.join(sorted(dry))}; run it with friction=None": bool(dry),
-        "is without losses, backlash and elasticity of gears; run it on a plant without a transmission": any(
-            path.startswith(GEARS) for path in values
-        ),
-        "is of an arm without contact, and this plant has an environment": any(
-            path.startswith(("environment.", "contact.")) for path in values
-        ),
+        "runs that hold their arm; this one was loaded from a file": run.arm is None,
+        "gains that stay, and this run has events": bool(run.info.events),
+        "a set-point, and the reference of this run moves": moves,
+        f"viscous friction alone; run it with friction=None, and without {', '.join(dry)}": bool(dry),
+        f"an arm without losses of gears and without contact; leave out {', '.join(others)}": bool(others),
     }
     for rule, broken in refused.items():
         if broken:
-            raise UsageError(f"the proof of eqs. 10.24 to 10.27 {rule}", name="run")
+            raise UsageError(f"the proof of eqs. 10.24 to 10.27 is for {rule}", name="run")
 
 
 def _matrix(value: Any, n: int) -> Float64Array:
