@@ -49,7 +49,6 @@ REFERENCES: dict[str, dict[str, Any]] = {
         **LIMITS,
         "scaling": "trapezoidal",
     },
-    "screw": {"kind": "screw", "T0": "home", "T1": POSE, "duration": 0.3, "scaling": "cubic"},
     "circle": {
         "kind": "circle",
         "relative_to_home": True,
@@ -57,13 +56,6 @@ REFERENCES: dict[str, dict[str, Any]] = {
         "axis": [0, 0, 1],
         "orientation": "turn",
         "angle": 1.0,
-        "duration": 0.3,
-    },
-    "circle through points": {
-        "kind": "circle",
-        "relative_to_home": True,
-        "via": [0.02, 0.02, 0],
-        "end": [0.04, 0, 0],
         "duration": 0.3,
     },
     "samples": {
