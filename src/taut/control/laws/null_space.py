@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from taut.arm.angles import require_radians
+from taut.arm.parts import require_radians
 from taut.base.errors import MatchError, UsageError, count_of
 from taut.base.fields import Field
 from taut.base.types import Vector

@@ -24,7 +24,7 @@ from taut.control.trajectories.reference import Reference
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.constraints.constraint import Constraint
 from taut.maths.constraints.multipliers import Constrained
-from taut.maths.constraints.rows import ConstraintRows, OfPoses
+from taut.maths.constraints.rows import ConstraintRows
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import rotated
 from taut.trace import math as tm
@@ -196,7 +196,7 @@ class NormalEstimate(Wrapper):
         constraint, moved = self.law.constraint, self.law.motion.controlled_frame or x.arm.tool
         (frame,) = constraint.frame or (None,)
         check_sensor(x, frame)
-        if (frame or x.arm.tool) != moved or constraint.moments[0] or not isinstance(constraint.pieces[0], OfPoses):
+        if (frame or x.arm.tool) != moved or constraint.moments[0] or constraint.pieces[0].pfaffian:
             raise UsageError(
                 f"NormalEstimate is of a surface's normal at the frame that moves, '{moved}': put the surface first, "
                 "of that frame, or leave the estimate out",

@@ -62,7 +62,6 @@ class Rig:
     tool_body: int  # the body whose frame p_tool is given in
     p_tool: Float64Array  # (3,) [m] origin of the tool
     adds: Adds
-    own_geoms: int = 0  # of the world's geoms, how many are the arm's, which come first
 
 
 def index(numbers: list[int]) -> Index:
