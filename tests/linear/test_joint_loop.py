@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 from servo_runs import KINDS, Servo, table
 
 import taut
-from taut.linear.step_response import BAND
+from taut.linear.performance import BAND
 
 CHAPTER = {"M": 0.5, "b": 0.1, "kp": 2.205, "kd": 2.0}
 

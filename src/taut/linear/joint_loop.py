@@ -26,7 +26,7 @@ from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.sensing import Difference, LowPass, check_filter
 from taut.linear.linear_system import LinearSystem, names
-from taut.linear.step_response import BAND
+from taut.linear.performance import BAND
 
 __all__ = ["SecondOrder", "VelocityKind", "error_dynamics", "joint_matrix", "pid", "second_order"]
 

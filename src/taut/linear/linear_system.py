@@ -21,8 +21,7 @@ from taut.base.checks import finite_array, finite_scalar, positive_scalar, read_
 from taut.base.errors import RangeError, ShapeError, UsageError, missing_extra, unknown_name
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
-from taut.linear.margins import Margins, margins_of
-from taut.linear.step_response import StepInfo, step_response
+from taut.linear.performance import Margins, StepInfo, margins_of, step_response
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
