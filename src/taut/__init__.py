@@ -74,9 +74,9 @@ if TYPE_CHECKING:
     from taut.maths.snapshot import snapshot as snapshot
     from taut.plant.contact import RigidContact as RigidContact
     from taut.plant.rigid import RigidPlant as RigidPlant
+    from taut.record.info import Outcome as Outcome
     from taut.record.log.reading import load_run as load_run
     from taut.record.metrics import Metrics as Metrics
-    from taut.record.outcome import Outcome as Outcome
     from taut.record.report import report as report
     from taut.record.run import Run as Run
     from taut.runtime.events import Event as Event

@@ -11,8 +11,8 @@ from typing import Any, Final, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from taut.arm.angles import require_radians
 from taut.arm.description import Arm, Payload
+from taut.arm.parts import require_radians
 from taut.base.checks import finite_array, positive_scalar, read_only
 from taut.base.errors import MatchError, RangeError, ShapeError, UsageError, count_of
 from taut.base.paths import Parameters, subtree

@@ -186,7 +186,7 @@ def read_log(path: Path) -> None:
     if not f"{run!r} {run.outcome} {run.joint_names} {list(run.terms)}".isprintable():
         raise AssertionError("a log commands a terminal")
     if len(path.read_bytes()) % EXAMINED == 0 and len(run) > 2:
-        from taut.record.run_report import faults_of
+        from taut.record.report import faults_of
 
         faults_of(run)
         str(taut.doctor(run))

@@ -303,7 +303,7 @@ def test_a_constraint_of_joint_speeds_needs_no_phi() -> None:
         (
             lambda: Constraint.of_joints(lambda q: np.eye(2)),
             taut.errors.ShapeError,
-            r"number or \(k,\) numbers; got shape",
+            r"must give numbers of shape \(1,\) everywhere; got \(2, 2\)",
         ),
         (
             lambda: Constraint.of_joints(lambda q: q[0], rows=0),
@@ -320,7 +320,7 @@ def test_a_constraint_of_joint_speeds_needs_no_phi() -> None:
         (
             lambda: Constraint.pfaffian_of_joints(lambda q: [1.0]),
             taut.errors.ShapeError,
-            r"\(1, 2\) with rows=1; got \(1,\)",
+            r"of shape \(1, 2\) everywhere; got \(1, 1\)",
         ),
         (
             lambda: Constraint.pfaffian_of_joints(lambda q: None),
@@ -483,7 +483,9 @@ def test_a_wrong_constraint_is_one_sentence(
 
 def test_rows_of_joints_that_are_not_as_many_as_said_are_told() -> None:
     constraint = Constraint.of_joints(lambda q: tm.array([q[0], q[1]]))
-    with pytest.raises(taut.errors.ShapeError, match="gives 2 numbers, and it was made with rows=1; say rows=2"):
+    with pytest.raises(
+        taut.errors.ShapeError, match=r"of 1 row must give numbers of shape \(1,\) everywhere; got \(2,\); say rows=2"
+    ):
         constraint.at(taut.snapshot(taut.load_arm("planar2"), [0.1, 0.2]))
 
 

@@ -14,10 +14,11 @@ from PIL import Image
 from scipy.integrate import solve_ivp
 
 import taut
-from taut.record.film import scene, video
-from taut.record.film.scene import Skeleton, upright
-from taut.record.film.surroundings import POSES, Around, Mesh, Shape, Thing, poses_of
+from taut.record import scene
+from taut.record.film import poses_of
+from taut.record.info import POSES, Around, Mesh, Shape, Thing
 from taut.record.plain import plain, restored
+from taut.record.scene import points_of, view_of
 
 SIZE = (96, 72)
 PLACES = 1e-9  # [m]
@@ -52,8 +53,8 @@ def test_the_scene_of_a_film_stands_as_that_of_the_plant(pressing_task: taut.Run
     arm, ticks = pressing_task.arm, np.array([0, 100, 200])
     for run in (pressing_task, again):
         found = run.info.around
-        skeleton = Skeleton.of(arm, run.q[ticks])
-        model, places, problem = scene.scene(arm, skeleton.view(), SIZE, found)
+        points = points_of(arm, run.q[ticks])
+        model, places, problem = scene.scene(arm, view_of(arm, points), SIZE, found)
         assert not problem
         data = mujoco.MjData(model)
         for k, moving in enumerate(poses_of(run, found, ticks)):
@@ -65,7 +66,7 @@ def test_the_scene_of_a_film_stands_as_that_of_the_plant(pressing_task: taut.Run
             R = taut.Pose(row[:3], wxyz=row[3:]).R
             np.testing.assert_allclose(by_colour[0.0, 1.0, 1.0, 1.0], row[:3] + R @ [0.1, 0.0, 0.0], atol=1e-7)
             touching = data.geom_xpos[[i for i in range(model.ngeom) if model.geom_size[i, 0] == 0.01]]
-            np.testing.assert_allclose(touching[0], skeleton.tool[k], atol=PLACES)
+            np.testing.assert_allclose(touching[0], points[k, -1], atol=PLACES)
 
 
 def test_a_film_from_a_log_shows_the_scene(pressing_task: taut.Run, tmp_path: Path) -> None:
@@ -93,24 +94,10 @@ def pictures(path: Path) -> list[np.ndarray[Any, Any]]:
     return out
 
 
-def test_in_a_world_that_is_turned_upright_everything_turns_with_it() -> None:
-    arm = taut.load_arm("planar2").with_gravity([1.0, 9.0, -2.0])
-    shape, at = Shape(kind="box", size=(0.1, 0.1, 0.1)), taut.Pose([0.3, -0.2, 0.5], rpy=[0.4, 0.5, 0.6])
-    things = [Thing(shapes=(shape,), p=tuple(at.p), wxyz=tuple(at.wxyz), row=row) for row in (None, 0)]
-    model, _, _ = scene.scene(arm, Skeleton.of(arm, np.zeros((1, 2))).view(), SIZE, Around(things=tuple(things)))
-    data = mujoco.MjData(model)
-    moving = video.upright_poses(np.array([[[*at.p, *at.wxyz]]]), arm)[0]
-    data.mocap_pos, data.mocap_quat = moving[:, :3], moving[:, 3:]
-    mujoco.mj_kinematics(model, data)
-    for body in (model.nbody - 2, model.nbody - 1):
-        np.testing.assert_allclose(data.xpos[body], upright(arm) @ at.p, atol=PLACES)
-        np.testing.assert_allclose(data.xmat[body].reshape(3, 3), upright(arm) @ at.R, atol=PLACES)
-
-
 def test_the_camera_goes_to_where_the_tool_is_seen() -> None:
     arm = taut.load_arm("panda")
-    skeleton = Skeleton.of(arm, arm.home[np.newaxis])
-    view, tool = skeleton.view(), skeleton.tool[0]
+    points = points_of(arm, arm.home[np.newaxis])
+    view, tool = view_of(arm, points), points[0, -1]
     board = Shape(kind="box", size=(0.3, 0.3, 0.005))
     lying = Thing(shapes=(board,), p=tuple(tool - [0.0, 0.0, 0.005]))
     ahead = np.array([np.cos(np.radians(view.azimuth)), np.sin(np.radians(view.azimuth)), 0.0])

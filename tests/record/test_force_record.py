@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import taut
-from taut.record.plots.comparison import compare
+from taut.record.comparison_plot import compare
 from taut.record.tool import force_error, wanted_wrench
 
 L = taut.laws
@@ -88,7 +88,7 @@ def test_errors_of_force_alone_are_called_what_they_are(run: taut.Run) -> None:
 
 
 def test_plots_show_what_was_wanted_and_comparisons_the_errors_of_force(run: taut.Run) -> None:
-    assert "wanted, -F_app" in texts(run.plot())
+    assert "| wanted |" in texts(run.plot())
     figure = texts(compare({"a": run, "b": run}, window=(1.0, 1.5)))
     assert "norm of the force's error" in figure
     assert "norm of the moment's error" in figure

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 import taut
-from taut.record import progress
-from taut.record.film import render, video
+from taut.record import film, progress, render
 from taut.record.log import export
 from taut.record.log import writing as log
 
@@ -79,7 +78,7 @@ class Counting(progress.Progress):
 
 @pytest.fixture
 def counted(monkeypatch: pytest.MonkeyPatch) -> list[Counting]:
-    for module in (export, log, video):
+    for module in (export, log, film):
         monkeypatch.setattr(module, "Progress", Counting)
     monkeypatch.setattr(Counting, "made", [])
     return Counting.made

@@ -15,7 +15,7 @@ from taut.maths.chain import Chain
 from taut.maths.model import model_of
 from taut.record.metrics import METRICS, names_that_need
 from taut.record.plain import plain, restored
-from taut.record.plots.run_plot import is_task_run
+from taut.record.run_plot import is_task_run
 
 FIELDS = ("p", "R", "twist", "acceleration")
 
@@ -201,7 +201,7 @@ class TestKept:
         assert part.metrics.task_peak <= run.metrics.task_peak
 
     def test_a_film_has_the_wanted_way_of_the_tool(self, run: taut.Run) -> None:
-        from taut.record.film.video import _wanted
+        from taut.record.film import _wanted
 
         ticks = np.array([0, 100, 300])
         np.testing.assert_allclose(_wanted(run, ARM, ticks), LINE.rows(run.t[ticks]).p)
@@ -227,7 +227,7 @@ class TestDrawn:
                 )
 
     def test_runs_of_the_task_are_compared_by_their_errors(self, run: taut.Run) -> None:
-        from taut.record.plots.comparison import compare
+        from taut.record.comparison_plot import compare
 
         soft = taut.run(taut.compile(Spring(k=50.0), ARM), taut.RigidPlant(ARM), LINE, duration=0.5)
         figure = compare({"stiff": run, "soft": soft})

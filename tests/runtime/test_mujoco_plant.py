@@ -48,28 +48,6 @@ def test_substeps_of_one_are_time_steps_of_the_other() -> None:
     assert largest(ours, theirs) < SAME
 
 
-@pytest.mark.parametrize("integrator", ["discrete", "euler", "implicitfast"])
-def test_these_integrators_are_one_scheme_where_friction_is_viscous(integrator: str) -> None:
-    arm = torso()
-    ours = taut.run(idle(arm), taut.RigidPlant(arm), duration=0.5)
-    theirs = taut.run(idle(arm), taut.MujocoPlant(arm, integrator=integrator), duration=0.5)
-    assert largest(ours, theirs) < SAME
-
-
-@pytest.mark.parametrize(
-    ("integrator", "order", "largest_step"), [("discrete", 1, 0.016), ("implicit", 1, 0.002), ("rk4", 4, 0.008)]
-)
-def test_other_schemes_come_together_with_their_order(integrator: str, order: int, largest_step: float) -> None:
-    arm = taut.load_arm("planar3")
-    exact = taut.run(idle(arm), taut.RigidPlant(arm, integrator="rk4", substeps=10), duration=0.512)
-    errors = []
-    for h in (largest_step, largest_step / 2, largest_step / 4):
-        plant = taut.MujocoPlant(arm, integrator=integrator, timestep=h)
-        errors.append(np.abs(taut.run(idle(arm, 1.0 / h), plant, duration=0.512).q[-1] - exact.q[-1]).max())
-    ratios = np.array(errors[:-1]) / np.array(errors[1:])
-    assert np.all(np.abs(np.log2(ratios) - order) < 0.25)
-
-
 # -------------------------------------------------------------------- dry friction
 
 

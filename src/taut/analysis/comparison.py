@@ -25,8 +25,8 @@ from taut.controller import Controller, compile
 from taut.loop import Loop
 from taut.plant.rigid import RigidPlant
 from taut.plant.sensors import Sensors
+from taut.record.comparison_plot import compare as compare_runs
 from taut.record.metrics import METRICS
-from taut.record.plots.comparison import compare as compare_runs
 from taut.record.run import Run
 from taut.runtime.events import Event
 from taut.runtime.host import PlantBase

@@ -17,7 +17,7 @@ from taut.base.result import Content, Result, Table
 from taut.base.types import Float64Array
 from taut.control.law import Law
 from taut.controller import compile
-from taut.record.plots.comparison import compare as compare_runs
+from taut.record.comparison_plot import compare as compare_runs
 from taut.record.run import Run
 
 if TYPE_CHECKING:

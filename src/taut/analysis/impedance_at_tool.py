@@ -12,9 +12,9 @@ from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.paths import subtree
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
+from taut.control.closed_loop import ApparentImpedance
 from taut.control.combine import bare, title
 from taut.control.law import Law
-from taut.control.laws.apparent import FeltImpedance, felt_impedance
 from taut.linear.linear_system import Complex, LinearSystem
 from taut.linear.linearise import WITHIN, linearise
 from taut.loop import Loop
@@ -69,7 +69,7 @@ class ToolImpedance(Result):
     loop: Loop
     lin: LinearSystem
     direction: Float64Array
-    specified: FeltImpedance | None
+    specified: ApparentImpedance | None
 
     @property
     def unit(self) -> str:
@@ -224,7 +224,7 @@ def _unit_vector(direction: ArrayLike) -> Float64Array:
 # -------------------------------------------------------------------- what the law specifies
 
 
-def _specified(law: Law, x: Snapshot, reach: Float64Array) -> FeltImpedance | None:
+def _specified(law: Law, x: Snapshot, reach: Float64Array) -> ApparentImpedance | None:
     """What a law makes the arm's tool feel like, in the directions that the tool can move in.
 
     None where it specifies nothing: another tool than the arm's, or an inertia D for a tool that would have to leave
@@ -237,14 +237,14 @@ def _specified(law: Law, x: Snapshot, reach: Float64Array) -> FeltImpedance | No
     """
     if getattr(law, "tool", None) not in (None, x.arm.tool):
         return None
-    apparent = felt_impedance(law, x)
+    apparent = law.apparent_impedance(x)
     if apparent is None:
         return None
     matrices = apparent.D, apparent.B, apparent.K
     if vars(bare(law)).get("D") is not None and not all(_stays(C, reach) for C in matrices):
         return None
     D, B, K = (reach @ reach.T @ C @ reach @ reach.T for C in matrices)
-    return FeltImpedance(D=D, B=B, K=K)
+    return ApparentImpedance(D=D, B=B, K=K)
 
 
 def _stays(gain: Float64Array, reach: Float64Array) -> bool:

@@ -26,6 +26,7 @@ __all__ = [
     "LETTER",
     "SMALL",
     "WIDTH",
+    "LineStyle",
     "colour",
     "dashes",
     "legend_above",

@@ -48,7 +48,7 @@ from taut.book.page import (
     rows,
     words,
 )
-from taut.control.law import MemoryView
+from taut.control.gains import MemoryView
 from taut.control.trajectories.reference import Sample
 from taut.drives import Actuation, Transmission
 from taut.environments import Environment, Field, Hand

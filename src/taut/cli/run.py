@@ -114,8 +114,7 @@ DOCTOR: Final = Command(
 def _report(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
     from taut.record.log.files import checked_target
     from taut.record.log.reading import load_run
-    from taut.record.report import report
-    from taut.record.run_report import faults_of
+    from taut.record.report import faults_of, report
 
     checked_target("report", arguments.out, (".html", ".htm"))
     run = load_run(arguments.run)

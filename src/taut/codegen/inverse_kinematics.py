@@ -9,8 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from taut.arm.angles import TURN, require_radians
 from taut.arm.description import Arm
+from taut.arm.parts import TURN, require_radians
 from taut.base.checks import one_of, positive_scalar, require_range, vector
 from taut.base.errors import RangeError, UsageError, count_of
 from taut.base.types import ArrayLike, Float64Array

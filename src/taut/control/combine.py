@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any, Self
 from taut.base.errors import MatchError, UsageError
 from taut.base.fields import Declared, Part
 from taut.control.command import Command
-from taut.control.law import Law, MemoryView, call, initial_memory
+from taut.control.gains import MemoryView
+from taut.control.law import Law, call, initial_memory
 from taut.control.trajectories.reference import Reference, Sample
 from taut.maths.snapshot import Snapshot
 
 if TYPE_CHECKING:
-    from taut.control.closed_loop import ClosedLoop
+    from taut.control.closed_loop import ApparentImpedance, ClosedLoop
     from taut.control.tasks.task import Task
 
 __all__ = ["Sum", "Wrapper", "added", "all_laws", "bare", "law_classes", "title"]
@@ -110,6 +111,9 @@ class Wrapper(Law, abstract=True):
         """That of the law that is wrapped."""
         inner = self.law.closed_loop(x)
         return inner and inner.held_by(lambda law, _: self._replaced({"law": law}))
+
+    def apparent_impedance(self, x: Snapshot) -> ApparentImpedance | None:
+        return self.law.apparent_impedance(x)
 
     def declared_parts(self) -> dict[str, Declared]:
         own = {name: part for name, part in Declared.declared_parts(self).items() if name != "law"}

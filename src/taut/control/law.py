@@ -8,103 +8,25 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Self
 
 import numpy as np
 
-from taut.base.errors import ShapeError, TraceError, UsageError, unknown_name, user_location
-from taut.base.fields import REQUIRED, Declaration, Declared, Part
+from taut.base.errors import ShapeError, TraceError, UsageError
+from taut.base.fields import Declaration, Declared, Part
+from taut.base.paths import unflatten
 from taut.control.command import Command
-from taut.control.gains import Gain, GainValue, Memory
+from taut.control.gains import GainValue, LawMemory, MemoryView, Remembers
 from taut.control.trajectories.reference import JointMotion, Reference, Sample
 from taut.maths.snapshot import Snapshot
 from taut.trace.array import has_symbols, traced_array
 
 if TYPE_CHECKING:
-    from taut.control.closed_loop import ClosedLoop
+    from taut.control.closed_loop import ApparentImpedance, ClosedLoop
     from taut.control.tasks.task import Task
 
-__all__ = ["Law", "LawMemory", "Remembers", "call", "initial_memory"]
-
-LawMemory = Mapping[str, Any]
-"""Memory by name; a law that holds laws has theirs under their names."""
-
-
-class MemoryView:
-    """Memory as law code reads it: `memory.e_int`, and that of a law it holds: `memory.inner.e_int`."""
-
-    __slots__ = ("_law", "_values")
-
-    def __init__(self, values: LawMemory, law: str) -> None:
-        self._values = values
-        self._law = law
-
-    def __getattr__(self, name: str) -> Any:
-        if name not in self._values:
-            raise unknown_name(f"the memory of {self._law}", "entry", name, self._values)
-        value = self._values[name]
-        return MemoryView(value, f"{self._law}.{name}") if isinstance(value, Mapping) else value
-
-    def __getitem__(self, name: str) -> Any:
-        return self._values[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._values)
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        if name in self.__slots__:
-            object.__setattr__(self, name, value)
-            return
-        raise UsageError(
-            f"memory.{name} of {self._law} is set at {user_location()}; memory is not changed: return the new one "
-            f"with the command, {{'{name}': ...}}",
-            name=name,
-        )
-
-
-class Remembers(Declared):
-    """A declared object with memory of its own: a law, or a part of laws such as the integral of an error."""
-
-    memories: ClassVar[Mapping[str, Memory]] = {}
-
-    def __init_subclass__(cls) -> None:
-        annotations = dict(inspect.get_annotations(cls))
-        for name, annotation in list(annotations.items()):
-            word = annotation if isinstance(annotation, str) else getattr(annotation, "__name__", "")
-            given = cls.__dict__.get(name, REQUIRED)
-            if word.rpartition(".")[2] == "Memory":  # e_int: Memory = Memory(0.0): no field of the dataclass
-                if name in dir(cls.__mro__[1]):
-                    raise reserved(cls, name)
-                setattr(
-                    cls, name, given if isinstance(given, Memory) else Memory(0.0 if given is REQUIRED else given)
-                )
-                del annotations[name]
-        cls.__annotations__ = annotations
-        cls.memories = {name: value for name, value in vars(cls).items() if isinstance(value, Memory)}
-        super().__init_subclass__()
-
-    @classmethod
-    def declaration_of(cls, name: str, annotation: str, default: Any) -> Declaration[Any]:
-        """`kp: Gain` and `kp: Gain = 5.0` are gains, `inner: Law` holds a law; anything else is a plain field."""
-        kind, _, none = annotation.partition(" | ")
-        word = kind.rpartition(".")[2]
-        if word == "Gain":
-            return Gain(default, optional=none == "None")
-        if word == "Law":
-            return Part(Law, default=default, optional=none == "None")
-        return super().declaration_of(name, annotation, default)
-
-    def check_rate(self, rate: float) -> None:
-        """Refuse gains that have no meaning at this rate [Hz], with a TautError."""
-
-    def every_memory(self) -> dict[str, Memory]:
-        """Declared memory by path, that of parts below their names; not that of laws that are held."""
-        out = dict(self.memories)
-        for name, part in self.declared_parts().items():
-            if isinstance(part, Remembers) and not isinstance(part, Law):
-                out |= {f"{name}.{path}": memory for path, memory in part.every_memory().items()}
-        return out
+__all__ = ["Law", "call", "initial_memory"]
 
 
 class Law(Remembers):
@@ -172,6 +94,18 @@ class Law(Remembers):
 
     # ---------------------------------------------------------------- its parts
 
+    @classmethod
+    def declaration_of(cls, name: str, annotation: str, default: Any) -> Declaration[Any]:
+        """`inner: Law` and `inner: Law | None` hold a law, `kp: Gain` is a gain; anything else is a plain field."""
+        kind, _, none = annotation.partition(" | ")
+        if kind.rpartition(".")[2] == "Law":
+            return Part(Law, default=default, optional=none == "None")
+        return super().declaration_of(name, annotation, default)
+
+    def parts_with_memory(self) -> dict[str, Remembers]:
+        """Not the laws that it holds, whose memory is their own."""
+        return {name: part for name, part in super().parts_with_memory().items() if not isinstance(part, Law)}
+
     def children(self) -> dict[str, Law]:
         """The laws that this law holds, by field."""
         return {name: value for name in self.declared if isinstance(value := self.__dict__[name], Law)}
@@ -226,6 +160,10 @@ class Law(Remembers):
 
         None for a law that states none; `taut.tune` finds its gains.
         """
+        return None
+
+    def apparent_impedance(self, x: Snapshot) -> ApparentImpedance | None:  # noqa: ARG002
+        """What the tool feels like about a state, in plain numbers; None for a law that promises nothing of it."""
         return None
 
     def at_rest(self, x: Snapshot) -> Sample:
@@ -302,29 +240,13 @@ def _takes_memory(cls: type[Law]) -> bool:
     return len(names) == 5
 
 
-def reserved(cls: type, name: str) -> UsageError:
-    """The error for a field or memory with the name of a method."""
-    return UsageError(
-        f"{cls.__name__}: '{name}' is a word of {cls.__mro__[1].__name__} itself; give the field another name",
-        name=name,
-    )
-
-
 # -------------------------------------------------------------------- running a law
 
 
 def initial_memory(law: Law, x: Snapshot, ref: Sample) -> dict[str, Any]:
     """Memory at the first tick: stated values, that of laws it holds, what `start` makes of the measured state."""
-    return {**_declared_memory(law), **law.memory_of_children(x, ref), **law.start(x, ref)}
-
-
-def _declared_memory(part: Remembers) -> dict[str, Any]:
-    """Stated values, nested by part."""
-    out: dict[str, Any] = {name: memory.initial for name, memory in part.memories.items()}
-    for name, inner in part.declared_parts().items():
-        if isinstance(inner, Remembers) and not isinstance(inner, Law) and inner.every_memory():
-            out[name] = _declared_memory(inner)
-    return out
+    stated = unflatten({path: memory.initial for path, memory in law.every_memory().items()})
+    return {**stated, **law.memory_of_children(x, ref), **law.start(x, ref)}
 
 
 def call(law: Law | Task, x: Snapshot, ref: Sample, memory: LawMemory, dt: Any) -> tuple[Command, dict[str, Any]]:

@@ -10,7 +10,8 @@ from taut.arm.description import Arm
 from taut.base.errors import MatchError, UsageError, unknown_name
 from taut.base.types import Array
 from taut.control.command import Command, Terms
-from taut.control.law import Law, MemoryView, call
+from taut.control.gains import MemoryView
+from taut.control.law import Law, call
 from taut.control.trajectories.compound import joined, require_part_name, together_kind
 from taut.control.trajectories.reference import Sample
 from taut.maths.model import Model, model_of

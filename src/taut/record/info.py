@@ -1,4 +1,4 @@
-"""RunInfo: what a run was made with, as data that a log keeps."""
+"""RunInfo and Outcome: what a run was made with and how it ended, as data that a log keeps."""
 
 from __future__ import annotations
 
@@ -8,24 +8,121 @@ import platform
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
-from typing import Any, Final
+from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
 
 from taut.arm.description import BASE, Arm
 from taut.arm.rules import indefinite
 from taut.base.types import Float64Array
-from taut.control.laws.apparent import FeltImpedance
+from taut.control.closed_loop import ApparentImpedance
 from taut.maths.chain import Chain
-from taut.record.film.surroundings import Around
-from taut.record.plain import plain
 
-__all__ = ["Change", "PartInfo", "RunInfo", "ScenarioInfo", "Stability", "check_info", "differences", "versions"]
+__all__ = [
+    "POSES",
+    "Around",
+    "Change",
+    "Mesh",
+    "Outcome",
+    "PartInfo",
+    "RunInfo",
+    "ScenarioInfo",
+    "Shape",
+    "ShapeKind",
+    "Stability",
+    "Thing",
+    "check_info",
+    "versions",
+]
 
-NO_DYNAMICS: Final = ("name", "home", "links")  # of an arm: no motion depends on them, once a run has begun
-UNNAMED: Final = ("placement", "T_WB", "payload")  # numbers of which a difference is named as a whole
+POSES: Final = "scene.poses"  # column of a run: (m, 7) position [m] and quaternion wxyz of each thing that moves
 PACKAGES: Final = ("numpy", "llvmlite", "mujoco")
 PAYLOAD_SHAPES: Final[Mapping[str, tuple[int, ...]]] = {"mass": (), "com": (3,), "inertia": (6,)}
+
+
+OutcomeKind: TypeAlias = Literal["completed", "diverged", "stopped"]
+ShapeKind: TypeAlias = Literal["plane", "box", "sphere", "ellipsoid", "cylinder", "capsule", "mesh"]
+Numbers: TypeAlias = tuple[float, ...]
+
+
+# -------------------------------------------------------------------- what stands around an arm, to be seen in films
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape:
+    """A shape on a thing."""
+
+    kind: ShapeKind
+    size: Numbers  # (3,) [m] halves, as MuJoCo has them: of a cylinder radius and half its length
+    p: Numbers = (0.0, 0.0, 0.0)  # [m] in the thing
+    wxyz: Numbers = (1.0, 0.0, 0.0, 0.0)
+    rgba: Numbers = (0.5, 0.5, 0.5, 1.0)
+    mesh: int = -1  # number of its mesh
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thing:
+    """What has one pose: at rest in the world, on the tool, or moving."""
+
+    shapes: tuple[Shape, ...]
+    p: Numbers = (0.0, 0.0, 0.0)  # [m] in the world, where it rests or begins
+    wxyz: Numbers = (1.0, 0.0, 0.0, 0.0)
+    row: int | None = None  # of the column, where its pose is recorded
+    on_tool: bool = False  # at the arm's tool, and in its axes
+    times: Numbers = ()  # [s] of a motion that is known beforehand
+    shifts: tuple[Numbers, ...] = ()  # (3,) [m] each, in the world: where it is then, from where it begins
+
+    @property
+    def moves(self) -> bool:
+        """Whether it does by itself."""
+        return self.row is not None or bool(self.times)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Mesh:
+    """Triangles."""
+
+    vertices: Float64Array  # (m, 3) [m]
+    faces: Float64Array  # (f, 3) whole numbers
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Around:
+    """All of it."""
+
+    things: tuple[Thing, ...] = ()
+    meshes: tuple[Mesh, ...] = ()
+    missing: tuple[str, ...] = ()  # what stands there too and has no shape here, in words
+
+    def __bool__(self) -> bool:
+        return bool(self.things or self.missing)
+
+
+# -------------------------------------------------------------------- what a run was made with, and how it ended
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """How a run ended: completed, diverged, or stopped for a stated reason."""
+
+    kind: OutcomeKind
+    message: str
+    tick: int  # the last tick that was recorded
+    joint: str | None = None
+    dropped: int = 0  # ticks that are in the record and not in the log, which could not be written
+
+    @property
+    def ok(self) -> bool:
+        """Whether the run went to its end."""
+        return self.kind == "completed"
+
+    def __str__(self) -> str:
+        return self.message
+
+    def json(self) -> dict[str, Any]:
+        """As plain values."""
+        values = {"kind": self.kind, "message": self.message, "tick": self.tick, "joint": self.joint}
+        return values if not self.dropped else {**values, "dropped": self.dropped}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,7 +152,7 @@ class PartInfo:
     """One of the laws side by side, or one phase of a task."""
 
     tool: Chain
-    impedance: FeltImpedance | None = None
+    impedance: ApparentImpedance | None = None
     joints: tuple[str, ...] = ()  # of laws side by side: its own
     follows: str | None = None  # of a phase: the part of the reference
 
@@ -88,7 +185,7 @@ class RunInfo:
     stability: Stability | None = None
     limits: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # "effort", "velocity" by joint
     tool: Chain | None = None  # the joints that carry the frame that the law controls
-    impedance: FeltImpedance | None = None  # what the law promises at the tool where F_ext is measured
+    impedance: ApparentImpedance | None = None  # what the law promises at the tool where F_ext is measured
     parts: Mapping[str, PartInfo] = field(default_factory=dict)  # of laws side by side
     phases: Mapping[str, PartInfo] = field(default_factory=dict)  # of a task
     around: Around = field(default_factory=Around)  # what stood around the arm, to draw
@@ -130,7 +227,7 @@ def _reaches(chain: Chain, n: int) -> bool:
     return chain.n == n and all(0 <= link.joint < n for link in chain.links)
 
 
-def _has_mass(impedance: FeltImpedance | None) -> bool:
+def _has_mass(impedance: ApparentImpedance | None) -> bool:
     return impedance is None or bool(np.linalg.eigvalsh(impedance.D)[0] > 0.0)
 
 
@@ -149,22 +246,6 @@ def _is_possible(arm: Arm | None, n: int) -> bool:
         return False
     with np.errstate(invalid="ignore", over="ignore"):  # a mass may be negative or huge
         return indefinite(arm) is None
-
-
-def differences(one: Arm, other: Arm) -> tuple[str, ...]:
-    """Names of the numbers in which the dynamics of two arms differ, such as gear, mass, axis."""
-    return tuple(dict.fromkeys(name for name in _different(plain(one), plain(other)) if name not in NO_DYNAMICS))
-
-
-def _different(one: Any, other: Any, name: str = "") -> Iterator[str]:
-    if isinstance(one, Mapping) and isinstance(other, Mapping):
-        for key in {**one, **other}:
-            yield from _different(one.get(key), other.get(key), name if name in UNNAMED else key)
-    elif isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
-        for a, b in zip(one, other, strict=True):
-            yield from _different(a, b, name)
-    elif one != other:
-        yield name
 
 
 @functools.cache

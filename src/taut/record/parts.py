@@ -14,7 +14,7 @@ from taut.base.types import Float64Array
 from taut.control.tasks.phase import STOP
 from taut.control.tasks.task import ENDED, NO_CONTACT
 from taut.control.trajectories.compound import PhaseSample
-from taut.record.outcome import Outcome
+from taut.record.info import Outcome
 
 if TYPE_CHECKING:
     from taut.record.run import Run

@@ -5,32 +5,37 @@ from __future__ import annotations
 import base64
 import dataclasses
 import io
+import json
 import os
 import re
 from collections.abc import Iterator, Mapping
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from taut.base.errors import UsageError
+import numpy as np
+
+from taut.base.errors import UsageError, count_of
+from taut.base.plot_style import short
 from taut.base.result import Content, Result, Table, cell_text
-from taut.record.info import versions
+from taut.record.info import ScenarioInfo, versions
 from taut.record.log.files import checked_target, written_aside
+from taut.record.plain import plain
 from taut.record.run import Run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["content_of", "html_of", "report", "without_folders"]
+__all__ = ["content_of", "content_of_run", "faults_of", "html_of", "report", "without_folders"]
 
-MAX_REPORT_BYTES: Final = 3_000_000
-RESOLUTIONS: Final = (160, 120, 90, 60)  # [dots per inch], the first one that fits
+RESOLUTION: Final = 120  # [dots per inch]
+MIN_TICKS_OF_REPORT: Final = 2
+LATE: Final = 1.5  # periods between two ticks that follow each other
+MAX_VALUE_LETTERS: Final = 400  # of a value
 STYLE: Final = """
-:root { color-scheme: light dark; --ink: #1c1c1c; --paper: #fff; --line: #d0d0d0; --soft: #f4f4f4; --bad: #a40000;
-  --edge: rgba(0, 0, 0, .35); }
+:root { color-scheme: light dark; --ink: #1c1c1c; --paper: #fff; --line: #d0d0d0; --soft: #f4f4f4; --bad: #a40000; }
 @media (prefers-color-scheme: dark) {
-  :root { --ink: #e6e6e6; --paper: #17181a; --line: #44474b; --soft: #222427; --bad: #ff8a80;
-    --edge: rgba(255, 255, 255, .35); }
+  :root { --ink: #e6e6e6; --paper: #17181a; --line: #44474b; --soft: #222427; --bad: #ff8a80; }
 }
 * { box-sizing: border-box; }
 body { margin: 0 auto; max-width: 62rem; padding: 1rem; background: var(--paper); color: var(--ink);
@@ -40,12 +45,8 @@ h2 { font-size: 1.1rem; margin: 2rem 0 .5rem; border-bottom: 1px solid var(--lin
 .fault { border-left: .3rem solid var(--bad); padding: .2rem .8rem; background: var(--soft); }
 .fault, h1, p { overflow-wrap: anywhere; }
 .fault b { color: var(--bad); }
-.wide, pre { overflow-x: auto; background-repeat: no-repeat; background-attachment: local, local, scroll, scroll;
-  background-size: 2.5rem 100%, 2.5rem 100%, .8rem 100%, .8rem 100%; background-position: 0 0, 100% 0, 0 0, 100% 0;
-  background-image: linear-gradient(to right, var(--under) 40%, transparent),
-    linear-gradient(to left, var(--under) 40%, transparent),
-    linear-gradient(to right, var(--edge), transparent), linear-gradient(to left, var(--edge), transparent); }
-.wide { --under: var(--paper); margin: .5rem 0 1rem; }
+.wide, pre { overflow-x: auto; }
+.wide { margin: .5rem 0 1rem; }
 table { border-collapse: collapse; font-size: .875rem; }
 caption { text-align: left; font-weight: 600; padding: .3rem 0; }
 th, td { padding: .2rem .7rem .2rem 0; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line); }
@@ -54,7 +55,7 @@ td { overflow-wrap: break-word; }
 .w { min-width: 6.5rem; }
 @media (min-width: 40rem) { td.w:first-child { white-space: nowrap; } }
 .note { font-size: .875rem; margin-top: -.6rem; }
-pre { --under: var(--soft); background-color: var(--soft); padding: .7rem; white-space: pre;
+pre { background: var(--soft); padding: .7rem; white-space: pre;
   font: .8rem/1.4 ui-monospace, Consolas, "Liberation Mono", monospace; }
 .again { white-space: pre-wrap; overflow-wrap: anywhere; }
 th.n { white-space: normal; }
@@ -63,7 +64,7 @@ figure img { width: 100%; min-width: 40rem; height: auto; background: #fff; disp
 @media print {
   :root { --ink: #000; --paper: #fff; --line: #bbb; --soft: #f4f4f4; --bad: #a40000; }
   body { max-width: none; padding: 0; font-size: 10pt; }
-  .wide, pre { overflow: visible; background-image: none; }
+  .wide, pre { overflow: visible; }
   table { font-size: 7.5pt; }
   th, td { padding-right: .4rem; overflow-wrap: anywhere; }
   .n, td.w:first-child { white-space: normal; }
@@ -128,17 +129,109 @@ def content_of(x: object, *, title: str = "", repeat: str = "") -> Content:
     return dataclasses.replace(content, title=title or content.title, repeat=repeat or content.repeat)
 
 
+# -------------------------------------------------------------------- of a run
+
+
+def content_of_run(run: Run) -> Content:
+    """What the report of a run holds.
+
+    Args:
+        run: The run.
+
+    Raises:
+        UsageError: It has no two ticks.
+    """
+    if len(run) < MIN_TICKS_OF_REPORT:
+        raise UsageError(
+            f"a report needs a run of {MIN_TICKS_OF_REPORT} ticks at least; got {len(run)}: {run.outcome}", name="run"
+        )
+    info, scenario = run.info, run.info.scenario
+    title = f"{short(info.law or 'a law', 100)} on {info.plant or 'a plant'}"
+    if scenario is not None:
+        title = f"{scenario.name}: {scenario.law}{f', case {scenario.case!r}' if scenario.case else ''}"
+    span = float(run.t[-1] - run.t[0])
+    return Content(
+        title=title,
+        summary=(
+            f"{len(run)} ticks at {run.rate:g} Hz, {span:g} s, {count_of(run.n, 'joint')}. "
+            f"{str(run.outcome)[:1].upper()}{str(run.outcome)[1:]}.",
+        ),
+        faults=faults_of(run),
+        tables=tuple(_tables(run)),
+        figures={"The run over time": run.plot},
+        settings=_settings(run),
+        texts={"Scenario": scenario.text} if scenario is not None and scenario.text else {},
+        repeat=_missing(run) if scenario is None else _command(scenario),
+        versions=info.versions,
+    )
+
+
+def faults_of(run: Run) -> tuple[str, ...]:
+    """Why a run is no whole one: a fault, gaps."""
+    faults = [] if run.outcome.ok else [f"{run.outcome}. The numbers below are those of what came before."]
+    gaps = np.flatnonzero(np.diff(run.t) > LATE / run.rate)
+    if gaps.size:
+        first = f"from t = {run.t[gaps[0]]:g} to {run.t[gaps[0] + 1]:g} s"
+        count = "a gap," if gaps.size == 1 else f"{gaps.size} gaps, the first"
+        faults.append(f"The run has {count} {first}; numbers that are sums or means leave them out.")
+    return tuple(faults)
+
+
+def _tables(run: Run) -> Iterator[Table]:
+    yield from run.metrics.content().tables
+    if run.info.phases:
+        windows = [(w.name, w.start, w.end, w.ended) for w in run.phases]
+        yield Table(title="Phases", columns=("phase", "start [s]", "end [s]", "what ended it"), rows=windows)
+
+
+def _settings(run: Run) -> dict[str, str]:
+    """What is known of a run, as text by name."""
+    info = run.info
+    said: dict[str, Any] = {
+        "law": info.law,
+        "arm of the controller": info.arm,
+        "plant": info.plant,
+        "limits of the controller": info.command_limits,
+        "sensing": info.sensing,
+        "reference": f"{type(run.reference).described()}, tick by tick in the log",
+        "start": f"q = {_value(run.q[0])}, v = {_value(run.v[0])}",
+        "command": run.kind,
+        "seed": info.seed,
+        "events": "; ".join(f"at {event.t:g} s: {_value(event.set)}" for event in info.events) or "none",
+    }
+    said = {name: value for name, value in said.items() if value not in (None, "")}
+    said |= {f"{name} limits of the arm": values for name, values in info.limits.items() if values}
+    return {name: _value(value) for name, value in (said | dict(info.parameters)).items()}
+
+
+def _missing(run: Run) -> str:
+    """What a run that was made in Python does not record, and a repeat needs."""
+    known = {"the seed": run.info.seed, "the arms": run.info.controller_arm}
+    missing = [*(name for name, value in known.items() if value is None), "the objects of law, plant and reference"]
+    return f"not recorded: {', '.join(missing)} with your own functions; settings and log have their numbers"
+
+
+def _command(scenario: ScenarioInfo) -> str:
+    """The command that repeats a run of a scenario."""
+    if ".py:" in scenario.law:
+        return f"taut run {scenario.name} --law {scenario.law} --gain NAME=VALUE   # the gains of the law above"
+    return (
+        f"taut run {scenario.name}" if scenario.built_in else f"taut run {scenario.name}.toml   # with the text above"
+    )
+
+
+def _value(value: Any) -> str:
+    """A value in one line, with six digits."""
+    rounded = json.loads(json.dumps(plain(value)), parse_float=lambda digits: float(f"{float(digits):.6g}"))
+    return short(value if isinstance(value, str) else json.dumps(rounded, ensure_ascii=False), MAX_VALUE_LETTERS)
+
+
 # -------------------------------------------------------------------- as HTML
 
 
 def html_of(content: Content) -> str:
-    """The whole file, of at most three megabytes: pictures are as sharp as that allows."""
-    figures = {title: draw() for title, draw in content.figures.items()}
-    for dpi in RESOLUTIONS:
-        text = "\n".join(_lines(content, figures, dpi))
-        if len(text.encode()) < MAX_REPORT_BYTES:
-            break
-    return text
+    """The whole file."""
+    return "\n".join(_lines(content))
 
 
 def _text(text: str) -> str:
@@ -149,7 +242,7 @@ def _text(text: str) -> str:
     return escape(without_folders(kept))
 
 
-def _lines(content: Content, figures: Mapping[str, Figure], dpi: int) -> Iterator[str]:
+def _lines(content: Content) -> Iterator[str]:
     yield "<!DOCTYPE html>"
     yield '<html lang="en">'
     yield '<head><meta charset="utf-8">'
@@ -170,10 +263,10 @@ def _lines(content: Content, figures: Mapping[str, Figure], dpi: int) -> Iterato
         yield from _table(table)
     for note in content.notes:
         yield f"<p>{_text(note)}</p>"
-    if figures:
+    if content.figures:
         yield "<h2>Pictures</h2>"
-    for title, figure in figures.items():
-        yield _picture(title, figure, dpi)
+    for title, draw in content.figures.items():
+        yield _picture(title, draw())
     if content.settings:
         yield "<h2>Settings</h2>"
         yield from _pairs("setting", "value", content.settings)
@@ -194,7 +287,7 @@ def _pairs(name: str, value: str, pairs: Mapping[str, str]) -> Iterator[str]:
 
 
 def _table(table: Table) -> Iterator[str]:
-    """A table that scrolls by itself where the page is narrow, with a shade where more of it is."""
+    """A table that scrolls by itself where the page is narrow."""
     label = f' role="region" aria-label="{_text(table.title)}"' if table.title else ""
     yield f'<div class="wide" tabindex="0"{label}><table>'
     if table.title:
@@ -212,9 +305,9 @@ def _table(table: Table) -> Iterator[str]:
         yield f'<p class="note">{_text(table.note)}</p>'
 
 
-def _picture(title: str, figure: Figure, dpi: int) -> str:
+def _picture(title: str, figure: Figure) -> str:
     data = io.BytesIO()
-    figure.savefig(data, format="png", dpi=dpi, facecolor="white", metadata={"Software": None})
+    figure.savefig(data, format="png", dpi=RESOLUTION, facecolor="white", metadata={"Software": None})
     encoded = base64.b64encode(data.getvalue()).decode()
     title = _text(title)
     return (

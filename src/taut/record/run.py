@@ -8,19 +8,18 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from taut.arm.angles import short_way
 from taut.arm.description import Arm
+from taut.arm.parts import short_way
 from taut.base.checks import finite_scalar
 from taut.base.errors import RangeError, UsageError, count_of
 from taut.base.paths import Named
 from taut.base.types import Float64Array
 from taut.control.trajectories.reference import Sample
-from taut.record.info import RunInfo
-from taut.record.outcome import Outcome
+from taut.record.info import Outcome, RunInfo
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -152,7 +151,7 @@ class Run:
         Raises:
             UsageError: It has no two ticks.
         """
-        from taut.record.run_report import content_of_run
+        from taut.record.report import content_of_run
 
         return content_of_run(self)
 
@@ -236,7 +235,7 @@ class Run:
         Raises:
             UnknownNameError: The run has no such joint.
         """
-        from taut.record.plots.run_plot import plot
+        from taut.record.run_plot import plot
 
         return plot(self, joints=joints)
 
@@ -248,7 +247,6 @@ class Run:
         size: tuple[int, int] = (640, 480),
         speed: float = 1.0,
         camera: tuple[float, float] | None = None,
-        focus: Literal["arm", "tool"] = "arm",
         arm: Arm | None = None,
         progress: bool | None = None,
     ) -> Path:
@@ -264,7 +262,6 @@ class Run:
             speed: How fast the film plays; 2.0 is twice as fast as it was.
             camera: Azimuth and elevation [deg] of the direction of view, from the x axis towards y, and upwards; by
                 default one from which what stands around does not hide the tool.
-            focus: What the picture holds: all that the "arm" does, or where its "tool" goes.
             arm: The arm to draw; the plant's by default. A run from a file needs it.
             progress: Show progress; by default on a terminal when it takes a while.
 
@@ -275,9 +272,8 @@ class Run:
             FileError: Another suffix, no such folder, no ffmpeg.
             MissingExtraError: No OpenGL works here.
             UsageError: The run does not know its arm.
-            UnknownNameError: Another focus.
         """
-        from taut.record.film.video import film
+        from taut.record.film import film
 
         return film(
             self,
@@ -286,7 +282,6 @@ class Run:
             size=size,
             speed=speed,
             camera=camera,
-            focus=focus,
             arm=arm,
             progress=progress,
         )

@@ -10,7 +10,7 @@ from taut.arm.description import Arm
 from taut.base.errors import unknown_name
 from taut.base.types import ArrayLike, Float64Array
 from taut.plant.sensors import Sensors
-from taut.record.film.surroundings import Around
+from taut.record.info import Around
 
 __all__ = ["PlantBase"]
 

@@ -22,7 +22,7 @@ from taut.controller import Controller, take_up_change
 from taut.loop import DT, Loop, sensed_of
 from taut.maths.snapshot import Snapshot
 from taut.plant.contact import check_force_feedback
-from taut.record.outcome import Outcome
+from taut.record.info import Outcome
 from taut.record.run import Run
 from taut.runtime.events import Schedule
 from taut.runtime.host import PlantBase

@@ -22,8 +22,7 @@ from taut.control.trajectories.force_reference import HybridMotion
 from taut.control.trajectories.samples import Chunk
 from taut.loop import AnyPlant
 from taut.maths.snapshot import Snapshot
-from taut.record.info import RunInfo
-from taut.record.outcome import Outcome
+from taut.record.info import Outcome, RunInfo
 from taut.record.parts import PhaseWindow, outcome_with_phases, windows
 from taut.record.run import Run
 

@@ -6,12 +6,12 @@ import os
 from pathlib import Path
 from typing import Final
 
-from taut.arm.builtin import BUILT_IN, COMMANDS, one_joint_tree
+from taut.arm.builtin import BUILT_IN, one_joint_tree
 from taut.arm.catalogue import CATALOGUE, PATTERN
 from taut.arm.change import joints_replaced
 from taut.arm.description import Arm
 from taut.arm.friction import Friction
-from taut.arm.load import OpenedModel, arm_of, load_arm, open_model
+from taut.arm.load import arm_of, load_arm, open_model
 from taut.scenarios.reading import Table, read
 from taut.trace.pose import Pose
 
@@ -27,13 +27,13 @@ def read_arm(table: Table) -> Arm:
     model, link = table.text("model"), table.table("link")
     if not link.values:
         with table.blamed("model"):
-            opened = open_model(_model(table))
+            tree = open_model(_model(table))
     elif model == "one_joint":
-        opened = OpenedModel(tree=read(one_joint_tree, link), commands=COMMANDS)
+        tree = read(one_joint_tree, link)
     else:
         raise table.error(f"is for the model 'one_joint'; got model '{model}'", "link")
     others = ("model", "link", "tool_offset", *CHANGES)
-    arm: Arm = read(arm_of, table, others=others, blame="model", opened=opened)
+    arm: Arm = read(arm_of, table, others=others, blame="model", tree=tree)
     if friction_word(table, "none") == "none":
         arm = arm.with_friction(Friction())
     if "tool_offset" in table:

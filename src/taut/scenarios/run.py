@@ -15,10 +15,10 @@ from typing import Any, Final
 from taut.base.errors import FileError, MissingExtraError, ScenarioError, TautError, UsageError, warn
 from taut.base.result import Cell, Content, Result, Table
 from taut.controller import Controller, compile
+from taut.record.comparison_plot import compare, spread_figure
 from taut.record.info import ScenarioInfo
 from taut.record.log.files import checked_target, written_aside
 from taut.record.metrics import METRICS, Metrics
-from taut.record.plots.comparison import compare, spread_figure
 from taut.record.run import Run
 from taut.runtime.simulate import run
 from taut.scenarios.scenario import FILES, PassFigure, Scenario, Trial

@@ -13,7 +13,7 @@ import numpy as np
 
 from taut.analysis.diagnosis.model import ArmModel, Fit, fit_residual
 from taut.analysis.diagnosis.spectrum import Oscillation, find_oscillation
-from taut.arm.angles import short_way
+from taut.arm.parts import short_way
 from taut.base.errors import UsageError
 from taut.base.plot_style import INK, WIDTH, colour, line, prepared
 from taut.base.types import Array, Float64Array
@@ -90,7 +90,7 @@ class Finding:
         cause: What happened, in a sentence.
         remedy: What to do about it, in a sentence.
         note: What else is known of it.
-        phase: Of a task, the phases in which it was found.
+        part: The phases of a task, or the one of laws side by side, in which it was found.
     """
 
     term: str
@@ -106,7 +106,7 @@ class Finding:
     cause: str = ""
     remedy: str = ""
     note: str = ""
-    phase: str | None = None
+    part: str | None = None
 
     def plot(self) -> Figure:
         """The signals over time as a matplotlib Figure."""
@@ -128,7 +128,7 @@ class Finding:
 
     def __str__(self) -> str:
         where = "" if self.joint is None else f" at '{self.joint}'"
-        where += "" if self.phase is None else f" in {self.phase}"
+        where += "" if self.part is None else f" in {self.part}"
         after = f", a consequence of '{self.follows[0]}'" if self.follows else ""
         return (
             f"{self.name}{where} (term {self.term}, {100.0 * self.fraction:.0f} % of {self.of}{after}): "
@@ -207,7 +207,7 @@ class ExaminedRun:
     """A run as the doctor's checks see it.
 
     Args:
-        run: The recorded run, without gaps; of a task, one visit to a phase.
+        run: The recorded run, without gaps; of a task one visit to a phase, of laws side by side one of them.
         model: The model that its controller had; None where it is not known.
         threshold: The thresholds of all checks by name, and those that they share.
         ran_away: Whether the loop left its limits for good, so that the end of the run was cut off.
@@ -283,11 +283,9 @@ class ExaminedRun:
         """(k, n) error of the joints [rad | m], desired minus actual; of a task J^+ X_e.
 
         Of a law that promises an impedance: against the pose that the measured wrench should have moved the tool to.
-        Of laws side by side, each of its own. None of a law that controls a force, whose error of motion is only
+        None of a law that controls a force, whose error of motion is only
         known along its constraint.
         """
-        if self.run.info.parts:
-            return self._of_parts(lambda part: part.error)
         if self.run.error is not None or self.presses or not self.of_task:
             return None if self.presses else self.run.error
         task = self.run.task
@@ -298,17 +296,6 @@ class ExaminedRun:
         X = X if promised is None else X + promised
         return np.asarray(np.einsum("kij,kj->ki", np.linalg.pinv(task.J, rcond=1e-2), X))
 
-    def _of_parts(self, of: Callable[[ExaminedRun], Float64Array | None]) -> Float64Array | None:
-        """(k, n) what is known of each of several laws side by side, in the columns of their joints."""
-        out = np.zeros_like(self.run.q)
-        for name in self.run.info.parts:
-            own = self.run.part(name)
-            values = of(ExaminedRun(run=own, model=None, threshold=self.threshold))
-            if values is None:
-                return None
-            out[:, [self.run.joint_names.index(joint) for joint in own.joint_names]] = values
-        return out
-
     @cached_property
     def tolerance(self) -> Float64Array:
         """(n,) error of a joint that is tolerated: a fraction of its commanded motion, and 1 mm at the tool."""
@@ -316,10 +303,6 @@ class ExaminedRun:
         smallest = np.array([at_tool if unit == "m" else at_tool / self.length for unit in self.run.units])
         if self.error is None:
             return smallest
-        if self.run.info.parts:
-            of_parts = self._of_parts(lambda part: np.broadcast_to(part.tolerance, part.run.q.shape))
-            assert of_parts is not None
-            return np.asarray(of_parts[0])
         q = getattr(self.run.reference.motion, "q", None)
         path = self.run.q if q is None else short_way(np.asarray(q) - self.run.q[0], self.run.continuous)
         commanded = np.abs(self.error[0]) + np.ptp(path, axis=0)
@@ -333,10 +316,6 @@ class ExaminedRun:
     @cached_property
     def reference_speed(self) -> Float64Array:
         """(k, m) speed of the reference, of joints or of the tool; zeros where it rests."""
-        if self.run.info.parts:
-            speeds = self._of_parts(lambda part: np.abs(part.reference_speed).max(axis=1, keepdims=True))
-            assert speeds is not None
-            return speeds
         motion = self.run.reference.motion
         for name in ("v", "twist"):
             if getattr(motion, name, None) is not None:
@@ -346,10 +325,10 @@ class ExaminedRun:
     @cached_property
     def error_rate(self) -> Float64Array | None:
         """(k, n) time derivative of the error, which damping acts on; None where it is not known."""
-        v = None if self.run.info.parts else getattr(self.run.reference.motion, "v", None)
+        v = getattr(self.run.reference.motion, "v", None)
         if v is not None:
             return np.asarray(v - self.run.v, dtype=np.float64)
-        return None if self.run.info.parts or np.any(self.reference_speed) else -self.run.v
+        return None if np.any(self.reference_speed) else -self.run.v
 
     @cached_property
     def settled(self) -> Array:

@@ -14,9 +14,8 @@ from taut.analysis.diagnosis.check import Check, ExaminedRun, Finding
 from taut.analysis.diagnosis.checks import CHECKS, SHARED
 from taut.analysis.diagnosis.model import model_of_run
 from taut.arm.description import Arm
-from taut.base.errors import UsageError
+from taut.base.errors import MatchError, UsageError
 from taut.base.result import Content, Result, Table
-from taut.base.types import Float64Array
 from taut.record.run import Run
 
 if TYPE_CHECKING:
@@ -58,7 +57,7 @@ class Diagnosis(Result):
                 each.name,
                 each.term,
                 each.joint,
-                each.phase,
+                each.part,
                 100.0 * each.fraction,
                 each.of,
                 ", ".join(each.follows or ()),
@@ -69,7 +68,7 @@ class Diagnosis(Result):
         tables = (
             Table(
                 title="findings",
-                columns=("finding", "term", "joint", "phase", "explains [%]", "of", "consequence of"),
+                columns=("finding", "term", "joint", "part", "explains [%]", "of", "consequence of"),
                 rows=findings,
             ),
             Table(title="evidence", columns=("finding", "quantity", "value", "unit"), rows=evidence),
@@ -92,7 +91,8 @@ def doctor(run: Run, *, arm: Arm | None = None, checks: Sequence[Check] = CHECKS
 
     Each check is a test of physical quantities of the record against thresholds that stand in one table with unit and
     reason, see the page on the doctor. Of the parameters of the run only those of the controller are read, never
-    those of the plant, so that the record of a real arm is judged alike. A task is examined phase by phase.
+    those of the plant, so that the record of a real arm is judged alike. A task is examined phase by phase, and laws
+    side by side each by itself.
 
     Args:
         run: From `taut.run` or `taut.load_run`.
@@ -123,6 +123,15 @@ def doctor(run: Run, *, arm: Arm | None = None, checks: Sequence[Check] = CHECKS
     """
     if not isinstance(run, Run):
         raise UsageError(f"doctor takes a Run from taut.run or taut.load_run; got {type(run).__name__}", name="run")
+    if arm is not None:
+        if not isinstance(arm, Arm):  # callers without a type checker
+            raise UsageError(f"doctor takes arm= from taut.load_arm; got {type(arm).__name__}", name="arm")
+        if arm.joint_names != run.joint_names:
+            raise MatchError(
+                f"the run is of joints {', '.join(run.joint_names)}, and arm '{arm.name}' has "
+                f"{', '.join(arm.joint_names)}; give the arm that the controller was compiled for",
+                name="arm",
+            )
     wrong = [type(check).__name__ for check in checks if not isinstance(check, Check)]
     if wrong:
         raise UsageError(f"checks are taut.analysis.Check; got {wrong[0]}", name="checks")
@@ -141,9 +150,9 @@ def doctor(run: Run, *, arm: Arm | None = None, checks: Sequence[Check] = CHECKS
         problems.append(f"{len(kept)} ticks, {len(kept) / run.rate:.3g} s, are too short for most checks")
     found: dict[tuple[str, str], list[Finding]] = {}
     notes, models = list[str](), list[str]()
-    for phase, own, step in _visits(kept):
-        label = "" if phase is None else f"{phase}: "
-        if phase is not None and len(own) < shortest:
+    for part, own in _parts(kept):
+        label = "" if part is None else f"{part}: "
+        if part is not None and len(own) < shortest:
             notes.append(f"{label}{len(own) / run.rate:.3g} s are too short")
             continue
         model, source = model_of_run(own, arm)
@@ -153,10 +162,8 @@ def doctor(run: Run, *, arm: Arm | None = None, checks: Sequence[Check] = CHECKS
             findings, left_out = _examined(case, checks)
         notes += [f"{label}{note}" for note in left_out]
         for each in findings:
-            jump = each.evidence.get("jump") if each.joint is not None else None
-            if jump and step[run.joint_names.index(str(each.joint))] < 0.5 * abs(jump.value):
-                continue  # the torque was there in the phase before
-            found.setdefault((each.name, each.term), []).append(dataclasses.replace(each, phase=phase))
+            if each.name != "torque jump at the start" or own.t[0] == kept.t[0]:
+                found.setdefault((each.name, each.term), []).append(dataclasses.replace(each, part=part))
     return Diagnosis(
         findings=_ordered([_once(group) for group in found.values()]),
         problems=tuple(problems),
@@ -165,17 +172,16 @@ def doctor(run: Run, *, arm: Arm | None = None, checks: Sequence[Check] = CHECKS
     )
 
 
-def _visits(run: Run) -> Iterator[tuple[str | None, Run, Float64Array]]:
-    """Each visit to a phase of a task, or the whole run: label, part of the run, first step of the command."""
-    if not run.info.phases:
-        yield None, run, np.full(run.n, np.inf)
-        return
+def _parts(run: Run) -> Iterator[tuple[str | None, Run]]:
+    """Each visit to a phase of a task, each of laws side by side, or the whole run, with its label."""
+    if not run.info.phases and not run.info.parts:
+        yield None, run
+    for name in run.info.parts:
+        yield f"part '{name}'", run.part(name)
     visits: dict[str, int] = {}
-    for window in run.phases:
+    for window in run.phases if run.info.phases else ():
         visit = visits[window.name] = visits.get(window.name, -1) + 1
-        label = f"phase '{window.name}'" + (f", visit {visit + 1}" if visit else "")
-        step = np.abs(run.command[window.first] - run.command[window.first - 1])
-        yield label, run.phase(window.name, visit), step if window.first else np.full(run.n, np.inf)
+        yield f"phase '{window.name}'" + (f", visit {visit + 1}" if visit else ""), run.phase(window.name, visit)
 
 
 def _examined(case: ExaminedRun, checks: Sequence[Check]) -> tuple[list[Finding], list[str]]:
@@ -193,10 +199,10 @@ def _examined(case: ExaminedRun, checks: Sequence[Check]) -> tuple[list[Finding]
 
 
 def _once(group: Sequence[Finding]) -> Finding:
-    """What was found in several phases, where it explains most."""
+    """What was found in several parts, where it explains most."""
     first = max(group, key=lambda each: each.fraction)
-    also = [str(each.phase) for each in group if each is not first]
-    return dataclasses.replace(first, phase=f"{first.phase}, also in {', '.join(also)}") if also else first
+    also = [str(each.part) for each in group if each is not first]
+    return dataclasses.replace(first, part=f"{first.part}, also in {', '.join(also)}") if also else first
 
 
 def _ordered(found: Sequence[Finding]) -> tuple[Finding, ...]:
@@ -229,21 +235,16 @@ def _longest_complete(run: Run, min_ticks: int) -> tuple[Run | None, list[str]]:
     more. A run that diverged ends without numbers, which is another matter.
     """
     problems = []
-    periods = np.round(np.diff(run.t) * run.rate)
-    missing = int(np.sum(np.maximum(periods - 1.0, 0.0)))
-    first = round(float(run.t[0]) * run.rate)
-    starts = np.zeros(len(run), dtype=bool)
+    known, starts = np.ones(len(run), dtype=bool), np.zeros(len(run), dtype=bool)
+    skipped = np.maximum(np.round(np.diff(run.t) * run.rate) - 1.0, 0.0)
+    missing, first = int(np.sum(skipped)), round(float(run.t[0]) * run.rate)
     if missing and run.outcome.tick + 1 - first >= len(run) + missing:
         problems.append(f"gaps: {missing} ticks are missing")
-        starts[1:] = periods > 1.0
-    known = np.ones(len(run), dtype=bool)
+        starts[1:] = skipped > 0.0
     if run.outcome.kind != "diverged":
-        columns = {"q": run.q, "v": run.v, "torque": run.tau, "command": run.command, **run.terms}
-        columns |= {"F_ext": run.extra["F_ext"]} if "F_ext" in run.extra else {}
-        finite = {name: np.isfinite(x.reshape(len(run), -1)).all(axis=1) for name, x in columns.items()}
-        known = np.all(list(finite.values()), axis=0)
-        lost = [name for name, ticks in finite.items() if not ticks.all()]
-        problems += [f"{int(np.sum(~known))} ticks have no number in {', '.join(lost)}"] if lost else []
+        columns = [run.q, run.v, run.tau, run.command, *run.terms.values(), run.extra.get("F_ext", run.q)]
+        known = np.all([np.isfinite(x).all(axis=1) for x in columns], axis=0)
+        problems += [] if known.all() else [f"{int(np.sum(~known))} ticks have values that are no numbers"]
     if not problems:
         return run, []
     edges = np.unique(np.concatenate([[0, len(run)], np.flatnonzero(starts | ~known), np.flatnonzero(~known) + 1]))
@@ -251,8 +252,7 @@ def _longest_complete(run: Run, min_ticks: int) -> tuple[Run | None, list[str]]:
     start, end = max(parts, key=lambda part: part[1] - part[0], default=(0, 0))
     if end - start < min_ticks:
         return None, [*problems, f"no {min_ticks} ticks in a row are complete; record the run again"]
-    part = run.between(float(run.t[start]), float(run.t[end - 1]))
-    return part, [*problems, f"examined from {run.t[start]:.4g} to {run.t[end - 1]:.4g} s"]
+    return run.ticks(slice(start, end)), [*problems, f"examined from {run.t[start]:.4g} to {run.t[end - 1]:.4g} s"]
 
 
 def _before_running_away(run: Run, min_ticks: int) -> Run:

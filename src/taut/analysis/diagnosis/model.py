@@ -13,13 +13,11 @@ import numpy as np
 from scipy.optimize import least_squares, lsq_linear
 
 from taut.arm.description import Arm
-from taut.base.errors import MatchError, UsageError
 from taut.base.types import Array, Float64Array
 from taut.codegen.kernel import native
 from taut.maths import dynamics as dyn
 from taut.maths.chain import Chain
 from taut.maths.model import PayloadValues, model_of
-from taut.record.info import differences
 from taut.record.metrics import MOVING
 from taut.record.run import Run
 
@@ -41,29 +39,13 @@ def model_of_run(run: Run, arm: Arm | None) -> tuple[ArmModel | None, str]:
 
     Args:
         run: The run.
-        arm: The arm, where the caller knows it.
-
-    Raises:
-        UsageError: `arm` is no arm.
-        MatchError: The arm has other joints than the run.
+        arm: The arm, where the caller knows it; else the one that the run holds.
     """
-    if arm is not None:
-        if not isinstance(arm, Arm):  # callers without a type checker
-            raise UsageError(f"doctor takes arm= from taut.load_arm; got {type(arm).__name__}", name="arm")
-        if arm.joint_names != run.joint_names:
-            raise MatchError(
-                f"the run is of joints {', '.join(run.joint_names)}, and arm '{arm.name}' has "
-                f"{', '.join(arm.joint_names)}; give the arm that the controller was compiled for",
-                name="arm",
-            )
-        of_log = run.info.controller_arm
-        apart = () if of_log is None else differences(of_log, arm)
-        other = f"; it differs from the controller's arm in the log in {', '.join(apart)}" if apart else ""
-        return ArmModel(run=run, arm=arm), f"arm '{arm.name}' as given{other}"
-    known = run.info.controller_arm
+    known = run.info.controller_arm if arm is None else arm
     if known is None or known.joint_names != run.joint_names:  # of laws side by side, one part has fewer
         return None, "none: give the arm of the controller, arm= or --arm, to have gravity and payload checked"
-    return ArmModel(run=run, arm=known), f"arm '{run.info.arm}' of the controller, as the run holds it"
+    source = f"arm '{run.info.arm}' of the controller, as the run holds it"
+    return ArmModel(run=run, arm=known), source if arm is None else f"arm '{arm.name}' as given"
 
 
 @functools.lru_cache(maxsize=16)
@@ -196,7 +178,6 @@ class Fit:
         covariance: (4, 4) of mass [kg] and centre of mass [m].
         viscous: (n,) viscous friction [N m s/rad | N s/m].
         coulomb: (n,) dry friction [N m | N]; 0 of joints without motion.
-        moved: (n,) joints that moved enough to show their friction.
     """
 
     kind: Literal["none", "gravity", "payload"]
@@ -209,7 +190,6 @@ class Fit:
     covariance: Float64Array
     viscous: Float64Array
     coulomb: Float64Array
-    moved: Array
 
 
 def fit_residual(model: ArmModel, scale: Float64Array, threshold: Mapping[str, float]) -> Fit:
@@ -265,7 +245,6 @@ def _fit(model: ArmModel, scale: Float64Array, threshold: Mapping[str, float], u
             unexplained=after / whole if whole > 0.0 else 0.0,
             viscous=by[:n],
             coulomb=by[n:],
-            moved=np.asarray(used.any(axis=0) & in_motion),
             **{**none, **numbers},
         )
 

@@ -162,7 +162,7 @@ def find_oscillation(run: ExaminedRun) -> Oscillation | None:
         line is not None and line.zeta < -0.01 and fed <= limit["part"]
     ):
         return None  # excited from outside; or nothing could make it grow
-    gives = slow and line is not None and abs(line.zeta) < 0.01 and taken > 0.01 * done and not _explained(run, i)
+    gives = slow and line is not None and abs(line.zeta) < 0.01 and taken > 0.01 * done
     if gives and line is not None:
         third = _third_harmonic(run, found.window, i, line.omega)
         kind = "backlash" if third > limit["third harmonic"] and not run.cut[found.window].any() else "oscillation"
@@ -198,8 +198,6 @@ def _strongest(run: ExaminedRun) -> Oscillation | None:
                 or not -0.3 < line.zeta < limit["damping ratio"]
             ):
                 continue
-            if line.zeta < -0.05 and not _alternates(y[:, i], line, run.dt):
-                continue
             moved = fit_sinusoid(run.run.q[window, i], run.dt, 0.5 * line.omega)
             amplitude = 0.0 if moved is None else moved.amplitude * math.sqrt(max(moved.fraction, 0.0))
             if max(line.amplitude, line.last) < limit["torque change"] and amplitude < run.tolerance[i]:
@@ -210,12 +208,6 @@ def _strongest(run: ExaminedRun) -> Oscillation | None:
         if best is not None and best.fraction >= limit["effect"]:
             return best
     return None
-
-
-def _alternates(y: Float64Array, line: Sinusoid, dt: float) -> bool:
-    """Whether what grows fast goes to and fro in its last two periods: a step at the end of a window does not."""
-    last = without_trend(y[-max(round(2.0 * TWO_PI / (line.omega * dt)), 4) :, np.newaxis])[:, 0]
-    return line.fraction > 0.8 and int(np.count_nonzero(last[1:] * last[:-1] < 0.0)) >= 3
 
 
 def _unstable(run: ExaminedRun) -> Oscillation | None:
@@ -255,14 +247,6 @@ def _work(run: ExaminedRun, window: slice) -> tuple[dict[str, float], float]:
         "environment": work(run.external),
     }
     return out, -work(record.tau + run.external)
-
-
-def _explained(run: ExaminedRun, i: int) -> bool:
-    """Whether the motion of the links explains the torque of a joint, so that none goes into a spring before it."""
-    if run.fit is None or run.model is None:
-        return False
-    tau = run.run.tau[run.model.ticks, i]
-    return float(np.mean(run.model.residual[:, i] ** 2)) < 1e-4 * float(np.mean(tau**2))
 
 
 def _third_harmonic(run: ExaminedRun, window: slice, i: int, omega: float) -> float:

@@ -13,10 +13,10 @@ from taut.base.checks import finite_array, require_range, symmetric_psd
 from taut.base.errors import UsageError
 from taut.base.fields import Part, Plain
 from taut.base.types import Rotation, Vector, Vector3
+from taut.control.closed_loop import ApparentImpedance
 from taut.control.combine import Wrapper
 from taut.control.command import Command, Terms, Torque
-from taut.control.gains import Gain, GainValue, Memory
-from taut.control.law import MemoryView
+from taut.control.gains import Gain, GainValue, Memory, MemoryView
 from taut.control.laws.constraints import check_place, check_reference
 from taut.control.laws.force import ForceControl
 from taut.control.laws.hybrid import HybridMotionForce
@@ -25,7 +25,7 @@ from taut.control.trajectories.reference import Reference
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.constraints.constraint import Constraint
 from taut.maths.constraints.multipliers import Constrained
-from taut.maths.constraints.rows import ConstraintRows, OfPoses
+from taut.maths.constraints.rows import ConstraintRows
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import rotated
 from taut.trace import math as tm
@@ -94,6 +94,9 @@ class EnergyTank(Wrapper):
                 symmetric_psd("K", values)
             else:
                 require_range("K", values, minimum=0.0)
+
+    def apparent_impedance(self, x: Snapshot) -> ApparentImpedance | None:
+        return None if self.stiffness is not None else super().apparent_impedance(x)
 
     def start(self, x: Snapshot, ref: Any) -> Mapping[str, Any]:  # noqa: ARG002
         return {"energy": self.capacity.as_array(), "now": self._wanted(x)}
@@ -267,7 +270,7 @@ class NormalEstimate(Wrapper):
         constraint, moved = self.law.constraint, self.law.motion.controlled_frame or x.arm.tool
         (frame,) = constraint.frame or (None,)
         check_sensor(x, frame)
-        if (frame or x.arm.tool) != moved or constraint.moments[0] or not isinstance(constraint.pieces[0], OfPoses):
+        if (frame or x.arm.tool) != moved or constraint.moments[0] or constraint.pieces[0].pfaffian:
             raise UsageError(
                 f"NormalEstimate is of a surface's normal at the frame that moves, '{moved}': put the surface first, "
                 "of that frame, or leave the estimate out",

@@ -25,10 +25,9 @@ from taut.base.paths import subtree
 from taut.base.types import Array
 from taut.control.trajectories.compound import phase_sample, together_kind
 from taut.control.trajectories.reference import Sample
-from taut.record.film.surroundings import POSES
+from taut.record.info import POSES, Outcome
 from taut.record.log.layout import FORMAT, Header, Shape, TickLayout
 from taut.record.log.writing import TICKS, Ending
-from taut.record.outcome import Outcome
 from taut.record.plain import restored
 from taut.record.run import Run
 

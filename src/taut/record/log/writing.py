@@ -20,9 +20,9 @@ import numpy as np
 
 from taut.base import __version__
 from taut.base.errors import FileError, count_of
+from taut.record.info import Outcome
 from taut.record.log.files import cannot_write, checked_target, written_aside
 from taut.record.log.layout import Header, TickLayout, columns_of
-from taut.record.outcome import Outcome
 from taut.record.plain import plain
 from taut.record.progress import Progress
 from taut.record.run import Run

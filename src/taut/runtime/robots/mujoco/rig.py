@@ -18,7 +18,7 @@ from taut.arm.description import Arm
 from taut.base.errors import MatchError
 from taut.base.types import Float64Array
 from taut.maths.adds import Adds
-from taut.record.film.surroundings import POSES, Around
+from taut.record.info import POSES, Around
 from taut.runtime.host import PlantBase
 
 if TYPE_CHECKING:
@@ -62,7 +62,6 @@ class Rig:
     tool_body: int  # the body whose frame p_tool is given in
     p_tool: Float64Array  # (3,) [m] origin of the tool
     adds: Adds
-    own_geoms: int = 0  # of the world's geoms, how many are the arm's, which come first
 
 
 def index(numbers: list[int]) -> Index:

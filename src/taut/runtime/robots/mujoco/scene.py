@@ -22,7 +22,7 @@ from taut.arm.loaders.xml import MAX_BYTES, Element, is_not_finite, parse_xml
 from taut.base.checks import readable_file
 from taut.base.errors import ModelError, Problem, UsageError, quoted_list
 from taut.base.types import Float64Array
-from taut.record.film.surroundings import Around, Mesh, Shape, ShapeKind, Thing
+from taut.record.info import Around, Mesh, Shape, ShapeKind, Thing
 from taut.runtime.robots.mujoco.rig import Guard, Rig
 from taut.trace.pose import Pose
 
@@ -356,7 +356,7 @@ class SceneView:
             if root in carried and not on_tool:
                 continue
             touches = on_tool or (tool and int(model.body_parentid[body]) == rig.tool_body)
-            shapes = self._shapes(body, rig.own_geoms if body == 0 else 0, hidden=touches)
+            shapes = self._shapes(body, hidden=touches)
             if not shapes:
                 continue
             row = None
@@ -383,13 +383,13 @@ class SceneView:
         """(m, 7) position [m] and quaternion wxyz of the bodies that move, as the last step found them."""
         return np.hstack([data.xpos[self._moving], data.xquat[self._moving]])
 
-    def _shapes(self, body: int, skipped: int, *, hidden: bool) -> tuple[Shape, ...]:
+    def _shapes(self, body: int, *, hidden: bool) -> tuple[Shape, ...]:
         """The shapes of a body that a viewer shows."""
         import mujoco
 
         model, first = self._model, int(self._model.body_geomadr[body])
         out = []
-        for geom in range(first + skipped, first + int(model.body_geomnum[body])):
+        for geom in range(first, first + int(model.body_geomnum[body])):
             material = int(model.geom_matid[geom])
             rgba = model.geom_rgba[geom] if material < 0 else model.mat_rgba[material]
             if rgba[3] == 0.0 or (int(model.geom_group[geom]) >= HIDDEN and not hidden):

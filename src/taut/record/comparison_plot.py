@@ -23,8 +23,8 @@ from taut.base.plot_style import (
 )
 from taut.base.types import Float64Array
 from taut.record.metrics import METRICS
-from taut.record.plots.run_plot import is_task_run
 from taut.record.run import Run
+from taut.record.run_plot import is_task_run
 from taut.record.tool import expected_deviation, force_error
 
 if TYPE_CHECKING:
@@ -39,8 +39,6 @@ FORCE_BARS: Final = ("force_error_rms", "moment_error_rms", "effort", "chatter")
 MAX_RUNS: Final = 8  # in one figure
 BARS_IN_ROW: Final = 4
 NAME: Final = 18  # letters of a run's name beside its bars, on each of two lines
-MIN_ERROR: Final = 1e-12  # RMS of an error that is shown on a logarithmic axis
-MAX_RATIO: Final = 30.0  # of errors on a linear axis
 
 
 class Panel(NamedTuple):
@@ -50,7 +48,6 @@ class Panel(NamedTuple):
     unit: str
     curves: dict[int, Float64Array]
     references: dict[int, Float64Array] = {}  # noqa: RUF012  (nothing changes it)
-    is_error: bool = True  # of which the size is shown, on a logarithmic axis, where those of the runs are far apart
 
 
 def compare(
@@ -139,7 +136,7 @@ def _panels(found: Sequence[Curves], runs: Sequence[Run]) -> Iterator[Panel]:
         curves = {i: each[title, unit] for i, each in enumerate(found) if (title, unit) in each}
         promised = {i: expected_deviation(runs[i]) for i in curves} if title.endswith("position error") else {}
         references = {i: np.linalg.norm(x[:, :3], axis=1) for i, x in promised.items() if x is not None}
-        yield Panel(title, unit, curves, references, is_error="error" in title)
+        yield Panel(title, unit, curves, references)
 
 
 def _errors(run: Run) -> Curves:
@@ -195,26 +192,19 @@ def _of_joint(runs: Sequence[Run], joint: str) -> Iterator[Panel]:
     positions = {i: run.q[:, place] for i, (run, place) in enumerate(zip(runs, places, strict=True))}
     errors = {i: run.error[:, places[i]] for i, run in enumerate(runs) if run.error is not None}
     references = {i: positions[i] + error for i, error in errors.items()}
-    yield Panel(f"position of {short_name(joint, 40)}", unit, positions, references, is_error=False)
+    yield Panel(f"position of {short_name(joint, 40)}", unit, positions, references)
     if errors:
         yield Panel("tracking error", unit, errors)
 
 
 def _draw(ax: Axes, panel: Panel, runs: Sequence[Run]) -> None:
-    """Curves over time; their sizes on a logarithmic axis where errors are far apart."""
-    rms = [float(np.sqrt(np.mean(curve**2))) for curve in panel.curves.values()]
-    far = panel.is_error and min(rms) > MIN_ERROR and max(rms) / min(rms) > MAX_RATIO
-    signed = not panel.is_error or any(curve.min() < 0.0 for curve in panel.curves.values())
-    prepared(ax, f"size of the {panel.title}" if far and signed else panel.title, f"[{panel.unit}]")
+    """Curves over time."""
+    prepared(ax, panel.title, f"[{panel.unit}]")
     for i, curve in panel.curves.items():
-        line(ax, runs[i].t, np.abs(curve) if far else curve, colour(i))
+        line(ax, runs[i].t, curve, colour(i))
     for i, curve in panel.references.items():
         line(ax, runs[i].t, curve, INK, reference=True)
-    if far:
-        ax.set_yscale("log")
-        ax.set_ylim(bottom=1e-2 * min(rms))
-        ax.yaxis.set_tick_params(which="minor", length=1.5, width=0.4)
-    elif signed:
+    if any(curve.min() < 0.0 for curve in panel.curves.values()):
         ax.axhline(0.0, color=INK, linewidth=0.6)
     else:
         ax.set_ylim(bottom=0.0)

@@ -7,31 +7,30 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 
 from taut.arm.description import BASE, Arm, Visual
 from taut.arm.loaders.mjspec import Meshes, add_links, add_shape, bones
 from taut.base.errors import FileError
-from taut.base.types import Float64Array, Rotation
+from taut.base.types import Float64Array
 from taut.maths import dynamics
+from taut.maths.chain import Chain
 from taut.maths.model import model_of
-from taut.record.film.surroundings import Around, pose
-from taut.trace.pose import Pose, axis_angle
+from taut.record.info import Around
+from taut.trace.pose import Pose
 
 if TYPE_CHECKING:
     import mujoco
 
-__all__ = ["Focus", "Frame", "Skeleton", "View", "scene", "unhidden", "upright"]
+__all__ = ["Frame", "View", "points_of", "scene", "unhidden", "view_of"]
 
 Frame: TypeAlias = tuple[Float64Array, Float64Array, Float64Array]
-Focus: TypeAlias = Literal["arm", "tool"]
 
 FIELD_OF_VIEW: Final = 45.0  # [deg] of the camera, upwards
 VIEW_MARGIN: Final = 1.25  # of the picture around the arm
 FLOOR_ROOM: Final = 0.25  # of the radius: room under an arm that would reach into the ground
-CLOSE_UP_RADIUS: Final = 0.15  # [m] radius of what is looked at about the tool
 SMALLEST: Final = 0.05  # [m] radius of what is looked at
 PARALLEL_SINE: Final = 1e-3
 
@@ -52,7 +51,7 @@ BARE: Final = (0.8, 0.8, 0.8, 1.0)  # colour of a visual that has none of its ow
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """A camera that looks at a point, in a world whose z axis points up."""
+    """A camera that looks at a point; the z axis of the world points up in the picture."""
 
     centre: Float64Array  # (3,) [m]
     radius: float  # [m] of a ball about the centre that is all seen
@@ -67,81 +66,44 @@ class View:
         return self.radius / math.sin(half)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Skeleton:
-    """Origins of an arm's bodies and its tool, for many joint positions.
+def points_of(arm: Arm, q: Float64Array) -> Float64Array:
+    """(k, n + 2, 3) [m]: the base, the joints and the tool at joint positions (k, n). Point i + 1 is joint i."""
+    model = model_of(arm)
+    out = np.empty((len(q), arm.n + 2, 3))
+    out[:, 0], out[:, -1] = arm.T_WB.p, Chain.of(model, None).poses(q)[1]
+    for k, row in enumerate(q):
+        out[k, 1:-1] = [p for _, p in dynamics.link_poses(model, row)]
+    return out
 
-    Frames: a world whose z axis points up, whatever the arm's own world looks like.
+
+def view_of(arm: Arm, points: Float64Array, camera: tuple[float, float] | None = None) -> View:
+    """A view of all that an arm does.
+
+    Args:
+        arm: The arm.
+        points: (k, n + 2, 3) [m] where its base, joints and tool go.
+        camera: Azimuth and elevation of the direction of view [deg]; found if left out.
     """
-
-    arm: Arm
-    origins: Float64Array  # (k, n, 3) [m] of each joint's body
-    tool: Float64Array  # (k, 3) [m]
-    base: Float64Array  # (3,) [m]
-
-    @classmethod
-    def of(cls, arm: Arm, q: Float64Array) -> Skeleton:
-        """At joint positions (k, n)."""
-        model, R = model_of(arm), upright(arm)
-        origins = np.empty((len(q), arm.n, 3))
-        tool = np.empty((len(q), 3))
-        frame = model.placement(None)
-        for k, row in enumerate(q):
-            links = dynamics.link_poses(model, row)
-            for i, (_, p) in enumerate(links):
-                origins[k, i] = p
-            R_W, p_W = (model.R_WB, model.p_WB) if frame[0] == BASE else links[frame[0]]
-            tool[k] = R_W @ frame[2] + p_W
-        return cls(arm=arm, origins=origins @ R.T, tool=tool @ R.T, base=R @ arm.T_WB.p)
-
-    def points(self) -> Float64Array:
-        """(k, n + 2, 3) [m]: the base, the joints, the tool. Point i + 1 is joint i."""
-        base = np.broadcast_to(self.base, (len(self.tool), 1, 3))
-        return np.concatenate([base, self.origins, self.tool[:, np.newaxis]], axis=1)
-
-    def view(self, camera: tuple[float, float] | None = None, focus: Focus = "arm") -> View:
-        """A view of all that the arm does, or of where its tool goes.
-
-        Args:
-            camera: Azimuth and elevation of the direction of view [deg]; found if left out.
-            focus: What the picture holds.
-        """
-        points = self.points().reshape(-1, 3) if focus == "arm" else self.tool
-        low, high = points.min(axis=0), points.max(axis=0)
-        centre = 0.5 * (low + high)
-        radius = max(SMALLEST, float(np.linalg.norm(points - centre, axis=1).max()))
-        radius = radius if focus == "arm" else max(radius, CLOSE_UP_RADIUS)
-        azimuth, elevation = self._direction() if camera is None else camera
-        buried = self.origins[..., 2].min() < 0.02 * radius or self.tool[:, 2].min() < -0.02 * radius
-        floor = min(0.0, float(low[2])) - FLOOR_ROOM * radius if buried else 0.0
-        return View(centre=centre, radius=VIEW_MARGIN * radius, azimuth=azimuth, elevation=elevation, floor=floor)
-
-    def _direction(self) -> tuple[float, float]:
-        """Azimuth and elevation [deg]: across the plane of an arm that moves in one, else from ahead and above."""
-        hinges = [i for i, joint in enumerate(self.arm.joints) if joint.kind != "prismatic"]
-        model = model_of(self.arm)
-        links = dynamics.link_poses(model, np.zeros(self.arm.n))
-        axes = np.array([upright(self.arm) @ links[i][0][:, 2] for i in hinges])
-        if not hinges or np.abs(np.cross(axes, axes[0])).max() > PARALLEL_SINE:
-            return 145.0, -20.0
-        axis = axes[0]
-        if abs(axis[2]) > 0.7:
-            return 90.0, -60.0
-        ahead = axis if axis[1] > 0.0 or (axis[1] == 0.0 and axis[0] < 0.0) else -axis  # x goes to the right
-        return math.degrees(math.atan2(ahead[1], ahead[0])), -8.0
+    low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
+    centre = 0.5 * (low + high)
+    radius = max(SMALLEST, float(np.linalg.norm(points - centre, axis=-1).max()))
+    azimuth, elevation = _direction(arm) if camera is None else camera
+    buried = points[:, 1:-1, 2].min() < 0.02 * radius or points[:, -1, 2].min() < -0.02 * radius
+    floor = min(0.0, float(low[2])) - FLOOR_ROOM * radius if buried else 0.0
+    return View(centre=centre, radius=VIEW_MARGIN * radius, azimuth=azimuth, elevation=elevation, floor=floor)
 
 
-def upright(arm: Arm) -> Rotation:
-    """(3, 3) turns the arm's world so that gravity pulls along -z; the identity without gravity."""
-    size = float(np.linalg.norm(arm.gravity))
-    if size == 0.0:
-        return np.eye(3)
-    up = -arm.gravity / size
-    axis = np.cross(up, [0.0, 0.0, 1.0])
-    sine = float(np.linalg.norm(axis))
-    if sine < PARALLEL_SINE:
-        return np.eye(3) if up[2] > 0.0 else np.diag([1.0, -1.0, -1.0])
-    return axis_angle(axis / sine, math.atan2(sine, up[2]))
+def _direction(arm: Arm) -> tuple[float, float]:
+    """Azimuth and elevation [deg]: across the plane of an arm that moves in one, else from ahead and above."""
+    links = dynamics.link_poses(model_of(arm), np.zeros(arm.n))
+    axes = np.array([R[:, 2] for (R, _), joint in zip(links, arm.joints, strict=True) if joint.kind != "prismatic"])
+    if not len(axes) or np.abs(np.cross(axes, axes[0])).max() > PARALLEL_SINE:
+        return 145.0, -20.0
+    axis = axes[0]
+    if abs(axis[2]) > 0.7:
+        return 90.0, -60.0
+    ahead = axis if axis[1] > 0.0 or (axis[1] == 0.0 and axis[0] < 0.0) else -axis  # x goes to the right
+    return math.degrees(math.atan2(ahead[1], ahead[0])), -8.0
 
 
 # -------------------------------------------------------------------- what is seen
@@ -213,8 +175,7 @@ def _spec(arm: Arm, visuals: list[Visual], view: View, size: tuple[int, int], ar
     spec = mujoco.MjSpec()
     _look(spec, view, size)
     _surroundings(spec, view)
-    T_base = Pose(R=upright(arm)) @ arm.T_WB
-    base = spec.worldbody.add_body(name="base", pos=T_base.p, quat=T_base.wxyz)
+    base = spec.worldbody.add_body(name="base", pos=arm.T_WB.p, quat=arm.T_WB.wxyz)
     names = [(f"body {i}", _joint_name(i)) for i in range(arm.n)]
     bodies = {BASE: base} | {i: body for i, (body, _) in enumerate(add_links(arm, base, Pose.identity(), names))}
     meshes = Meshes()
@@ -231,11 +192,11 @@ def _spec(arm: Arm, visuals: list[Visual], view: View, size: tuple[int, int], ar
     tool = arm.frame()
     _geom(bodies[tool.body], "SPHERE", pos=tool.placement.p, size=[0.8 * radius, 0.0, 0.0], rgba=TOOL)
     if around is not None:
-        _put_around(spec, around, Pose(R=upright(arm)), (bodies[tool.body], tool.placement))
+        _put_around(spec, around, bodies[tool.body], tool.placement)
     return spec
 
 
-def _put_around(spec: mujoco.MjSpec, around: Around, world: Pose, tool: tuple[Any, Pose]) -> None:
+def _put_around(spec: mujoco.MjSpec, around: Around, carrier: Any, T_tool: Pose) -> None:
     """Everything that stands around the arm."""
     import mujoco
 
@@ -245,8 +206,10 @@ def _put_around(spec: mujoco.MjSpec, around: Around, world: Pose, tool: tuple[An
         )
         made.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # a surface has no volume
     for thing in around.things:
-        holder, T = tool if thing.on_tool else (spec.worldbody, world @ pose(thing))
-        body = holder.add_body(pos=T.p, quat=T.wxyz, mocap=thing.moves)
+        if thing.on_tool:
+            body = carrier.add_body(pos=T_tool.p, quat=T_tool.wxyz)
+        else:
+            body = spec.worldbody.add_body(pos=thing.p, quat=thing.wxyz, mocap=thing.moves)
         for shape in thing.shapes:
             at = {"pos": shape.p, "quat": shape.wxyz, "rgba": shape.rgba, "group": 0 if thing.on_tool else HIDING}
             if shape.kind == "mesh":

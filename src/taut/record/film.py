@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import math
 import os
@@ -12,26 +11,26 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeAlias, get_args
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 
 from taut.arm.description import Arm
 from taut.base.checks import finite_array, positive_scalar
-from taut.base.errors import FileError, MatchError, MissingExtraError, RangeError, UsageError, unknown_name, warn
+from taut.base.errors import FileError, MatchError, MissingExtraError, RangeError, UsageError, warn
 from taut.base.types import Float64Array
 from taut.control.trajectories.task_reference import TaskMotion
-from taut.record.film import render, scene
-from taut.record.film.scene import Focus, Skeleton, View, upright
-from taut.record.film.surroundings import Around, poses_of
+from taut.maths.chain import Chain
+from taut.maths.model import model_of
+from taut.record import render, scene
+from taut.record.info import POSES, Around
 from taut.record.log.files import checked_target, written_aside
 from taut.record.progress import Progress
-from taut.trace.pose import Pose
 
 if TYPE_CHECKING:
     from taut.record.run import Run
 
-__all__ = ["film", "upright_poses"]
+__all__ = ["film", "poses_of"]
 
 Picture: TypeAlias = np.ndarray[Any, np.dtype[np.uint8]]
 Ticks: TypeAlias = np.ndarray[Any, np.dtype[np.intp]]
@@ -51,7 +50,6 @@ def film(
     size: tuple[int, int],
     speed: float,
     camera: tuple[float, float] | None,
-    focus: Focus,
     arm: Arm | None,
     progress: bool | None,
 ) -> Path:
@@ -59,18 +57,14 @@ def film(
     target = checked_target("video", path, SUFFIXES)
     size = _checked_size(size, target.suffix.lower())
     _check_rate(fps, target.suffix.lower())
-    _check_camera(camera, focus)
+    if camera is not None:
+        finite_array("camera", camera, shape=(2,), unit="deg")
     ffmpeg = _ffmpeg(target)
     shown = _checked_arm(run, arm)
     ticks = _ticks(run, positive_scalar("speed", speed) / fps)
-    skeleton = Skeleton.of(shown, run.q[ticks])
-    wanted = _wanted(run, shown, ticks)
-    around = run.info.around
-    moving = upright_poses(poses_of(run, around, ticks), shown)
     with ExitStack() as stack, written_aside("video", target) as aside:
-        view = skeleton.view(camera, focus)
         try:
-            pictures, remark = _pictures(stack, run.q[ticks], skeleton, view, camera, wanted, size, around, moving)
+            pictures, remark = _pictures(stack, run, shown, ticks, camera, size)
         except render.NoRendererError as cause:
             raise MissingExtraError(
                 f"video '{target}' needs OpenGL, and none works here ({cause}); install EGL or OSMesa",
@@ -112,13 +106,6 @@ def _check_rate(fps: int, suffix: str) -> None:
     if not whole or not 1 <= fps <= FASTEST[suffix]:
         words = f"fps must be a whole number from 1 to {FASTEST[suffix]} for {suffix}; got {fps!r}"
         raise RangeError(words, name="fps", value=fps)
-
-
-def _check_camera(camera: tuple[float, float] | None, focus: str) -> None:
-    if camera is not None:
-        finite_array("camera", camera, shape=(2,), unit="deg")
-    if focus not in get_args(Focus):
-        raise unknown_name("a film", "focus", focus, get_args(Focus))
 
 
 def _ffmpeg(target: Path) -> str | None:
@@ -167,37 +154,18 @@ def _wanted(run: Run, arm: Arm, ticks: Ticks) -> Float64Array:
     """(k, 3) where the tool should be, if the reference moves; else (0, 3)."""
     if isinstance(motion := run.reference.motion, TaskMotion):
         p = motion.p
-        return p[ticks] @ upright(arm).T if np.any(p != p[0]) else np.zeros((0, 3))
+        return p[ticks] if np.any(p != p[0]) else np.zeros((0, 3))
     q = getattr(run.reference, "q", None)
     if q is None or not np.any(q != q[0]):
         return np.zeros((0, 3))
-    return Skeleton.of(arm, q[ticks]).tool
+    return Chain.of(model_of(arm), None).poses(q[ticks])[1]
 
 
 # -------------------------------------------------------------------- pictures
 
 
-def upright_poses(poses: Float64Array, arm: Arm) -> Float64Array:
-    """(k, m, 7) poses in the arm's world as those in a world whose z axis points up."""
-    out, R = poses.copy(), upright(arm)
-    if np.array_equal(R, np.eye(3)):
-        return out
-    for row in out.reshape(-1, 7):
-        T = Pose(R=R) @ Pose(row[:3], wxyz=row[3:])
-        row[:] = [*T.p, *T.wxyz]
-    return out
-
-
 def _pictures(
-    stack: ExitStack,
-    q: Float64Array,
-    skeleton: Skeleton,
-    view: View,
-    camera: tuple[float, float] | None,
-    wanted: Float64Array,
-    size: tuple[int, int],
-    around: Around,
-    moving: Float64Array,
+    stack: ExitStack, run: Run, arm: Arm, ticks: Ticks, camera: tuple[float, float] | None, size: tuple[int, int]
 ) -> tuple[Iterator[Picture], str]:
     """Rendered pictures, and what there is to say about them.
 
@@ -206,36 +174,40 @@ def _pictures(
     """
     folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="taut-video-"))
     render.check_mujoco()
-    model, places, problem = scene.scene(skeleton.arm, view, size, around)
-    frames = _frames(q, places, skeleton, wanted, view, size, moving)
+    around, q = run.info.around, run.q[ticks]
+    points, moving = scene.points_of(arm, q), poses_of(run, around, ticks)
+    view, tool = scene.view_of(arm, points, camera), points[:, -1]
+    model, places, problem = scene.scene(arm, view, size, around)
+    qpos = np.zeros_like(q)
+    qpos[:, places] = q
     if around and camera is None:
         some = np.linspace(0, len(q) - 1, min(len(q), PICTURES_LOOKED_AT)).astype(int)
-        shown = [(frames.qpos[k], moving[k], skeleton.tool[k]) for k in some]
-        view = scene.unhidden(model, view, size, shown)
-        frames = dataclasses.replace(frames, camera=_camera(view, size))
+        view = scene.unhidden(model, view, size, [(qpos[k], moving[k], tool[k]) for k in some])
+    frames = render.Frames(
+        qpos=qpos,
+        moving=moving,
+        tool=tool,
+        wanted=_wanted(run, arm, ticks),
+        camera=np.array([*view.centre, view.distance(*size), view.azimuth, view.elevation]),
+        size=size,
+    )
     renderer = stack.enter_context(render.opened(Path(folder), model, frames))
     remarks = [f"shows capsules in place of some visuals: {problem}"] if problem else []
     remarks += [f"does not show {' and '.join(around.missing)}"] if around.missing else []
     return renderer.pictures(), "; it ".join(remarks)
 
 
-def _frames(
-    q: Float64Array,
-    places: Float64Array,
-    skeleton: Skeleton,
-    wanted: Float64Array,
-    view: View,
-    size: tuple[int, int],
-    moving: Float64Array,
-) -> render.Frames:
-    qpos = np.zeros_like(q)
-    qpos[:, places] = q
-    camera = _camera(view, size)
-    return render.Frames(qpos=qpos, moving=moving, tool=skeleton.tool, wanted=wanted, camera=camera, size=size)
-
-
-def _camera(view: View, size: tuple[int, int]) -> Float64Array:
-    return np.array([*view.centre, view.distance(*size), view.azimuth, view.elevation])
+def poses_of(run: Run, found: Around, ticks: Ticks) -> Float64Array:
+    """(k, m, 7) position [m] and quaternion wxyz of each thing that moves, in the order of the things."""
+    out = []
+    for thing in found.things:
+        if thing.row is not None:
+            out.append(np.asarray(run.extra[POSES])[ticks, thing.row])
+        elif thing.times:
+            shifts = np.asarray(thing.shifts)
+            p = [np.interp(run.t[ticks], thing.times, shifts[:, i]) + thing.p[i] for i in range(3)]
+            out.append(np.column_stack([*p, np.tile(thing.wxyz, (len(ticks), 1))]))
+    return np.stack(out, axis=1) if out else np.zeros((len(ticks), 0, 7))
 
 
 def _captioned(pictures: Iterator[Picture], times: Float64Array) -> Iterator[Any]:

@@ -1,4 +1,4 @@
-"""Curves of friction: figure 10.14 with what is held at rest, an arm's joints, loads."""
+"""Curves of friction: figure 10.14 with what is held at rest."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from test_plot import assert_legible
 
-import taut
 from taut import Friction
 from taut.errors import RangeError, ShapeError, UsageError
-from taut.record.plots.friction_curves import plot_friction
+from taut.record.friction_plot import plot_friction
 
 LAWS = {
     "(a) viscous": Friction(viscous=0.8),
@@ -47,14 +46,14 @@ class TestFigure1014:
     def test_each_panel_is_its_law(self, title: str) -> None:
         fast, slow, hold = SEEN[title]
         ax = panel(plot_friction(LAWS, speed=1.0), title)
-        left, right = curves(ax, "motion")
+        left, right = curves(ax, "in motion")
         for curve, sign in ((left, -1.0), (right, 1.0)):
             v, f = np.asarray(curve.get_xdata()), np.asarray(curve.get_ydata())
             assert (v * sign > 0.0).all()
             order = np.argsort(np.abs(v))
             assert f[order[-1]] == pytest.approx(sign * fast)
             assert f[order[0]] == pytest.approx(sign * slow, abs=1e-6)
-        upright = curves(ax, "rest")
+        upright = curves(ax, "at rest: any value between")
         assert len(upright) == (0 if hold is None else 1)
         for line in upright:
             assert line.get_xdata().tolist() == [0.0, 0.0]
@@ -68,36 +67,19 @@ class TestFigure1014:
         assert len({ax.get_ylim() for ax in figure.axes}) == 1
 
 
-def test_an_arm_has_a_panel_for_each_joint_with_its_units() -> None:
-    arm = taut.load_arm("one_joint").with_friction(Friction(coulomb=0.2, static=0.5, stribeck=0.1))
-    figure = plot_friction(arm)
-    assert [ax.get_title(loc="left") for ax in figure.axes] == list(arm.joint_names)
-    assert figure.axes[0].get_xlabel() == "v [rad/s]"
-    assert max(curves(figure.axes[0], "motion")[1].get_xdata()) == pytest.approx(0.6)
-
-
-def test_friction_that_grows_with_load_has_a_curve_for_each_load() -> None:
-    figure = plot_friction({"a": Friction(coulomb=0.1, load_motor=0.05, load_external=0.03)}, load=[2.0, 0.0, 5.0])
-    held = [float(line.get_ydata()[1]) for line in curves(figure.axes[0], "rest")]
-    assert held == pytest.approx([0.1, 0.1 + 0.08 * 2.0, 0.1 + 0.08 * 5.0])
-    assert_legible(figure)
-
-
 def test_no_friction_is_a_line_on_the_axis() -> None:
     figure = plot_friction({"a": Friction()})
-    assert np.concatenate([line.get_ydata() for line in curves(figure.axes[0], "motion")]).any() == np.False_
+    assert np.concatenate([line.get_ydata() for line in curves(figure.axes[0], "in motion")]).any() == np.False_
 
 
 def test_what_cannot_be_drawn_is_told() -> None:
     for wrong in ([Friction()], {"a": 1.0}):
-        with pytest.raises(UsageError, match=r"takes an Arm, or a taut\.Friction by each title"):
+        with pytest.raises(UsageError, match=r"takes a taut\.Friction by each title"):
             plot_friction(wrong)  # type: ignore[arg-type]
     with pytest.raises(ShapeError, match="'a' must be the friction of one joint"):
         plot_friction({"a": Friction(coulomb=[0.1, 0.2])})
     for count in (0, 13):
         with pytest.raises(UsageError, match=f"a figure has 1 to 12 panels of friction; got {count}"):
             plot_friction({str(i): Friction() for i in range(count)})
-    with pytest.raises(UsageError, match="load must be 1 to 8 torques for one figure; got 9"):
-        plot_friction({"a": Friction(coulomb=0.1)}, load=np.arange(9.0))
     with pytest.raises(RangeError, match=r"speed must be > 0 \[rad/s\]; got 0.0"):
         plot_friction({"a": Friction()}, speed=0.0)
