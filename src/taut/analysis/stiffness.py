@@ -473,13 +473,14 @@ def _law_at(ctrl: Controller, q: Float64Array, x: Snapshot, gravity: Float64Arra
         views(memory)[path][...] = views(period.start.memory)[path]
     point = dataclasses.replace(period.start, memory=memory)
     compensates = not ctrl.side.adds.gravity and np.allclose(period.command(point), x.g, rtol=1e-6, atol=1e-6)
-    motion = [i for path in ("plant.q", "plant.v") for i in range(len(coordinates))[coordinates.places[path]]]
+    every = np.arange(len(coordinates))
+    motion = np.concatenate([every[coordinates.places[path]] for path in ("plant.q", "plant.v")])
 
     def law_of(factor: float) -> LinearSystem:
         found = period.derivative(period.changed(point, {path: factor * x for path, x in stiffness.items()}))
         C = found.C[-n:].copy()
         C[:, motion[:n]] -= gravity * compensates
-        law = np.setdiff1d(np.arange(len(found.A)), motion)
+        law = np.setdiff1d(every, motion)
         own = found.A[np.ix_(law, law)]  # of its memory, without constants such as a posture at rest
         states = law[driven_states(own, found.A[np.ix_(law, motion)]) & observed_states(own, C[:, law])]
         return LinearSystem(
