@@ -38,7 +38,6 @@ Ticks: TypeAlias = np.ndarray[Any, np.dtype[np.intp]]
 SUFFIXES: Final = (".gif", ".mp4")
 FASTEST: Final = {".gif": 50, ".mp4": 240}  # [1/s] a GIF counts in hundredths of a second
 SIZES: Final = (16, 4096)  # [pixel]
-PICTURES_LOOKED_AT: Final = 7  # pictures in which the tool is to be seen
 MAX_POSITION: Final = 1e6  # [rad | m] positions beyond this are not drawn: the run had diverged
 
 
@@ -180,9 +179,6 @@ def _pictures(
     model, places, problem = scene.scene(arm, view, size, around)
     qpos = np.zeros_like(q)
     qpos[:, places] = q
-    if around and camera is None:
-        some = np.linspace(0, len(q) - 1, min(len(q), PICTURES_LOOKED_AT)).astype(int)
-        view = scene.unhidden(model, view, size, [(qpos[k], moving[k], tool[k]) for k in some])
     frames = render.Frames(
         qpos=qpos,
         moving=moving,
