@@ -374,7 +374,7 @@ def contact_bounce(run: ExaminedRun) -> Finding | None:
     mean, deviation = force[window].mean(), force[window].std()
     is_open = force < 0.1 * mean
     openings = int(np.sum(is_open[window][1:] & ~is_open[window][:-1]))
-    if openings < limit["openings"]:
+    if is_open[window].mean() < limit["part"]:
         return None
     evidence = {
         "openings": (openings / ((window.stop - window.start) * run.dt), "1/s"),
@@ -412,7 +412,7 @@ SHARED: Final = (
     Threshold("error", 0.02, "of the commanded motion", "the 2 % band of a settling time"),
     Threshold("error at the tool", 1e-3, "m", "a millimetre at the tool of a stretched arm"),
     Threshold("effect", 0.01, "of the feedback effort", "what explains less is not why a run is as it is"),
-    Threshold("part", 0.05, "of gravity, of the work on an oscillation, of the run", "less is an error of the model"),
+    Threshold("part", 0.05, "of gravity, of the work on an oscillation, of time", "less is an error of the model"),
     Threshold("torque change", 0.01, "of the effort limit", "a torque that changes less does not move a joint"),
     Threshold("model accuracy", 0.01, "of the largest gravity torque", "of a well-known arm"),
     Threshold(
@@ -605,7 +605,6 @@ CHECKS: Final = (
     Check(
         name="contact bounce",
         test=contact_bounce,
-        thresholds=(Threshold("openings", 10, "times", "a landing has fewer"),),
         cause="the contact opens {openings}, with forces up to {largest force} for {mean force} on average",
         remedy="lower kfp and kfi, raise kdamp, or press with a compliant tool; in MuJoCo give the surface "
         'priority="1" solimp="0 0.9 0.002 0.5 1", so that its force grows with the depth',
