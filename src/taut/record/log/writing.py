@@ -30,7 +30,7 @@ from taut.record.run import Run
 if TYPE_CHECKING:
     from mcap.writer import Writer
 
-__all__ = ["TICKS", "Ending", "Log", "RunLog", "open_log", "save", "sealed"]
+__all__ = ["TICKS", "Ending", "Log", "open_log", "save", "sealed"]
 
 SUFFIXES: Final = (".mcap",)
 TICKS: Final = "/run"  # the topic of the ticks
@@ -87,10 +87,12 @@ class Log:
     Args:
         path: The file; one that is there is replaced.
         to: Where to write, if not to the path itself.
+        strict: Whether a write that the system refuses is an error; else the log ends there, and `finish` reports it.
     """
 
-    def __init__(self, path: Path, to: Path | None = None) -> None:
-        self._path, self._to = path, path if to is None else to
+    def __init__(self, path: Path, to: Path | None = None, *, strict: bool = True) -> None:
+        self._path, self._to, self._strict = path, path if to is None else to, strict
+        self._refusal: FileError | None = None
         self._stream: _Stream | None = None
         self._writer: Writer | None = None
         self.ticks = 0
@@ -108,6 +110,8 @@ class Log:
         Raises:
             FileError: The system refuses a write, or the log is closed.
         """
+        if self._refusal is not None:
+            return
         if self._stream is not None and self._writer is None:
             raise FileError(f"log '{self._path}' is closed; open another one", name=str(self._path))
         try:
@@ -120,8 +124,12 @@ class Log:
                 if advance is not None:
                     advance(len(block["t"]))
         except OSError as cause:
-            self._writer = None  # what has been written stays as it is
-            raise cannot_write("log", self._path, cause) from cause
+            self._refuse(cause)
+
+    def _refuse(self, cause: OSError) -> None:
+        self._writer, self._refusal = None, cannot_write("log", self._path, cause)  # what has been written stays
+        if self._strict:
+            raise self._refusal from cause
 
     def _begin(self, rows: Run) -> Writer:
         from mcap.writer import CompressionType, Writer
@@ -151,22 +159,27 @@ class Log:
             if self._stream.position != before:  # a chunk is full
                 before, self.safe_ticks = self._stream.position, self.ticks
 
-    def finish(self, outcome: Outcome) -> None:
-        """Write how the run ended, and what readers need.
+    def finish(self, outcome: Outcome) -> Outcome:
+        """Write how the run ended, and what readers need; the same outcome, with how many ticks the log lacks.
 
         Raises:
             FileError: The system refuses a write.
         """
-        if self._writer is None:
-            return
         writer, self._writer = self._writer, None
-        try:
-            ending = plain(Ending(outcome=outcome, ticks=self.ticks))
-            writer.add_metadata("taut.outcome", sealed(json.dumps(ending)))
-            writer.finish()  # type: ignore[no-untyped-call]
-            self.safe_ticks = self.ticks
-        except OSError as cause:
-            raise cannot_write("log", self._path, cause) from cause
+        if writer is not None:
+            try:
+                ending = plain(Ending(outcome=outcome, ticks=self.ticks))
+                writer.add_metadata("taut.outcome", sealed(json.dumps(ending)))
+                writer.finish()  # type: ignore[no-untyped-call]
+                self.safe_ticks = self.ticks
+            except OSError as cause:
+                self._refuse(cause)
+        if self._refusal is None:
+            return outcome
+        ticks = outcome.tick + 1
+        dropped = ticks - self.safe_ticks
+        message = f"{outcome.message}; {self._refusal} ({dropped} of {count_of(ticks, 'tick')} are not in it)"
+        return replace(outcome, message=message, dropped=dropped)
 
     def __enter__(self) -> Self:
         return self
@@ -176,61 +189,20 @@ class Log:
     ) -> None:
         words = "" if error is None else f": {type(error).__name__}: {error}".rstrip(": ")
         outcome = Outcome(kind="stopped", message=f"the run broke off{words}", tick=max(0, self.ticks - 1))
-        with suppress(FileError):  # the first error is the one to hear about
+        with suppress(OSError):  # the first error is the one to hear about
             self.finish(outcome)
         if self._stream is not None:
-            self._stream.close()
-
-
-class RunLog:
-    """The log of a run that is going on. Where it cannot be written any more it ends, and the run does not.
-
-    A context manager around the log's own.
-    """
-
-    def __init__(self, log: Log) -> None:
-        self._log = log
-        self._refusal: FileError | None = None
-
-    def write(self, rows: Run) -> None:
-        """Append the ticks of a piece of the run, as long as that works."""
-        self._tried(lambda: self._log.write(rows))
-
-    def finish(self, outcome: Outcome) -> Outcome:
-        """Write how the run ended; the same outcome, with how many ticks the log lacks."""
-        self._tried(lambda: self._log.finish(outcome))
-        if self._refusal is None:
-            return outcome
-        ticks = outcome.tick + 1
-        dropped = ticks - self._log.safe_ticks
-        message = f"{outcome.message}; {self._refusal} ({dropped} of {count_of(ticks, 'tick')} are not in it)"
-        return replace(outcome, message=message, dropped=dropped)
-
-    def _tried(self, write: Callable[[], None]) -> None:
-        if self._refusal is None:
-            try:
-                write()
-            except FileError as refusal:
-                self._refusal = refusal
-
-    def __enter__(self) -> Self:
-        self._log.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        with suppress(OSError):  # of a file that is closed: what it lacks has been counted
-            self._log.__exit__(kind, error, trace)
+            with suppress(OSError):
+                self._stream.close()
 
 
 def open_log(path: str | os.PathLike[str]) -> Log:
-    """A log file (.mcap) to write pieces of a run to while it goes on.
+    """A log file (.mcap) to write pieces of a run to while it goes on; where it cannot be written, it ends there.
 
     Raises:
         FileError: Another suffix, a folder, a folder that does not exist.
     """
-    return Log(checked_target("log", path, SUFFIXES))
+    return Log(checked_target("log", path, SUFFIXES), strict=False)
 
 
 def save(run: Run, path: str | os.PathLike[str], *, progress: bool | None = None) -> Path:
