@@ -270,7 +270,7 @@ def wind_up(run: ExaminedRun) -> Finding | None:
 
 def torque_jump(run: ExaminedRun) -> Finding | None:
     """The feedback starts with a quarter of the effort limit, and half of all that it ever gives."""
-    record, feedback = run.run, np.abs(run.applied_feedback) / run.scale
+    record, feedback = run.run, np.abs(run.feedback) / run.scale
     bad = (feedback[0] >= run.threshold["jump"]) & (feedback[0] >= 0.5 * feedback.max(axis=0))
     if not bad.any() or ("blend" in record.terms and np.any(record.terms["blend"][0])):
         return None
@@ -279,7 +279,7 @@ def torque_jump(run: ExaminedRun) -> Finding | None:
     end = int(below[0]) if below.size else len(record)
     part = np.where(bad & (np.arange(len(record)) < end)[:, np.newaxis], run.feedback, 0.0)
     evidence = {
-        "jump": (run.applied_feedback[0, i], "torque"),
+        "jump": (run.feedback[0, i], "torque"),
         "relative to the effort limit": (100.0 * feedback[0, i], "%"),
         **({} if run.error is None else {"error at the start": (run.error[0, i], "joint")}),
     }
