@@ -290,7 +290,7 @@ class Run:
 
     def arrays(self) -> dict[str, Float64Array]:
         """Everything by name: t, q, v, tau, command, terms.P, reference.q, extra.F_ext, ...; one row per tick."""
-        from taut.record.log.layout import columns_of
+        from taut.record.log.writing import columns_of
 
         return columns_of(self)
 
