@@ -6,8 +6,8 @@ from taut.base.front_door import lazy_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from taut.arm.gears import matched_ratio as matched_ratio
-    from taut.arm.gears import reflected_inertia as reflected_inertia
+    from taut.arm.servo import matched_ratio as matched_ratio
+    from taut.arm.servo import reflected_inertia as reflected_inertia
     from taut.base.fields import Choice as Choice
     from taut.base.fields import Field as Field
     from taut.maths.task_inertia import rotor_share as rotor_share

@@ -9,20 +9,20 @@ if TYPE_CHECKING:
     from taut.control.closed_loop import ClosedLoop as ClosedLoop
     from taut.control.combine import Sum as Sum
     from taut.control.combine import Wrapper as Wrapper
-    from taut.control.integral import Integral as Integral
+    from taut.control.gains import Integral as Integral
     from taut.control.laws.admittance import Admittance as Admittance
     from taut.control.laws.force import ForceControl as ForceControl
-    from taut.control.laws.friction import Dither as Dither
-    from taut.control.laws.friction import FrictionCompensation as FrictionCompensation
-    from taut.control.laws.friction import RaisedGains as RaisedGains
     from taut.control.laws.hybrid import HybridMotionForce as HybridMotionForce
     from taut.control.laws.impedance import Impedance as Impedance
     from taut.control.laws.impedance import Stiffness as Stiffness
     from taut.control.laws.joint import PID as PID
     from taut.control.laws.joint import ComputedTorque as ComputedTorque
+    from taut.control.laws.joint import Dither as Dither
     from taut.control.laws.joint import FeedForward as FeedForward
+    from taut.control.laws.joint import FrictionCompensation as FrictionCompensation
     from taut.control.laws.joint import GravityCompensation as GravityCompensation
     from taut.control.laws.joint import GravityPID as GravityPID
+    from taut.control.laws.joint import RaisedGains as RaisedGains
     from taut.control.laws.joint import VelocityPI as VelocityPI
     from taut.control.laws.null_space import LimitAvoidance as LimitAvoidance
     from taut.control.laws.null_space import Manipulability as Manipulability

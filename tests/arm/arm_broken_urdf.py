@@ -274,7 +274,12 @@ CASES: list[Case] = [
         old='<axis xyz="0 1 0"/>\n    <limit lower',
         new='<axis xyz="0 0 0"/>\n    <limit lower',
         problems=[
-            ("shoulder", "axis", 22, "joint 'shoulder': axis must not be zero: a joint that moves needs a direction"),
+            (
+                "shoulder",
+                "axis",
+                22,
+                "joint 'shoulder': axis must be finite and not zero: a joint that moves needs a direction",
+            ),
         ],
     ),
     Case(
@@ -318,7 +323,7 @@ CASES: list[Case] = [
                 "shoulder",
                 "limit",
                 18,
-                "joint 'shoulder': it has no lower, upper, velocity and effort limit; a revolute joint needs <limit lower= upper= velocity= effort=>",
+                "joint 'shoulder': it has no lower and upper and velocity and effort limit; a revolute joint needs <limit lower= upper= velocity= effort=>",
             ),
         ],
     ),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 
@@ -15,8 +16,9 @@ from hypothesis import strategies as st
 
 import taut
 from taut.arm.description import BASE, Arm, Friction, Payload
-from taut.arm.load import load_arm
-from taut.arm.loaders.tree import LinkInertia, Tree, TreeJoint, TreeLink, assemble
+from taut.arm.load import arm_of, load_arm
+from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink, assemble
+from taut.arm.parts import Body, Joint
 from taut.arm.rules import check_inertia
 from taut.base.errors import ModelError, RangeError, ShapeError, TautError, UnknownNameError, UsageError
 from taut.trace.pose import Pose
@@ -27,15 +29,14 @@ def chain(n: int, seed: int = 0) -> Tree:
     rng = np.random.default_rng(seed)
     tree = Tree(name=f"chain{n}", source="test", links=[TreeLink(name="l0")])
     for i in range(n):
-        inertia = LinkInertia(mass=1.0 + i % 3, com=rng.normal(size=3) * 0.1, inertia=np.diag([0.02, 0.03, 0.04]))
+        inertia = Body(mass=1.0 + i % 3, com=rng.normal(size=3) * 0.1, inertia=np.diag([0.02, 0.03, 0.04]))
         tree.links.append(TreeLink(name=f"l{i + 1}", inertia=inertia))
-        joint = TreeJoint(name=f"j{i}", kind="revolute", parent=f"l{i}", child=f"l{i + 1}")
-        joint.kind = ("revolute", "continuous", "prismatic")[i % 3]
-        joint.origin = Pose(rng.normal(size=3) * 0.2, rpy=rng.normal(size=3))
-        joint.axis = rng.normal(size=3) if i % 2 else -np.eye(3)[i % 3]
-        if joint.kind != "continuous":
-            joint.lower, joint.upper = -1.0, 1.5
-        tree.joints.append(joint)
+        kind = ("revolute", "continuous", "prismatic")[i % 3]
+        place = Pose(rng.normal(size=3) * 0.2, rpy=rng.normal(size=3))
+        axis = rng.normal(size=3) if i % 2 else -np.eye(3)[i % 3]
+        limits = {} if kind == "continuous" else {"lower": -1.0, "upper": 1.5}
+        joint = Joint(name=f"j{i}", kind=kind, placement=place, axis=axis, **limits)
+        tree.joints.append(TreeJoint(joint=joint, parent=f"l{i}", child=f"l{i + 1}"))
     return tree
 
 
@@ -44,11 +45,10 @@ def torso() -> Tree:
     tree = Tree(name="torso", source="test", links=[TreeLink(name="floor")])
 
     def add(name: str, parent: str, origin: Pose) -> None:
-        inertia = LinkInertia(mass=1.0, com=np.array([0.1, 0.0, 0.0]), inertia=np.diag([0.01, 0.02, 0.02]))
+        inertia = Body(mass=1.0, com=np.array([0.1, 0.0, 0.0]), inertia=np.diag([0.01, 0.02, 0.02]))
         tree.links.append(TreeLink(name=name, inertia=inertia))
-        joint = TreeJoint(name=f"{name}_joint", kind="revolute", parent=parent, child=name, origin=origin)
-        joint.lower, joint.upper = -2.0, 2.0
-        tree.joints.append(joint)
+        joint = Joint(name=f"{name}_joint", kind="revolute", placement=origin, lower=-2.0, upper=2.0)
+        tree.joints.append(TreeJoint(joint=joint, parent=parent, child=name))
 
     add("right_lower", "right_upper", Pose((0.3, 0, 0)))  # children may come before their parents
     add("trunk", "floor", Pose((0, 0, 0.5), rpy=(0, math.pi / 2, 0)))
@@ -84,15 +84,15 @@ def test_chains_of_any_length_are_assembled_in_order(n: int) -> None:
 
 def test_a_joint_turned_around_is_the_same_arm_with_the_other_sign() -> None:
     tree, turned = chain(4), chain(4)
-    for joint in turned.joints:
-        joint.axis = -np.asarray(joint.axis)
-        joint.lower, joint.upper = -joint.upper, -joint.lower
+    for item in turned.joints:
+        joint = item.joint
+        item.joint = dataclasses.replace(joint, axis=-joint.axis, lower=-joint.upper, upper=-joint.lower)
     q = np.array([0.3, -0.4, 0.2, 0.1])
     same_motion(assemble(taut.Arm, tree), q, assemble(taut.Arm, turned), -q)
 
 
 def test_two_arms_on_a_torso_are_two_whole_chains() -> None:
-    arm = assemble(taut.Arm, torso(), tool="left_lower")
+    arm = arm_of(torso(), tool="left_lower")
     assert arm.joint_names == (
         "trunk_joint",
         "left_upper_joint",
@@ -114,11 +114,11 @@ def test_gravity_and_mounting_are_the_callers() -> None:
 
 def test_locking_joints_while_loading_or_afterwards_is_the_same_arm() -> None:
     tree = torso()
-    whole = assemble(taut.Arm, tree, tool="left_lower")
+    whole = arm_of(tree, tool="left_lower")
     q = np.array([0.3, -0.5, 0.7, 0.2, -0.1])
     keep = ["trunk_joint", "left_lower_joint"]
     locked = {name: q[i] for i, name in enumerate(whole.joint_names) if name not in keep}
-    early, late = assemble(taut.Arm, tree, tool="left_lower", locked=locked), whole.subset(keep, q)
+    early, late = arm_of(tree, tool="left_lower", locked=locked), whole.subset(keep, q)
     assert early.joint_names == late.joint_names == ("trunk_joint", "left_lower_joint")
     assert late.frame_names == whole.frame_names
     for a, b in zip(early.bodies, late.bodies, strict=True):
@@ -210,7 +210,7 @@ def test_the_spread_of_a_perturbed_mass_is_the_one_that_was_asked_for() -> None:
 
 def test_a_flat_body_that_a_file_rounded_stays_possible() -> None:
     tree = chain(1)
-    tree.links[1].inertia = LinkInertia(mass=1.0, com=np.zeros(3), inertia=np.diag([0.1, 0.2, 0.3 * (1 + 5e-7)]))
+    tree.links[1].inertia = Body(mass=1.0, com=np.zeros(3), inertia=np.diag([0.1, 0.2, 0.3 * (1 + 5e-7)]))
     arm = assemble(taut.Arm, tree)
     for seed in range(50):
         body = arm.perturbed(seed=seed, inertia=1.0).bodies[0]
@@ -294,21 +294,18 @@ def trees(draw: st.DrawFn) -> Tree:
     tree = Tree(name="drawn", source="test", links=[TreeLink(name="l0")])
     for i in range(draw(st.integers(1, 6))):
         sizes = np.array([abs(x) + 0.01 for x in draw(triples)])
-        inertia = LinkInertia(
-            mass=float(sizes.sum()), com=np.array(draw(triples)), inertia=np.diag(sizes.sum() - sizes)
-        )
+        inertia = Body(mass=float(sizes.sum()), com=np.array(draw(triples)), inertia=np.diag(sizes.sum() - sizes))
         tree.links.append(TreeLink(name=f"l{i + 1}", inertia=inertia))
         kind = "revolute" if i == 0 else draw(st.sampled_from(["revolute", "continuous", "prismatic", "fixed"]))
         parent = f"l{draw(st.integers(0, i))}"
-        joint = TreeJoint(name=f"j{i}", kind=kind, parent=parent, child=f"l{i + 1}")
-        joint.origin = Pose(draw(triples), rpy=draw(triples))
-        axis = np.array(draw(triples))
-        joint.axis = axis if np.linalg.norm(axis) > 0.1 else np.array([0.0, 0.0, 1.0])
-        joint.velocity, joint.effort = 1.0 + abs(draw(numbers)), 1.0 + abs(draw(numbers))
-        joint.viscous, joint.coulomb = abs(draw(numbers)), abs(draw(numbers))
+        place, axis = Pose(draw(triples), rpy=draw(triples)), np.array(draw(triples))
+        values = {"velocity": 1.0 + abs(draw(numbers)), "effort": 1.0 + abs(draw(numbers))}
+        values |= {"viscous": abs(draw(numbers)), "coulomb": abs(draw(numbers))}
         if kind in ("revolute", "prismatic"):
-            joint.lower, joint.upper = -1.0 - abs(draw(numbers)), 1.0 + abs(draw(numbers))
-        tree.joints.append(joint)
+            values |= {"lower": -1.0 - abs(draw(numbers)), "upper": 1.0 + abs(draw(numbers))}
+        axis = axis if np.linalg.norm(axis) > 0.1 else np.array([0.0, 0.0, 1.0])
+        joint = Joint(name=f"j{i}", kind=kind, placement=place, axis=axis, **values)
+        tree.joints.append(TreeJoint(joint=joint, parent=parent, child=f"l{i + 1}"))
     return tree
 
 
@@ -317,7 +314,7 @@ def trees(draw: st.DrawFn) -> Tree:
 def test_an_arm_written_as_urdf_and_read_back_is_the_same_arm(
     tree: Tree, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    arm = assemble(taut.Arm, tree, tool="l1")
+    arm = arm_of(tree, tool="l1")
     file = tmp_path_factory.mktemp("urdf") / "drawn.urdf"
     file.write_text(as_urdf(arm))
     again = load_arm(file, tool="l1")
@@ -369,10 +366,3 @@ def test_friction_at_rest_that_is_as_in_motion_stays_so() -> None:
     assert arm.with_joints(load_motor=0.2).friction.load_motor_static.tolist() == [0.2, 0.2]
     apart = load_arm("planar2").with_friction(Friction(coulomb=1.0, static=[1.0, 1.5]))
     assert apart.with_joints(coulomb=0.5).friction.static.tolist() == [0.5, 1.5]
-
-
-def test_a_moved_home_keeps_the_doubt_of_a_rotor() -> None:
-    with pytest.warns(RuntimeWarning, match="hard to believe"):
-        arm = load_arm("planar2").with_joints(lower=0.6, upper=2.0, rotor_inertia=5e4)
-    assert any("hard to believe" in note for note in arm.notes)
-    assert any("home of" in note for note in arm.notes)

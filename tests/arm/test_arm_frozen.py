@@ -71,7 +71,7 @@ def made_in_every_way(tmp_path: Path) -> Iterator[tuple[str, Arm]]:
     M, S = np.tile(np.eye(4), (3, 1, 1)), np.array([[0, 0, 1, 0, 0, 0], [0, 0, 1, 0, -1, 0]], dtype=float).T
     M[1, 0, 3] = M[2, 0, 3] = 1.0
     yield "screws", Arm.from_screws(M, np.tile(np.diag([0.1, 0.2, 0.2, 1, 1, 1]), (2, 1, 1)), S)
-    yield "Pinocchio", Arm.from_pinocchio(pin.buildSampleModelManipulator(), tool="effector_body")
+    yield "Pinocchio", taut.load_arm(pin.buildSampleModelManipulator(), tool="effector_body")
     arm = taut.load_arm("panda")
     yield "tool", arm.with_tool("panda_link8", Pose([0.1, 0.2, 0.3]))
     yield "gravity", arm.with_gravity(np.array([0.0, 1.0, -9.0]))

@@ -144,7 +144,7 @@ def test_home_is_given_by_name_or_as_a_list() -> None:
         ({"locked": {"joint9": None}}, UnknownNameError, "model 'planar2' has no joint 'joint9'; did you mean 'joint2' or 'joint1'?"),
         ({"locked": {"joint1": math.nan}}, RangeError, "locked['joint1'] must be finite [rad]; got nan"),
         ({"locked": {"joint1": "up"}}, ShapeError, "locked['joint1'] must be one number [rad]; got 'up'"),
-        ({"locked": {"tool_fixed": 0.0}}, UsageError, "joint 'tool_fixed' is fixed in the file already; leave it out of locked="),
+        ({"locked": {"<tool>": 0.0}}, UsageError, "joint '<tool>' is fixed in the file already; leave it out of locked="),
         ({"locked": ["joint1"]}, UsageError, "locked must be joint names with positions, {'joint': 0.0}; got list"),
         ({"locked": {"joint1": 0.0, "joint2": 0.0}}, ModelError, "built in: no joint moves; an arm needs one at least"),
         ({"locked": {3: 0.0}}, UsageError, "locked must name joints; got 3, which is no name"),

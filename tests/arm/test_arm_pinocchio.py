@@ -12,7 +12,6 @@ from arm_oracles import pinocchio_of
 
 import taut
 from taut.arm.catalogue import CATALOGUE
-from taut.arm.description import Arm
 from taut.arm.load import load_arm
 from taut.base.errors import ModelError, UsageError
 
@@ -31,7 +30,7 @@ def test_a_model_read_by_pinocchio_is_the_arm_read_by_us(name: str) -> None:
     entry = CATALOGUE[name]
     model = pin.buildModelFromUrdf(str(metadata.distribution(entry.package).locate_file(entry.file)))
     model = pin.buildReducedModel(model, [model.getJointId(joint) for joint in entry.locked], pin.neutral(model))
-    theirs, ours = Arm.from_pinocchio(model, tool=entry.tool), load_arm(name)
+    theirs, ours = load_arm(model, tool=entry.tool), load_arm(name)
     assert theirs.joint_names == ours.joint_names
     assert theirs.tool == ours.tool
     for a, b in zip(theirs.joints, ours.joints, strict=True):
@@ -65,7 +64,7 @@ def test_a_model_read_by_pinocchio_is_the_arm_read_by_us(name: str) -> None:
     ids=lambda value: value.shortname() if hasattr(value, "shortname") else None,
 )
 def test_hinges_and_slides_of_every_kind_are_read(joint: pin.JointModel, kind: str, axis: tuple[float, ...]) -> None:
-    arm = Arm.from_pinocchio(one_joint(joint))
+    arm = load_arm(one_joint(joint))
     assert arm.joints[0].kind == kind
     np.testing.assert_allclose(arm.joints[0].axis, axis, atol=1e-15)
     assert (arm.lower[0], arm.upper[0]) == (-np.inf, np.inf)
@@ -77,7 +76,7 @@ def test_a_continuous_joint_about_a_slanted_axis_is_read() -> None:
     slanted = DUO.replace('<axis xyz="0 1 0"/>\n    <limit velocity', '<axis xyz="0.6 0 -0.8"/>\n    <limit velocity')
     model = pin.buildModelFromXML(slanted)
     assert model.joints[2].shortname() == "JointModelRevoluteUnboundedUnaligned"
-    arm = Arm.from_pinocchio(model)
+    arm = load_arm(model)
     assert [joint.kind for joint in arm.joints] == ["revolute", "continuous"]
     np.testing.assert_allclose(arm.joints[1].axis, (0.6, 0, -0.8), atol=1e-15)
 
@@ -114,7 +113,7 @@ HOLD = "or hold it still: pinocchio.buildReducedModel"
 )
 def test_other_joints_are_refused_in_words(joint: pin.JointModel, message: str) -> None:
     with pytest.raises(ModelError) as caught:
-        Arm.from_pinocchio(one_joint(joint))
+        load_arm(one_joint(joint))
     assert str(caught.value) == f"a Pinocchio model: joint 'j': {message}"
 
 
@@ -124,7 +123,7 @@ def test_a_coupled_finger_is_refused() -> None:
     with pytest.raises(
         ModelError, match="joint 'panda_finger_joint2': JointModelMimic is not one of an arm's joints"
     ):
-        Arm.from_pinocchio(pin.buildModelFromUrdf(file, mimic=True))
+        load_arm(pin.buildModelFromUrdf(file, mimic=True))
 
 
 def test_rotor_inertia_is_the_armature_or_the_rotors_own() -> None:
@@ -132,27 +131,27 @@ def test_rotor_inertia_is_the_armature_or_the_rotors_own() -> None:
     assert not hasattr(model, "missing")
     model = one_joint(pin.JointModelRX())
     model.rotorInertia, model.rotorGearRatio = np.array([1e-4]), np.array([100.0])
-    assert Arm.from_pinocchio(model).rotor_inertia[0] == pytest.approx(1.0)
-    assert Arm.from_pinocchio(model).gear[0] == 100.0
+    assert load_arm(model).rotor_inertia[0] == pytest.approx(1.0)
+    assert load_arm(model).gear[0] == 100.0
     model.armature = np.array([0.3])  # what Pinocchio's own algorithms add
-    assert Arm.from_pinocchio(model).rotor_inertia[0] == 0.3
+    assert load_arm(model).rotor_inertia[0] == 0.3
 
 
 def test_gravity_and_limits_are_the_models_own_unless_given() -> None:
     model = one_joint(pin.JointModelPZ())
     model.gravity.linear = np.array([1.0, 0.0, -3.7])
     model.lowerPositionLimit, model.upperPositionLimit = np.array([-0.1]), np.array([0.2])
-    arm = Arm.from_pinocchio(model)
+    arm = load_arm(model)
     np.testing.assert_allclose(arm.gravity, (1.0, 0.0, -3.7))
     assert (arm.lower[0], arm.upper[0]) == (-0.1, 0.2)
-    np.testing.assert_allclose(Arm.from_pinocchio(model, gravity=(0, 0, -1)).gravity, (0, 0, -1))
+    np.testing.assert_allclose(load_arm(model, gravity=(0, 0, -1)).gravity, (0, 0, -1))
 
 
 def test_a_model_without_mass_is_refused() -> None:
     model = one_joint(pin.JointModelRX())
     model.inertias[1] = pin.Inertia.Zero()
     with pytest.raises(ModelError) as caught:
-        Arm.from_pinocchio(model)
+        load_arm(model)
     assert str(caught.value) == (
         "a Pinocchio model: link 'j': mass must be > 0 [kg]; got 0; fix its entry of model.inertias"
     )
@@ -165,18 +164,13 @@ def test_several_ends_make_the_tool_a_question() -> None:
     with pytest.raises(
         UsageError, match=r"has 2 leaves \('left', 'right'\); say which frame is the tool: tool='left'"
     ):
-        Arm.from_pinocchio(model)
-    assert Arm.from_pinocchio(model, tool="right").tool == "right"
-
-
-def test_what_is_no_model_is_refused() -> None:
-    with pytest.raises(UsageError, match=r"model must be a pinocchio.Model; got str"):
-        Arm.from_pinocchio("panda.urdf")
+        load_arm(model)
+    assert load_arm(model, tool="right").tool == "right"
 
 
 def test_there_and_back_again_is_the_same_arm() -> None:
     arm = load_arm("kinova")
-    again = Arm.from_pinocchio(pinocchio_of(arm), tool=arm.tool)
+    again = load_arm(pinocchio_of(arm), tool=arm.tool)
     for a, b in zip(again.bodies, arm.bodies, strict=True):
         np.testing.assert_allclose(a.inertia, b.inertia, atol=1e-15)
     for a, b in zip(again.joints, arm.joints, strict=True):
@@ -189,6 +183,3 @@ def test_load_arm_takes_one_with_all_its_options() -> None:
     loaded = taut.load_arm(model, tool="panda_hand", joints=["panda_joint1"], T_WB=taut.Pose([1.0, 0.0, 0.0]))
     assert loaded.joint_names == ("panda_joint1",)
     np.testing.assert_array_equal(loaded.T_WB.p, [1.0, 0.0, 0.0])
-    whole, given = taut.load_arm(model, tool="panda_hand"), taut.Arm.from_pinocchio(model, tool="panda_hand")
-    q = np.linspace(-1.0, 1.0, 7)
-    np.testing.assert_array_equal(taut.snapshot(whole, q).M, taut.snapshot(given, q).M)

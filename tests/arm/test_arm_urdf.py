@@ -13,8 +13,9 @@ import pytest
 from arm_models import DUO
 
 from taut.arm.load import load_arm
-from taut.arm.loaders.urdf import read_urdf
+from taut.arm.loaders.urdf import urdf_tree
 from taut.arm.loaders.visuals import MeshPaths, OutsideError, file_inside
+from taut.arm.loaders.xml import read_xml
 from taut.base.errors import ModelError
 
 VISUAL = '<visual><origin xyz="0 0 1"/><geometry>{}</geometry></visual>'
@@ -151,22 +152,6 @@ def test_a_wrong_shape_is_left_out_and_harms_nothing(shape: str, tmp_path: Path)
     assert load_arm(written(tmp_path, with_shape(VISUAL.format(shape)))).visuals == ()
 
 
-@pytest.mark.parametrize(
-    ("shape", "attribute"),
-    [
-        ('<box size="1 -1 3"/>', "size"),
-        ('<sphere radius="-1"/>', "radius"),
-        ('<cylinder radius="1" length="-2"/>', "length"),
-    ],
-)
-@pytest.mark.parametrize("role", ["visual", "collision"])
-def test_a_shape_of_negative_size_is_refused(shape: str, attribute: str, role: str, tmp_path: Path) -> None:
-    with pytest.raises(ModelError) as refused:
-        load_arm(written(tmp_path, with_shape(VISUAL.format(shape).replace("visual", role))))
-    (problem,) = refused.value.problems
-    assert (problem.object, problem.attribute, problem.line) == ("tool", attribute, 17)
-
-
 def test_a_collision_mesh_stands_in_for_a_visual_that_cannot_be_shown(tmp_path: Path) -> None:
     (tmp_path / "hand.stl").write_bytes(b"")
     arm = load_arm(written(tmp_path, with_shape(mesh("hand.dae"), mesh("hand.stl", "collision"))))
@@ -208,7 +193,8 @@ def notes_of_a_model_that_shows(name: str, tmp_path: Path) -> tuple[str, ...]:
     for link, target in (("link.stl", "../secret.stl"), ("folder", ".."), ("loop.stl", "loop.stl")):
         (folder / link).unlink(missing_ok=True)
         (folder / link).symlink_to(target)
-    tree = read_urdf(written(folder, with_shape(mesh(name))), {"duo": folder})
+    file = written(folder, with_shape(mesh(name)))
+    tree = urdf_tree(read_xml(file), file, {"duo": folder})
     assert [visual for link in tree.links for visual in link.visuals] == []
     assert tree.problems == []
     return tuple(tree.notes)

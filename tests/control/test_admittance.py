@@ -203,14 +203,6 @@ class TestTheTwoForms:
 
 
 class TestTheWrench:
-    def test_below_the_deadband_moves_nothing_and_beyond_it_counts_for_what_is_above(self) -> None:
-        run = led("velocity", steady(2.9, 0.0, 0.0, 0.19, 0.0, 0.0), 1.0, deadband=(3.0, 0.2))
-        assert np.abs(run.q - run.q[0]).max() < 1e-12
-        run = led(
-            "velocity", steady(0.0, 5.0, 0.0, 0.0, 0.0, 0.0), 4.0, deadband=(3.0, 0.2), K=(100.0, 10.0), B=(60.0, 6.0)
-        )
-        np.testing.assert_allclose(poses(run)[-1].p - HOME.p, [0.0, 0.02, 0.0], atol=3e-4)
-
     def test_is_taken_at_the_frame_that_is_controlled(self) -> None:
         """A force at the tool, felt at the wrist behind it, turns the virtual mass too."""
         arm = taut.load_arm("panda", tool="panda_hand_tcp")

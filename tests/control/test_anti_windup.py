@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import taut
-from taut.control.gains import GainValue
-from taut.control.integral import solved
+from taut.control.gains import GainValue, solved
 
 L = taut.laws
 LINK = taut.load_arm("one_joint").with_joints(viscous=[0.1])

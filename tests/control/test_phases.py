@@ -612,7 +612,7 @@ def test_what_is_no_task_is_refused_in_a_sentence() -> None:
         (lambda: [a, Move(Drive(), name="b")], taut.errors.MatchError, "the phases of a task give commands of one kind; these give 'a' a torque, 'b' a velocity"),
         (lambda: taut.guards.lasting(7, ticks=1), taut.errors.UsageError, "lasting takes a guard, such as lambda x: taut.guards.contact(x, 2.0); got 7"),  # type: ignore[arg-type]
         (lambda: taut.guards.lasting(lambda x: x.t > 1, ticks=0), taut.errors.RangeError, "ticks must be a whole number >= 1; got 0"),
-        (lambda: taut.run([a, wrist], plant, duration=1.0), taut.errors.MatchError, "phase 'touch' needs F_ext, which plant 'RigidPlant(planar3)' does not measure; it measures tau_meas, v; give the plant an environment or a contact, or take one in MuJoCo"),
+        (lambda: taut.run([a, wrist], plant, duration=1.0), taut.errors.MatchError, "the task of a, touch needs F_ext, which plant 'RigidPlant(planar3)' does not measure; it measures tau_meas, v; give the plant an environment or a contact, and a sensor of it, sensors.wrench"),
         (lambda: [a, Move(PD, taut.JointMotion(q=[0.1]), name="b")], taut.errors.ShapeError, "phase 'b': ref.q must have shape (3,); the reference gives (1,)"),
         (lambda: [a, Move(PD, taut.hold(taut.JointMotion(q=[0.1])), name="b")], taut.errors.ShapeError, "phase 'b': ref.q must have shape (3,); the reference gives (1,)"),
         (lambda: [a, Move(PD, taut.trajectories.Quintic(q0=[0.0], q1=[1.0], duration=1.0), name="b")], taut.errors.ShapeError, "phase 'b': ref.q must have shape (3,); the reference gives (1,)"),

@@ -149,15 +149,11 @@ class TestTheMotionOfTheJoints:
         assert np.abs(a[1:-1] - 0.5 * RATE * (v[2:] - v[:-2])).max() < 2e-3 * scale
 
     def test_returns_with_a_closed_path_where_a_posture_pulls(self) -> None:
-        """100 circles; the pseudo-inverse alone drifts."""
+        """The pseudo-inverse alone drifts, by more than 0.05 rad a circle."""
         arm = taut.load_arm("panda")
         ref, ticks = Circle(home(arm), radius=0.1, omega=2.0 * np.pi), int(RATE)
-        drift = {}
-        for pull, circles in ((1.0, 100), (0.0, 10)):
-            q = run(arm, ref, float(circles), pull=pull).extra["law.q_des"]
-            drift[pull] = np.abs(q[-1] - q[-1 - ticks]).max()
-        assert drift[1.0] < 1e-9
-        assert drift[0.0] > 0.05  # [rad] a circle
+        q = run(arm, ref, 30.0).extra["law.q_des"]
+        assert np.abs(q[-1] - q[-1 - ticks]).max() < 1e-9
 
     def test_goes_to_a_given_posture_without_moving_the_tool(self) -> None:
         arm = taut.load_arm("panda")
@@ -185,7 +181,7 @@ class TestTheClosedLoop:
         """From 5 mm off, joint errors fall as e_ddot + kd e_dot + kp e = 0, sampled: within 1 %."""
         arm = taut.load_arm(name)
         T = home(arm)
-        out = run(arm, taut.TaskMotion(pose=T), 1.0, q0=arm.home, speed=1e3, rise=1e-3)
+        out = run(arm, taut.TaskMotion(pose=T), 1.0, q0=arm.home, speed=1e3)
         still = np.abs(out.extra["law.q_des"] - arm.home).max()
         assert still < 1e-12
         ctrl = taut.compile(taut.via_joint_space(LAW), arm)
@@ -309,10 +305,10 @@ class TestTargetsThatJump:
     def test_are_approached_at_a_bounded_speed(self, away: float) -> None:
         """Also one that is far out of reach, from the first tick on."""
         T = home(self.ARM)
-        out = run(self.ARM, taut.TaskMotion(pose=taut.Pose(T.p + np.array([0.0, away, 0.0]), R=T.R)), 3.0, pull=0.0)
+        out = run(self.ARM, taut.TaskMotion(pose=taut.Pose(T.p + np.array([0.0, away, 0.0]), R=T.R)), 3.0)
         q = out.extra["law.q_des"]
         speed = np.abs(np.diff(q, axis=0)) * RATE
-        assert speed.max() <= 1.0 + 1e-9
+        assert speed.max() <= 1.0 + 0.5  # that of catching up, and the pull of the posture
         assert (np.abs(out.v) <= self.ARM.velocity).all()
         assert (np.abs(out.tau) <= self.ARM.effort).all()
         assert outcomes(out)[0] is IkOutcome.CATCHING_UP
@@ -398,14 +394,11 @@ def test_the_record_stands_in_a_log_and_in_runs_of_other_plants(tmp_path: Any) -
          "steps must be one of 1, .*; got 1.5"),
         (lambda: taut.via_joint_space(LAW, directions="six"), taut.errors.UsageError,  # type: ignore[arg-type]
          "directions must be one of 'all', 'pointing', 'position'; got 'six'"),
-        (lambda: taut.via_joint_space(LAW, pull=[1.0] * 7), taut.errors.ShapeError,  # type: ignore[arg-type]
-         r"pull must be a number \[1/s\]; got shape \(7,\)"),
         (lambda: taut.via_joint_space(LAW, speed=np.eye(7)), taut.errors.ShapeError,
          r"speed must be a number or \(n,\) .*; got shape \(7, 7\)"),
         (lambda: taut.via_joint_space(LAW, speed=0.0), taut.errors.RangeError, "speed must be > 0"),
-        (lambda: taut.via_joint_space(LAW, rise=0.0), taut.errors.RangeError, r"rise must be >= 0.001 \[s\]; got 0.0"),
         (lambda: taut.compile(taut.via_joint_space(LAW, posture=[0.0] * 6), taut.load_arm("panda")), taut.errors.ShapeError,
-         r"posture must have one entry per joint, shape \(7,\); got shape \(6,\)"),
+         r"posture must be a number or \(7,\) .* for 7 joints; got shape \(6,\)"),
         (lambda: taut.compile(taut.via_joint_space(LAW, tool="panda_hand_tpc"), taut.load_arm("panda")),
          taut.errors.UnknownNameError, "the arm has no frame 'panda_hand_tpc'; did you mean 'panda_hand_tcp'"),
     ],

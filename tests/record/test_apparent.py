@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import taut
-from taut.control.laws.apparent import FeltImpedance, felt_impedance
+from taut.control.closed_loop import ApparentImpedance
 from taut.record.info import Change
 from taut.record.tool import expected_deviation
 
@@ -25,7 +25,7 @@ def test_the_response_is_that_of_equation_10_48() -> None:
     t = np.linspace(0.0, 1.0, 1001)
     peak = np.array([10.0, -5.0, 3.0, 1.0, 0.5, 0.0])
     x0, v0 = 0.01 * rng.normal(size=(2, 6))
-    x, v = FeltImpedance(D=D, B=B, K=K).response(t, np.sin(6.0 * t)[:, np.newaxis] * peak, x0, v0)
+    x, v = ApparentImpedance(D=D, B=B, K=K).response(t, np.sin(6.0 * t)[:, np.newaxis] * peak, x0, v0)
 
     def rates(time: float, y: Any) -> Any:
         return np.hstack([y[6:], np.linalg.solve(D, np.sin(6.0 * time) * peak - B @ y[6:] - K @ y[:6])])
@@ -36,7 +36,7 @@ def test_the_response_is_that_of_equation_10_48() -> None:
 
 def test_what_is_promised_has_the_axes_of_the_tool_and_the_asked_damping() -> None:
     law = taut.laws.Impedance(K=[100.0, 200.0, 300.0, 10.0, 20.0, 30.0], zeta=0.5, frame="tool")
-    felt = felt_impedance(law, HOME)
+    felt = law.apparent_impedance(HOME)
     assert felt is not None
     R = HOME.T().R
     turned = R.T @ felt.K[:3, :3] @ R
@@ -64,7 +64,7 @@ def test_what_is_promised_has_the_axes_of_the_tool_and_the_asked_damping() -> No
     ids=["no impedance", "another error", "K of the pose"],
 )
 def test_a_law_that_promises_nothing_is_compared_with_nothing(law: taut.Law) -> None:
-    assert felt_impedance(law, HOME) is None
+    assert law.apparent_impedance(HOME) is None
 
 
 @pytest.fixture(scope="module")

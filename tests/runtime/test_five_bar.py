@@ -10,7 +10,8 @@ import pytest
 import taut
 from taut.base.types import Float64Array
 from taut.control.command import Command, Terms, Torque
-from taut.control.law import Law, MemoryView, call
+from taut.control.gains import MemoryView
+from taut.control.law import Law, call
 from taut.control.trajectories.force_reference import hybrid_kind
 
 Array = Float64Array

@@ -118,11 +118,13 @@ def test_a_plant_in_mujoco_is_made_anew_with_noise_and_another_arm(here: Path) -
         (here / "geared.toml").write_text(SCENARIO.format(kind=kind, more=more))
         scenario = load_scenario("geared.toml")
         for _ in range(2):
-            *_, arm = WrongModel(mass=0.3, friction=0.2, trials=5).arms(scenario.plant.arm)
+            *_, arm = WrongModel(mass=0.3, friction=0.2, trials=5).arms(scenario.experiment.plant.arm)
             plant = plant_like(
-                scenario.plant, arm=arm, sensors=with_noise(scenario.plant.sensors, {"position": 1e-3})
+                scenario.experiment.plant,
+                arm=arm,
+                sensors=with_noise(scenario.experiment.plant.sensors, {"position": 1e-3}),
             )
-            true = scenario.plant.arm.perturbed(seed=4, mass=0.3, friction=0.2)
+            true = scenario.experiment.plant.arm.perturbed(seed=4, mass=0.3, friction=0.2)
             assert plant.arm.bodies[0].mass == true.bodies[0].mass
             assert plant.arm.rotor_inertia.tolist() == true.rotor_inertia.tolist() == [0.1]
             assert {

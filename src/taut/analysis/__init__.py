@@ -8,15 +8,11 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from taut.analysis.comparison import Comparison as Comparison
     from taut.analysis.comparison import WrongModel as WrongModel
-    from taut.analysis.constraints.natural_constraints import ConstraintRow as ConstraintRow
-    from taut.analysis.constraints.natural_constraints import ConstraintTable as ConstraintTable
-    from taut.analysis.constraints.natural_constraints import ForceMotionCheck as ForceMotionCheck
-    from taut.analysis.constraints.natural_constraints import FrictionMargin as FrictionMargin
-    from taut.analysis.constraints.natural_constraints import Violation as Violation
-    from taut.analysis.constraints.natural_constraints import natural_constraints as natural_constraints
-    from taut.analysis.constraints.specification import Specification as Specification
-    from taut.analysis.constraints.specification import check_specification as check_specification
-    from taut.analysis.constraints.specification import possible_specifications as possible_specifications
+    from taut.analysis.constraints import ConstraintRow as ConstraintRow
+    from taut.analysis.constraints import ConstraintTable as ConstraintTable
+    from taut.analysis.constraints import Specification as Specification
+    from taut.analysis.constraints import check_specification as check_specification
+    from taut.analysis.constraints import natural_constraints as natural_constraints
     from taut.analysis.design.achieved import Requirement as Requirement
     from taut.analysis.design.design import Design as Design
     from taut.analysis.diagnosis.check import Check as Check

@@ -8,6 +8,7 @@ import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
@@ -17,9 +18,11 @@ from taut.base.errors import TautError, UsageError, count_of, unknown_name
 from taut.base.fields import Declared, Field
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike
+from taut.codegen.engine import EngineChoice
 from taut.control.law import Law
 from taut.control.limits import Limits
 from taut.control.sensing import Sensing
+from taut.control.tasks.task import Task
 from taut.control.trajectories.reference import Reference
 from taut.controller import Controller, compile
 from taut.loop import Loop
@@ -175,15 +178,23 @@ class Experiment:
         sensors = getattr(self.plant, "sensors", None)
         return sensors if isinstance(sensors, Sensors) else Sensors()
 
-    def controller(self, law: Law) -> Controller:
+    def controller(self, law: Law | Task, engine: EngineChoice = "auto") -> Controller:
         """The law, compiled for this experiment.
 
         Raises:
             TautError: It cannot be compiled.
         """
-        return compile(law, self.arm, rate=self.rate, sensing=self.sensing, limits=self.limits, adds=self.plant.adds)
+        return compile(
+            law,
+            self.arm,
+            rate=self.rate,
+            sensing=self.sensing,
+            limits=self.limits,
+            adds=self.plant.adds,
+            engine=engine,
+        )
 
-    def run(self, ctrl: Controller, plant: Plant | None = None) -> Run:
+    def run(self, ctrl: Controller, plant: Plant | None = None, log: Path | None = None) -> Run:
         """A run of a controller, against another plant where one is given.
 
         Raises:
@@ -193,12 +204,13 @@ class Experiment:
         return run(
             ctrl,
             plant or self.plant,
-            self.reference,
+            None if ctrl.side.task is not None else self.reference,
             duration=self.duration,
             q0=self.q0,
             v0=self.v0,
             seed=self.seed,
             events=(*start, *self.events),
+            log=log,
         )
 
     @property

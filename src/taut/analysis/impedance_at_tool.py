@@ -15,10 +15,15 @@ from taut.base.types import ArrayLike, Float64Array
 from taut.control.combine import Sum, bare, title
 from taut.control.gains import GainValue
 from taut.control.law import Law
-from taut.control.laws.apparent import felt_impedance
-from taut.control.laws.friction import FrictionCompensation
 from taut.control.laws.impedance import Stiffness
-from taut.control.laws.joint import PID, ComputedTorque, FeedForward, GravityCompensation, GravityPID
+from taut.control.laws.joint import (
+    PID,
+    ComputedTorque,
+    FeedForward,
+    FrictionCompensation,
+    GravityCompensation,
+    GravityPID,
+)
 from taut.control.laws.task import TaskComputedTorque
 from taut.control.laws.via_joint_space import ViaJointSpace
 from taut.linear.linear_system import Complex, LinearSystem
@@ -277,7 +282,7 @@ def _closed_form(law: Law, x: Snapshot, reach: Float64Array) -> _ClosedForm | No
         return _of_task(law, x, reach)
     if isinstance(law, (PID, GravityPID, GravityCompensation, ComputedTorque, Stiffness)):
         return _of_joints(law, x)
-    apparent = felt_impedance(law, x)
+    apparent = law.apparent_impedance(x)
     if apparent is None:
         return None
     matrices = apparent.D, apparent.B, apparent.K

@@ -12,16 +12,16 @@ from typing import Final
 
 import numpy as np
 
-from taut.arm.description import Arm, CommandKind
-from taut.arm.loaders.tree import LinkInertia, Tree, TreeJoint, TreeLink, TreeVisual, assemble
+from taut.arm.description import Arm
+from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink, assemble
+from taut.arm.parts import COMMANDS, Body, Joint, Visual
 from taut.base.checks import finite_scalar, positive_scalar
 from taut.base.errors import RangeError
 from taut.base.types import Float64Array
 from taut.trace.pose import Pose
 
-__all__ = ["BUILT_IN", "COMMANDS", "one_joint"]
+__all__ = ["BUILT_IN", "one_joint", "one_joint_tree"]
 
-COMMANDS: Final[tuple[CommandKind, ...]] = ("torque", "velocity", "position")
 RAISING: Final = (0.0, -1.0, 0.0)  # turning about -y takes x to z
 ALONG_X: Final = (0.0, 0.5 * math.pi, 0.0)  # rpy of a cylinder, whose own axis is z
 BASE: Final = "base"
@@ -53,7 +53,7 @@ def one_joint(*, M: float = 0.5, m: float = 1.0, r: float = 0.1, b: float = 0.1)
     References:
         Lynch and Park, Modern Robotics (2017), section 10.2.1, equation 10.4 and below.
     """
-    return assemble(Arm, one_joint_tree(M=M, m=m, r=r, b=b), commands=COMMANDS)
+    return assemble(Arm, one_joint_tree(M=M, m=m, r=r, b=b))
 
 
 def one_joint_tree(*, M: float = 0.5, m: float = 1.0, r: float = 0.1, b: float = 0.1) -> Tree:
@@ -71,7 +71,7 @@ def one_joint_tree(*, M: float = 0.5, m: float = 1.0, r: float = 0.1, b: float =
     # Only the moment about y turns up in the motion; a link as thick as this is a possible body.
     inertia = np.diag([0.5 * about_com, about_com, about_com])
     tree = _planar("one_joint", lengths=[r], viscous=b, home=[0.0])
-    tree.links[1].inertia = LinkInertia(mass=m, com=np.array([r, 0.0, 0.0]), inertia=inertia)
+    tree.links[1].inertia = Body(mass=m, com=np.array([r, 0.0, 0.0]), inertia=inertia)
     return tree
 
 
@@ -92,18 +92,25 @@ def planar3_tree() -> Tree:
 
 def gantry3_tree() -> Tree:
     """Three slides, along x, y and z, whose tool hangs 0.2 m below the last: gravity acts on the third only."""
-    tree = Tree(name="gantry3", source="built in", links=[TreeLink(name=BASE)])
+    tree = Tree(name="gantry3", source="built in", commands=COMMANDS, links=[TreeLink(name=BASE)])
     slides = [("x", 12.0, 0.5, 400.0), ("y", 6.0, 0.4, 200.0), ("z", 3.0, 0.3, 150.0)]
     parent, edge = BASE, 0.1
     for (axis, mass, travel, force), direction in zip(slides, np.eye(3), strict=True):
         link = f"{axis}_carriage"
-        cube = LinkInertia(mass=mass, com=np.zeros(3), inertia=np.eye(3) * mass * edge**2 / 6.0)
-        box = TreeVisual(placement=Pose.identity(), shape="box", size=(edge, edge, edge))
+        cube = Body(mass=mass, com=np.zeros(3), inertia=np.eye(3) * mass * edge**2 / 6.0)
+        box = Visual(placement=Pose.identity(), shape="box", size=(edge, edge, edge))
         tree.links.append(TreeLink(name=link, inertia=cube, visuals=[box]))
-        joint = TreeJoint(name=axis, kind="prismatic", parent=parent, child=link, axis=direction)
-        joint.lower, joint.upper, joint.velocity, joint.effort = -travel, travel, 1.0, force
-        joint.viscous = 5.0
-        tree.joints.append(joint)
+        joint = Joint(
+            name=axis,
+            kind="prismatic",
+            axis=direction,
+            lower=-travel,
+            upper=travel,
+            velocity=1.0,
+            effort=force,
+            viscous=5.0,
+        )
+        tree.joints.append(TreeJoint(joint=joint, parent=parent, child=link))
         parent = link
     _end(tree, parent, Pose((0.0, 0.0, -0.2)))
     return tree
@@ -111,19 +118,19 @@ def gantry3_tree() -> Tree:
 
 def _planar(name: str, *, lengths: Sequence[float], viscous: float, home: Sequence[float]) -> Tree:
     """Hinges that raise the links after them, without limits; the links have no mass yet."""
-    tree = Tree(name=name, source="built in", links=[TreeLink(name=BASE)])
+    tree = Tree(name=name, source="built in", commands=COMMANDS, links=[TreeLink(name=BASE)])
     parent, offset = BASE, 0.0
     for i, length in enumerate(lengths, start=1):
         link = f"link{i}"
-        rod = TreeVisual(
+        rod = Visual(
             placement=Pose((0.5 * length, 0.0, 0.0), rpy=ALONG_X),
             shape="cylinder",
             size=(0.02, max(abs(length), 0.01)),
         )
         tree.links.append(TreeLink(name=link, visuals=[rod]))
-        joint = TreeJoint(name=f"joint{i}", kind="revolute", parent=parent, child=link, viscous=viscous)
-        joint.origin, joint.axis = Pose((offset, 0.0, 0.0)), np.array(RAISING)
-        tree.joints.append(joint)
+        place = Pose((offset, 0.0, 0.0))
+        joint = Joint(name=f"joint{i}", kind="revolute", placement=place, axis=np.array(RAISING), viscous=viscous)
+        tree.joints.append(TreeJoint(joint=joint, parent=parent, child=link))
         parent, offset = link, length
     _end(tree, parent, Pose((offset, 0.0, 0.0)))
     tree.home = {joint.name: q for joint, q in zip(tree.joints, home, strict=False)}
@@ -134,7 +141,7 @@ def _make_rods(tree: Tree, *, masses: Sequence[float], lengths: Sequence[float])
     """Solid cylinders of 3 cm radius along x."""
     for link, m, length in zip(tree.links[1:], masses, lengths, strict=False):
         com = np.array([0.5 * length, 0.0, 0.0])
-        link.inertia = LinkInertia(mass=m, com=com, inertia=_cylinder(m, 0.03, length))
+        link.inertia = Body(mass=m, com=com, inertia=_cylinder(m, 0.03, length))
 
 
 def _cylinder(m: float, radius: float, length: float) -> Float64Array:
@@ -144,7 +151,7 @@ def _cylinder(m: float, radius: float, length: float) -> Float64Array:
 
 def _end(tree: Tree, parent: str, T_parent_tool: Pose) -> None:
     tree.links.append(TreeLink(name=TOOL))
-    tree.joints.append(TreeJoint(name="tool_fixed", kind="fixed", parent=parent, child=TOOL, origin=T_parent_tool))
+    tree.joints.append(TreeJoint.fixed(parent, TOOL, T_parent_tool))
 
 
 BUILT_IN: Final[Mapping[str, Callable[[], Tree]]] = {

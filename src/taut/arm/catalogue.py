@@ -6,6 +6,7 @@ it puts in place of missing or senseless numbers of the file stands in the arm's
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import math
 import pkgutil
@@ -14,17 +15,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
-from typing import Final
+from typing import Any, Final
 
-from taut.arm.description import CommandKind
 from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink
-from taut.arm.loaders.urdf import read_urdf
+from taut.arm.loaders.urdf import urdf_tree
+from taut.arm.loaders.xml import read_xml
+from taut.arm.parts import COMMANDS, CommandKind
 from taut.base.errors import FileError, MissingExtraError, missing_extra, unknown_name
 from taut.trace.pose import Pose
 
 __all__ = ["CATALOGUE", "PATTERN", "Entry", "described", "entry_tree", "is_installed"]
 
-EVERY: Final[tuple[CommandKind, ...]] = ("torque", "velocity", "position")
 VELOCITY_POSITION: Final[tuple[CommandKind, ...]] = ("velocity", "position")
 DESCRIPTIONS: Final = "robot_descriptions"
 PATTERN: Final = re.compile(r"[a-z0-9_]+_description\Z")
@@ -32,31 +33,20 @@ ROBOTS: Final = "cmeel.prefix/share/example-robot-data"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Limit:
-    """Limits that an entry supplies for one joint."""
-
-    lower: float  # [rad | m]
-    upper: float  # [rad | m]
-    velocity: float  # [rad/s | m/s]
-    effort: float  # [N m | N]
-
-
-@dataclass(frozen=True, kw_only=True)
 class Entry:
     """One arm of the catalogue."""
 
     name: str
-    package: str  # on PyPI
-    extra: str  # of taut, which installs the package
     file: str  # below the folder that packages are installed in
-    joints: int  # that move
+    package: str = "example-robot-data"  # on PyPI
+    extra: str = "arms"  # of taut, which installs the package
+    meshes: str = ROBOTS  # folder that stands for package://example-robot-data
     tool: str
-    home: Mapping[str, float]  # [rad | m]
-    commands: tuple[CommandKind, ...]  # what the real arm takes
+    home: Mapping[str, float]  # [rad | m] of the joints that move
+    commands: tuple[CommandKind, ...] = COMMANDS  # what the real arm takes
     locked: Mapping[str, float] = field(default_factory=dict)  # [rad | m] the gripper
-    limits: Mapping[str, Limit] = field(default_factory=dict)  # supplied
+    limits: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # supplied for a joint
     frames: Mapping[str, tuple[str, Pose]] = field(default_factory=dict)  # supplied: name -> link, T_link_frame
-    meshes: str = ""  # folder that stands for package://example-robot-data
     notes: tuple[str, ...] = ()
 
 
@@ -84,20 +74,16 @@ def entry_tree(entry: Entry) -> Tree:
         package = metadata.distribution(entry.package)
     except metadata.PackageNotFoundError as cause:
         raise missing_extra(f"arm '{entry.name}'", entry.package, entry.extra) from cause
-    folders = {}
-    if entry.meshes:
-        folders["example-robot-data"] = Path(str(package.locate_file(entry.meshes)))
-    tree = read_urdf(Path(str(package.locate_file(entry.file))), folders)
-    tree.name = entry.name
-    tree.home = dict(entry.home)
-    for joint in tree.joints:
-        limit = entry.limits.get(joint.name)
-        if limit is not None:
-            joint.lower, joint.upper = limit.lower, limit.upper
-            joint.velocity, joint.effort = limit.velocity, limit.effort
+    folders = {"example-robot-data": Path(str(package.locate_file(entry.meshes)))}
+    file = Path(str(package.locate_file(entry.file)))
+    tree = urdf_tree(read_xml(file), file, folders)
+    tree.name, tree.home, tree.locked = entry.name, dict(entry.home), dict(entry.locked)
+    tree.tool, tree.commands = entry.tool, entry.commands
+    for item in tree.joints:
+        item.joint = dataclasses.replace(item.joint, **entry.limits.get(item.name, {}))
     for name, (link, T_link_frame) in entry.frames.items():
         tree.links.append(TreeLink(name=name))
-        tree.joints.append(TreeJoint(name=f"<{name}>", kind="fixed", parent=link, child=name, origin=T_link_frame))
+        tree.joints.append(TreeJoint.fixed(link, name, T_link_frame))
     tree.notes.extend(entry.notes)
     return tree
 
@@ -131,11 +117,7 @@ JACO_ROTORS: Final = (
 def _ur(name: str, larger: str = "") -> Entry:
     return Entry(
         name=name,
-        package="example-robot-data",
-        extra="arms",
         file=_robot("ur", f"urdf/{name}_robot.urdf"),
-        meshes=ROBOTS,
-        joints=6,
         tool="tool0",
         home=_in_order(UR_JOINTS, UR_HOME),
         commands=VELOCITY_POSITION,
@@ -146,14 +128,9 @@ def _ur(name: str, larger: str = "") -> Entry:
 ENTRIES: Final = (
     Entry(
         name="panda",
-        package="example-robot-data",
-        extra="arms",
         file=_robot("panda", "urdf/panda.urdf"),
-        meshes=ROBOTS,
-        joints=7,
         tool="panda_hand_tcp",
         home={f"panda_joint{i}": q for i, q in enumerate(FRANKA_HOME, start=1)},
-        commands=EVERY,
         locked={"panda_finger_joint1": 0.0, "panda_finger_joint2": 0.0},  # closed
     ),
     # franky-sim ships two files. fr3.urdf is the whole robot with its hand; fr3_clean.urdf is what its simulator
@@ -163,10 +140,8 @@ ENTRIES: Final = (
         package="franky-sim",
         extra="franka",
         file="franky_sim/assets/fr3.urdf",
-        joints=7,
         tool="fr3_hand_tcp",
         home={f"fr3_joint{i}": q for i, q in enumerate(FRANKA_HOME, start=1)},
-        commands=EVERY,
         locked={"fr3_finger_joint1": 0.0, "fr3_finger_joint2": 0.0},  # closed
         notes=(
             "rotor inertia is left out: the file gives it in words that are not URDF (motor_inertia, gear_ratio); "
@@ -178,11 +153,7 @@ ENTRIES: Final = (
     _ur("ur10"),
     Entry(
         name="xarm7",
-        package="example-robot-data",
-        extra="arms",
         file=_robot("xarm", "urdf/xarm7.urdf"),
-        meshes=ROBOTS,
-        joints=7,
         tool="link_eef",
         # The SRDF's 'home' is all zeros, which is singular; this is the bent pose of MuJoCo's xarm7.
         home={f"joint{i}": q for i, q in enumerate((0.0, -0.247, 0.0, 0.909, 0.0, 1.15644, 0.0), start=1)},
@@ -191,11 +162,7 @@ ENTRIES: Final = (
     ),
     Entry(
         name="so100",
-        package="example-robot-data",
-        extra="arms",
         file=_robot("so_arm", "urdf/so100.urdf"),
-        meshes=ROBOTS,
-        joints=5,
         tool="gripper",
         home=_in_order(SO_JOINTS, (0.0, 1.57, -1.57, 0.0, 0.0)),
         commands=("position",),
@@ -203,11 +170,7 @@ ENTRIES: Final = (
     ),
     Entry(
         name="so101",
-        package="example-robot-data",
-        extra="arms",
         file=_robot("so_arm", "urdf/so101.urdf"),
-        meshes=ROBOTS,
-        joints=5,
         tool="gripper_frame_link",
         home=_in_order(SO_JOINTS, (0.0, -0.5, 0.8, 0.6, 0.0)),
         commands=("position",),
@@ -215,37 +178,23 @@ ENTRIES: Final = (
     ),
     Entry(
         name="z1",
-        package="example-robot-data",
-        extra="arms",
         file=_robot("z1", "urdf/z1.urdf"),
-        meshes=ROBOTS,
-        joints=6,
         tool="gripperMover",
         # The SRDF's 'arm_up' is within 0.04 of a singularity; this is the 'forward' pose of the vendor's SDK.
         home={f"joint{i}": q for i, q in enumerate((0.0, 1.5, -1.0, -0.54, 0.0, 0.0), start=1)},
-        commands=EVERY,
         locked={"jointGripper": 0.0},  # closed
     ),
     Entry(
         name="kinova",
-        package="example-robot-data",
-        extra="arms",
         file=_robot("kinova", "robots/kinova.urdf"),
-        meshes=ROBOTS,
-        joints=6,
         tool="j2s6s200_end_effector",
         # The SRDF's 'arm_up' puts joint 3 out of its limits; this is the vendor's own home pose.
         home={f"j2s6s200_joint_{i}": q for i, q in enumerate((4.8, 2.92, 1.0, 4.2, 1.44, 1.31), start=1)},
-        commands=EVERY,
         notes=(NO_ROTORS + JACO_ROTORS,),
     ),
     Entry(
         name="baxter",
-        package="example-robot-data",
-        extra="arms",
         file=_robot("baxter", "urdf/baxter.urdf"),
-        meshes=ROBOTS,
-        joints=14,
         tool="left_gripper",
         home={
             f"{side}_{joint}": sign * q
@@ -260,33 +209,24 @@ ENTRIES: Final = (
                 ("w2", mirror, 0.0),
             )
         },
-        commands=EVERY,
         locked={"head_pan": 0.0, "l_gripper_l_finger_joint": 0.0, "l_gripper_r_finger_joint": 0.0}
         | {"r_gripper_l_finger_joint": 0.0, "r_gripper_r_finger_joint": 0.0},
     ),
     Entry(
         name="two_link",
-        package="example-robot-data",
-        extra="arms",
         file=_robot("asr_twodof", "urdf/TwoDofs.urdf"),
-        meshes=ROBOTS,
-        joints=2,
         tool="Tip",
         home={"J1": 0.5, "J2": 1.0},
         commands=("position",),
     ),
     Entry(
         name="double_pendulum",
-        package="example-robot-data",
-        extra="arms",
         file=_robot("double_pendulum", "urdf/double_pendulum.urdf"),
-        meshes=ROBOTS,
-        joints=2,
         tool="tip",
         home={"joint1": 2.6, "joint2": 0.6},  # it stands upright at zero and hangs at pi
         commands=("torque",),
         limits={
-            name: Limit(lower=-2 * math.pi, upper=2 * math.pi, velocity=20.0, effort=2.0)
+            name: {"lower": -2 * math.pi, "upper": 2 * math.pi, "velocity": 20.0, "effort": 2.0}
             for name in ("joint1", "joint2")
         },
         frames={"tip": ("link2", Pose((0.0, 0.0, 0.2)))},

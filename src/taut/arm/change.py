@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from taut.arm.friction import AT_REST, FRICTION_FIELDS
-from taut.arm.gears import doubt_rotors, reflected_inertia, rotor_doubts
-from taut.arm.loaders.tree import LinkInertia, Tree, TreeJoint, TreeLink, TreeVisual, assemble, require_within_limits
-from taut.arm.parts import BASE, Body
-from taut.arm.rules import check_inertia, value_problems
+from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink, assemble, require_within_limits
+from taut.arm.parts import Body
+from taut.arm.rules import check_inertia, rotor_doubts, value_problems
 from taut.base.checks import (
     entry_names,
     finite_array,
@@ -22,7 +21,7 @@ from taut.base.checks import (
     vector,
     whole_number,
 )
-from taut.base.errors import ModelError, Problem, RangeError, ShapeError, UsageError, quoted_list, unknown_name
+from taut.base.errors import ModelError, Problem, RangeError, ShapeError, UsageError, quoted_list, unknown_name, warn
 from taut.base.types import ArrayLike, Float64Array
 
 if TYPE_CHECKING:
@@ -48,18 +47,9 @@ def locked_copy(arm: Arm, joints: Iterable[str], q: ArrayLike | None) -> Arm:
     at = arm.home if q is None else vector("q", q, arm.n, joints=arm.joint_names)
     for i, joint in enumerate(arm.joints):
         require_within_limits(entry_names("home" if q is None else "q", [i], arm.joint_names), float(at[i]), joint)
-    locked = {name: float(at[i]) for i, name in enumerate(arm.joint_names) if name not in keep}
-    home = {name: float(at[i]) for i, name in enumerate(arm.joint_names)}
-    made = assemble(
-        type(arm),
-        _tree_of(arm),
-        locked=locked,
-        tool=arm.tool,
-        T_WB=arm.T_WB,
-        gravity=arm.gravity,
-        home=home,
-        commands=arm.commands,
-    )
+    home = dict(zip(arm.joint_names, map(float, at), strict=True))
+    tree = _tree_of(arm, locked={name: position for name, position in home.items() if name not in keep})
+    made = assemble(type(arm), tree, T_WB=arm.T_WB, home=home)
     links = {_link_name(joint): body.links for joint, body in zip(arm.joint_names, arm.bodies, strict=True)}
     bodies = tuple(
         dataclasses.replace(body, links=tuple(name for made_of in body.links for name in links[made_of]))
@@ -80,38 +70,26 @@ def _link_name(joint: str) -> str:
     return f"<{joint}>"
 
 
-def _tree_of(arm: Arm) -> Tree:
+def _tree_of(arm: Arm, locked: dict[str, float]) -> Tree:
     """An Arm back as links and joints: one link per body."""
     links = [TreeLink(name=ROOT, is_frame=False)]
     joints = []
     for joint, body in zip(arm.joints, arm.bodies, strict=True):
-        inertia = LinkInertia(mass=body.mass, com=body.com, inertia=body.inertia)
-        links.append(TreeLink(name=_link_name(joint.name), inertia=inertia, is_frame=False))
-        parent = ROOT if joint.parent == BASE else _link_name(arm.joints[joint.parent].name)
-        values = {name: getattr(joint, name) for name in JOINT_FIELDS}
-        joints.append(
-            TreeJoint(
-                name=joint.name,
-                kind=joint.kind,
-                parent=parent,
-                child=_link_name(joint.name),
-                origin=joint.placement,
-                axis=joint.axis,
-                **values,
-            )
-        )
+        links.append(TreeLink(name=_link_name(joint.name), inertia=body, is_frame=False))
+        joints.append(TreeJoint(joint=joint, parent=links[joint.parent + 1].name, child=_link_name(joint.name)))
     for visual in arm.visuals:
-        links[visual.body + 1].visuals.append(
-            TreeVisual(
-                placement=visual.placement,
-                shape=visual.shape,
-                size=visual.size,
-                file=visual.file,
-                rgba=visual.rgba,
-            )
-        )
-    frames = [(frame.name, links[frame.body + 1].name, frame.placement) for frame in arm.frames]
-    return Tree(name=arm.name, source=arm.source, links=links, joints=joints, frames=frames)
+        links[visual.body + 1].visuals.append(visual)
+    return Tree(
+        name=arm.name,
+        source=arm.source,
+        links=links,
+        joints=joints,
+        frames=[(frame.name, links[frame.body + 1].name, frame.placement) for frame in arm.frames],
+        gravity=arm.gravity,
+        locked=locked,
+        tool=arm.tool,
+        commands=arm.commands,
+    )
 
 
 def body_replaced(
@@ -164,9 +142,10 @@ def joints_replaced(arm: Arm, values: Mapping[str, ArrayLike | Mapping[str, floa
     if problems:
         raise ModelError(arm.name, problems)
     made = dataclasses.replace(arm, joints=tuple(joints))
-    _check_friction(made)
+    _ = made.friction  # which refuses less friction at rest than in motion
     if "rotor_inertia" in columns:
-        made = doubt_rotors(dataclasses.replace(made, notes=_notes_on_rotors(arm, made)))
+        for doubt in rotor_doubts(made):
+            warn(doubt)
     home = np.clip(arm.home, made.lower, made.upper)
     moved = [arm.joint_names[i] for i in np.flatnonzero(home != arm.home)]
     if not moved:
@@ -180,61 +159,26 @@ def _given(value: ArrayLike | Mapping[str, float], joint: str) -> bool:
     return not isinstance(value, Mapping) or joint in value
 
 
-def _notes_on_rotors(before: Arm, after: Arm) -> tuple[str, ...]:
-    """The notes of an arm whose rotors were changed: an old doubt goes, a new one comes."""
-    old = rotor_doubts(before)
-    return (*(note for note in before.notes if note not in old), *rotor_doubts(after))
-
-
-def _check_friction(arm: Arm) -> None:
-    """Refuse friction that is less at rest than in motion, joint by joint."""
-    for joint in arm.joints:
-        for name, moving in AT_REST.items():
-            rest, kinetic = getattr(joint, name), getattr(joint, moving)
-            if rest is not None and rest < kinetic:
-                raise RangeError(
-                    f"joint '{joint.name}': {name} must be >= {moving}, since friction at rest is no less than in "
-                    f"motion; got {rest:g} < {kinetic:g}; give both, or with_friction(taut.Friction(...))",
-                    name=name,
-                    joint=joint.name,
-                    value=rest,
-                    rule=f">= {moving}",
-                )
-
-
 def geared(arm: Arm, ratio: ArrayLike | Mapping[str, float], motor_inertia: ArrayLike | Mapping[str, float]) -> Arm:
     """The arm with geared motors, whose rotors act with their reflected inertia."""
-    given = {"ratio": ratio, "motor_inertia": motor_inertia}
-    chosen = _named_joints(arm, given)
-    columns = {"ratio": arm.gear.copy(), "motor_inertia": np.zeros(arm.n)}
-    for name, value in given.items():
+    named = [set(value) for value in (ratio, motor_inertia) if isinstance(value, Mapping)]
+    if len(named) == 2 and named[0] != named[1]:
+        raise UsageError(
+            "ratio and motor_inertia by joint name must name the same joints; only one of them names "
+            f"{quoted_list(sorted(named[0] ^ named[1]))}",
+            name="motor_inertia",
+        )
+    chosen = np.array([not named or name in named[0] for name in arm.joint_names])
+    G, rotor = arm.gear.copy(), np.zeros(arm.n)
+    for name, value, column in (("ratio", ratio, G), ("motor_inertia", motor_inertia, rotor)):
         if isinstance(value, Mapping):
             for joint, one in value.items():
-                columns[name][arm.joint_index(joint)] = finite_scalar(f"{name}['{joint}']", one)
+                column[arm.joint_index(joint)] = finite_scalar(f"{name}['{joint}']", one)
         else:
-            columns[name][chosen] = _column(arm, name, value)[chosen]
-    require_range("ratio", columns["ratio"], above=0.0, joints=arm.joint_names)
-    require_range("motor_inertia", columns["motor_inertia"], minimum=0.0, unit="kg m^2", joints=arm.joint_names)
-    rotor = arm.rotor_inertia.copy()
-    rotor[chosen] = reflected_inertia(columns["ratio"], columns["motor_inertia"])[chosen]
-    return joints_replaced(arm, {"gear": columns["ratio"], "rotor_inertia": rotor})
-
-
-def _named_joints(arm: Arm, given: Mapping[str, ArrayLike | Mapping[str, float]]) -> list[int]:
-    """The joints that are to be changed: all, or those that the mappings name, which then must be the same ones."""
-    named = {name: value for name, value in given.items() if isinstance(value, Mapping)}
-    if not named:
-        return list(range(arm.n))
-    first = next(iter(named.values()))
-    for name, value in named.items():
-        missing = [joint for joint in first if joint not in value] + [joint for joint in value if joint not in first]
-        if missing:
-            raise UsageError(
-                f"ratio and motor_inertia by joint name must name the same joints; only one of them names "
-                f"{quoted_list(missing)}",
-                name=name,
-            )
-    return [arm.joint_index(joint) for joint in first]
+            column[chosen] = _column(arm, name, value)[chosen]
+    require_range("ratio", G, above=0.0, joints=arm.joint_names)
+    require_range("motor_inertia", rotor, minimum=0.0, unit="kg m^2", joints=arm.joint_names)
+    return joints_replaced(arm, {"gear": G, "rotor_inertia": np.where(chosen, G**2 * rotor, arm.rotor_inertia)})
 
 
 def _column(arm: Arm, name: str, given: ArrayLike | Mapping[str, float]) -> Float64Array:

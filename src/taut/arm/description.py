@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taut.arm.angles import short_way
 from taut.arm.friction import AT_REST, FRICTION_FIELDS, Friction
 from taut.arm.parts import (
     BASE,
@@ -28,6 +27,7 @@ from taut.arm.parts import (
     Payload,
     Shape,
     Visual,
+    short_way,
 )
 from taut.base.checks import finite_array, one_of, read_only, vector
 from taut.base.errors import UsageError, count_of, unknown_name
@@ -35,7 +35,6 @@ from taut.base.types import Array, ArrayLike, Float64Array, Point3, Vector
 from taut.trace.pose import Pose
 
 if TYPE_CHECKING:
-    from taut.arm.loaders.pinocchio import PinocchioModel
     from taut.arm.servo import Servo
 
 __all__ = [
@@ -55,11 +54,21 @@ __all__ = [
 ]
 
 
+def _per_joint(field_of_joint: str, doc: str) -> cached_property[Float64Array]:
+    """A property with one number for each joint, which nobody can write to."""
+
+    def values(arm: Arm) -> Float64Array:
+        return read_only([getattr(joint, field_of_joint) for joint in arm.joints])
+
+    values.__doc__ = doc
+    return cached_property(values)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Arm:
     """A robot arm: a tree of joints with one tool, mounted in the world.
 
-    Made by `taut.load_arm`, `Arm.from_screws` or `Arm.from_pinocchio`; the methods below give changed copies.
+    Made by `taut.load_arm` or `Arm.from_screws`; the methods below give changed copies.
 
     Example:
         >>> from taut import load_arm
@@ -109,40 +118,14 @@ class Arm:
         """Unit of each entry of q: rad or m."""
         return tuple(joint.unit for joint in self.joints)
 
-    def _per_joint(self, attribute: str) -> Float64Array:
-        values = np.array([getattr(joint, attribute) for joint in self.joints], dtype=np.float64)
-        values.flags.writeable = False
-        return values
-
-    @cached_property
-    def lower(self) -> Float64Array:
-        """(n,) lower position limits [rad | m]; -inf where there is none."""
-        return self._per_joint("lower")
-
-    @cached_property
-    def upper(self) -> Float64Array:
-        """(n,) upper position limits [rad | m]; inf where there is none."""
-        return self._per_joint("upper")
-
-    @cached_property
-    def velocity(self) -> Float64Array:
-        """(n,) speed limits [rad/s | m/s]; inf where there is none."""
-        return self._per_joint("velocity")
-
-    @cached_property
-    def effort(self) -> Float64Array:
-        """(n,) torque limits [N m | N]; inf where there is none."""
-        return self._per_joint("effort")
-
-    @cached_property
-    def viscous(self) -> Float64Array:
-        """(n,) viscous friction [N m s/rad | N s/m]."""
-        return self._per_joint("viscous")
-
-    @cached_property
-    def coulomb(self) -> Float64Array:
-        """(n,) dry friction in motion [N m | N]."""
-        return self._per_joint("coulomb")
+    lower = _per_joint("lower", "(n,) lower position limits [rad | m]; -inf where there is none.")
+    upper = _per_joint("upper", "(n,) upper position limits [rad | m]; inf where there is none.")
+    velocity = _per_joint("velocity", "(n,) speed limits [rad/s | m/s]; inf where there is none.")
+    effort = _per_joint("effort", "(n,) torque limits [N m | N]; inf where there is none.")
+    viscous = _per_joint("viscous", "(n,) viscous friction [N m s/rad | N s/m].")
+    coulomb = _per_joint("coulomb", "(n,) dry friction in motion [N m | N].")
+    gear = _per_joint("gear", "(n,) turns of the motor per turn of the joint [1 | rad/m]; 1 where nothing is known.")
+    rotor_inertia = _per_joint("rotor_inertia", "(n,) rotor inertia seen at the joint [kg m^2 | kg].")
 
     @cached_property
     def friction(self) -> Friction:
@@ -151,16 +134,6 @@ class Arm:
         for name, moving in AT_REST.items():
             values[name] = [m if x is None else x for x, m in zip(values[name], values[moving], strict=True)]
         return Friction(**values)
-
-    @cached_property
-    def gear(self) -> Float64Array:
-        """(n,) gear ratios: turns of the motor per turn of the joint [1 | rad/m]; 1 where nothing is known."""
-        return self._per_joint("gear")
-
-    @cached_property
-    def rotor_inertia(self) -> Float64Array:
-        """(n,) rotor inertia seen at the joint [kg m^2 | kg]."""
-        return self._per_joint("rotor_inertia")
 
     @cached_property
     def continuous(self) -> tuple[int, ...]:
@@ -248,12 +221,8 @@ class Arm:
         inertia: ArrayLike = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
     ) -> Arm:
         """A copy that carries a payload: mass [kg], centre of mass [m] and inertia in the tool frame."""
-        com, inertia = (
-            finite_array("payload.com", com, unit="m"),
-            finite_array("payload.inertia", inertia, unit="kg m^2"),
-        )
-        payload = Payload(mass=mass, com=com, inertia=inertia)
-        return dataclasses.replace(self, payload=payload)
+        com, inertia = finite_array("payload.com", com), finite_array("payload.inertia", inertia)
+        return dataclasses.replace(self, payload=Payload(mass=mass, com=com, inertia=inertia))
 
     def with_home(self, q: ArrayLike) -> Arm:
         """A copy with another home pose (n,) [rad | m], within the limits."""
@@ -342,7 +311,7 @@ class Arm:
     ) -> Arm:
         """A copy with geared motors. What the joint sees of a rotor is its reflected inertia, ratio^2 motor_inertia.
 
-        A rotor inertia that is hard to believe, such as one in g cm^2, gives a warning, and a note of the arm.
+        A rotor inertia that is hard to believe, such as one in g cm^2, gives a warning.
 
         Args:
             ratio: Turns of the motor per turn of the joint, one number, one per joint, or by joint name for some
@@ -416,17 +385,6 @@ class Arm:
         from taut.arm.loaders.screws import arm_from_screws
 
         return arm_from_screws(cls, Mlist, Glist, Slist, gravity, name)
-
-    @classmethod
-    def from_pinocchio(cls, model: PinocchioModel, tool: str | None = None, gravity: ArrayLike | None = None) -> Arm:
-        """An arm from a Pinocchio model.
-
-        Raises:
-            ModelError: A joint that an Arm cannot have (floating, planar, ball, helical), bad inertias.
-        """
-        from taut.arm.loaders.pinocchio import arm_from_pinocchio
-
-        return arm_from_pinocchio(cls, model, tool, gravity)
 
     def __repr__(self) -> str:
         return f"Arm('{self.name}', {count_of(self.n, 'joint')}, tool '{self.tool}')"

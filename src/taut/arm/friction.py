@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Final
 
@@ -99,7 +98,11 @@ class Friction:
                     f"friction.{name} must be one number or one per joint; got shape {values.shape}", name=name
                 )
             kept[name] = values
-        _require_one_size(kept)
+        sizes = {len(values) for values in kept.values() if values.ndim}
+        if len(sizes) > 1:
+            raise ShapeError(
+                f"the numbers of a friction are for one arm; got some for {sorted(sizes)} joints", name="friction"
+            )
         for name, moving in AT_REST.items():
             check_at_rest(kept[name], kept[moving], name)
         for name, values in kept.items():
@@ -122,20 +125,6 @@ class Friction:
 
 
 FRICTION_FIELDS: Final = tuple(field.name for field in fields(Friction))
-
-
-def _require_one_size(kept: Mapping[str, Float64Array]) -> None:
-    """What is given per joint is so for the same number of joints."""
-    first, size = "", 0
-    for name, values in kept.items():
-        if values.ndim and first and len(values) != size:
-            raise ShapeError(
-                f"friction.{name} must be one number or {size}, one per joint as friction.{first}; got shape "
-                f"{values.shape}",
-                name=name,
-            )
-        if values.ndim and not first:
-            first, size = name, len(values)
 
 
 def check_at_rest(at_rest: ArrayLike, moving: ArrayLike, name: str, prefix: str = "friction.") -> None:

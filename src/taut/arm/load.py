@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from taut.arm.builtin import BUILT_IN, COMMANDS
-from taut.arm.description import Arm, CommandKind
+from taut.arm.builtin import BUILT_IN
+from taut.arm.description import Arm
 from taut.arm.loaders.tree import Tree, assemble, rest_position
 from taut.base.checks import readable_file
 from taut.base.errors import FileError, ModelError, Problem, UsageError, unknown_name
@@ -19,19 +19,9 @@ from taut.trace.pose import Pose
 if TYPE_CHECKING:
     from taut.arm.loaders.pinocchio import PinocchioModel
 
-__all__ = ["OpenedModel", "arm_of", "load_arm", "open_model"]
+__all__ = ["arm_of", "load_arm", "open_model"]
 
 SUFFIXES: Final = (".urdf", ".xml", ".mjcf")
-
-
-@dataclass(frozen=True, kw_only=True)
-class OpenedModel:
-    """What was read, and what the catalogue knows about it."""
-
-    tree: Tree
-    locked: Mapping[str, float] = field(default_factory=dict)  # [rad | m]
-    tool: str | None = None
-    commands: tuple[CommandKind, ...] = ("torque",)
 
 
 def load_arm(
@@ -79,7 +69,7 @@ def load_arm(
 
 
 def arm_of(
-    opened: OpenedModel,
+    tree: Tree,
     *,
     tool: str | None = None,
     T_WB: Pose | None = None,
@@ -88,27 +78,18 @@ def arm_of(
     home: Mapping[str, float] | ArrayLike | None = None,
     gravity: ArrayLike | None = None,
 ) -> Arm:
-    """The arm of a model that has been read; the arguments are those of `load_arm`."""
-    tree = opened.tree
+    """The arm of a model that has been read; the other arguments are those of `load_arm`."""
     start: Mapping[str, float] | ArrayLike = tree.home if home is None else home
     if isinstance(start, Mapping):
-        for name in start:
-            _require_name("home", name)
+        _require_names("home", start)
         start = {**tree.home, **start}
-    return assemble(
-        Arm,
-        tree,
-        locked=_locks(opened, locked, joints, start if isinstance(start, Mapping) else tree.home),
-        tool=opened.tool if tool is None else tool,
-        T_WB=T_WB,
-        gravity=gravity,
-        home=start,
-        commands=opened.commands,
-    )
+    held = _held_joints(tree, locked, joints, start if isinstance(start, Mapping) else tree.home)
+    chosen = dataclasses.replace(tree, locked=held, tool=tree.tool if tool is None else tool)
+    return assemble(Arm, chosen, T_WB=T_WB, gravity=gravity, home=start)
 
 
-def _locks(
-    opened: OpenedModel,
+def _held_joints(
+    tree: Tree,
     locked: Mapping[str, float | None] | None,
     joints: Iterable[str] | None,
     home: Mapping[str, float],
@@ -118,12 +99,10 @@ def _locks(
         raise UsageError(
             f"locked must be joint names with positions, {{'joint': 0.0}}; got {type(locked).__name__}", name="locked"
         )
-    for name in locked or {}:
-        _require_name("locked", name)
-    tree = opened.tree
-    movable = {joint.name: joint for joint in tree.joints if joint.kind != "fixed"}
-    held = dict(opened.locked)
-    for name, position in (locked or {}).items():
+    locked, movable = locked or {}, tree.movable
+    _require_names("locked", locked)
+    held = dict(tree.locked)
+    for name, position in locked.items():
         if position is not None:
             held[name] = position
         elif name in movable:
@@ -135,22 +114,25 @@ def _locks(
     keep = [joints] if isinstance(joints, str) or not isinstance(joints, Iterable) else list(joints)
     if not keep:
         raise UsageError("joints must name one joint at least; got none", name="joints")
+    _require_names("joints", keep)
     for name in keep:
-        _require_name("joints", name)
         if name not in movable:
             raise unknown_name(f"model '{tree.name}'", "joint", name, movable)
-        if name in (locked or {}) and name in held:
+        if name in locked and name in held:
             raise UsageError(f"joint '{name}' is both in joints= and in locked=; take it out of one", name=name)
     at_home = {name: home.get(name, rest_position(joint)) for name, joint in movable.items()}
     return {name: position for name, position in (at_home | held).items() if name not in keep}
 
 
-def _require_name(argument: str, name: object) -> None:
-    if not isinstance(name, str):
-        raise UsageError(f"{argument} must name joints; got {name!r}, which is no name", name=argument, value=name)
+def _require_names(argument: str, names: Iterable[object]) -> None:
+    for name in names:
+        if not isinstance(name, str):
+            raise UsageError(
+                f"{argument} must name joints; got {name!r}, which is no name", name=argument, value=name
+            )
 
 
-def open_model(model: str | os.PathLike[str] | PinocchioModel) -> OpenedModel:
+def open_model(model: str | os.PathLike[str] | PinocchioModel) -> Tree:
     """Find and read a model.
 
     Raises:
@@ -166,25 +148,22 @@ def open_model(model: str | os.PathLike[str] | PinocchioModel) -> OpenedModel:
         if hasattr(model, "jointPlacements"):
             from taut.arm.loaders.pinocchio import pinocchio_tree
 
-            return OpenedModel(tree=pinocchio_tree(model))
+            return pinocchio_tree(model)
         raise UsageError(f"model must be a name or a path; got {type(model).__name__}", name="model")
     if not str(model) or "\0" in str(model):
         raise UsageError(f"model must be a name or a path; got {model!r}", name="model")
     if isinstance(model, str) and model in BUILT_IN:
-        return OpenedModel(tree=BUILT_IN[model](), commands=COMMANDS)
+        return BUILT_IN[model]()
 
     from taut.arm.catalogue import CATALOGUE, PATTERN, described, entry_tree  # with the readers of files
 
     if isinstance(model, str) and model in CATALOGUE:
-        entry = CATALOGUE[model]
-        return OpenedModel(
-            tree=entry_tree(entry), locked=dict(entry.locked), tool=entry.tool, commands=entry.commands
-        )
+        return entry_tree(CATALOGUE[model])
     path = Path(model)
     if not isinstance(model, str) or path.suffix or len(path.parts) > 1 or _is_there(path):
-        return OpenedModel(tree=_read(path, {}))
+        return _read(path, {})
     if PATTERN.match(model):
-        return OpenedModel(tree=_read(*described(model)))
+        return _read(*described(model))
     hint = "taut arms lists them; a file is named with its suffix, .urdf or .xml"
     raise unknown_name("taut", "arm", model, [*BUILT_IN, *CATALOGUE], hint=hint)
 

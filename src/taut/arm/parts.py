@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
@@ -12,6 +14,9 @@ from taut.base.errors import RangeError
 from taut.base.types import Array, ArrayLike, Float64Array, Matrix, Matrix3, Point3
 from taut.trace import math as tm
 from taut.trace.pose import Pose
+
+if TYPE_CHECKING:
+    from taut.arm.description import Arm
 
 __all__ = [
     "BASE",
@@ -28,14 +33,17 @@ __all__ = [
     "checked_payload_entry",
     "inertia_entries",
     "inertia_matrix",
+    "require_radians",
+    "short_way",
 ]
 
-JointKind = Literal["revolute", "continuous", "prismatic"]
+JointKind = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar", "ball"]
 CommandKind = Literal["torque", "velocity", "position"]
 Shape = Literal["mesh", "box", "cylinder", "sphere"]
 COMMANDS: Final[tuple[CommandKind, ...]] = ("torque", "velocity", "position")
 BASE: Final = -1
 STANDARD_GRAVITY: Final = (0.0, 0.0, -9.81)  # [m/s^2] in the world
+TURN: Final = 2.0 * math.pi
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,13 +64,16 @@ class Body:
 
 @dataclass(frozen=True, kw_only=True)
 class Joint:
-    """One moving joint. Units are rad and N m for rotating joints, m and N for prismatic ones."""
+    """One joint. Units are rad and N m for rotating joints, m and N for prismatic ones.
+
+    Those of an Arm are revolute, continuous or prismatic; a file may have others.
+    """
 
     name: str
     kind: JointKind
-    parent: int  # the joint that moves the parent body; BASE at the root
-    placement: Pose  # the joint's frame in the parent's body frame, at q = 0
-    axis: Point3  # unit vector in the joint's frame
+    parent: int = BASE  # the joint that moves the parent body; BASE at the root
+    placement: Pose = field(default_factory=Pose.identity)  # in the parent's body frame, at q = 0
+    axis: Point3 = field(default_factory=lambda: np.array([1.0, 0.0, 0.0]))  # unit vector in the joint's frame
     lower: float = -np.inf  # [rad | m]
     upper: float = np.inf  # [rad | m]
     velocity: float = np.inf  # largest speed [rad/s | m/s]
@@ -109,8 +120,8 @@ class Frame:
 class Visual:
     """Something to draw: a mesh file or a primitive, fixed to a body. Never needed to control an arm."""
 
-    body: int
-    placement: Pose
+    body: int = BASE
+    placement: Pose  # in the body's frame
     shape: Shape
     size: tuple[float, ...]  # mesh: scale xyz; box: edges xyz [m]; cylinder: radius, length; sphere: radius
     file: str = ""
@@ -183,6 +194,49 @@ def checked_payload_entry(path: str, value: ArrayLike) -> Float64Array:
     if name == "com":
         return vector(path, value, 3, unit="m")
     return Payload(inertia=vector(path, value, 6, unit="kg m^2")).inertia
+
+
+# -------------------------------------------------------------------- angles
+
+
+def short_way(delta: Array, continuous: Sequence[int]) -> Array:
+    """Differences of joint positions (..., n); those of continuous joints wrap to [-pi, pi). Floats or symbols."""
+    if not continuous:
+        return delta
+    short, columns = tm.array(delta), list(continuous)
+    angle = short[..., columns]
+    short[..., columns] = angle - TURN * tm.floor((angle + math.pi) / TURN)
+    return short
+
+
+def require_radians(name: str, q: Float64Array, arm: Arm) -> None:
+    """Refuse joint positions that lie more than a whole turn beyond a joint's limits.
+
+    A hinge with limits cannot be there, and no motion that is meant for it has a reason to go there: these are
+    degrees. A joint without limits may be anywhere.
+
+    Args:
+        name: What the positions are called in the message.
+        q: (n,) or (k, n) joint positions [rad | m].
+        arm: The arm that has the limits.
+
+    Raises:
+        RangeError: An angle that looks like degrees.
+    """
+    hinge = np.array([unit == "rad" for unit in arm.units])
+    far = hinge & ((q < arm.lower - TURN) | (q > arm.upper + TURN))
+    if not far.any():
+        return
+    *_, joint = index = [int(i) for i in np.argwhere(far)[0]]
+    angle, who = float(q[tuple(index)]), arm.joint_names[joint]
+    raise RangeError(
+        f"{name}[{joint}] (joint '{who}') must be an angle in radians; got {angle:g}, and the joint turns from "
+        f"{arm.lower[joint]:.4g} to {arm.upper[joint]:.4g} rad; if it is in degrees, np.radians(...) converts it",
+        name=name,
+        joint=who,
+        value=angle,
+        rule="radians",
+    )
 
 
 # -------------------------------------------------------------------- an inertia as six numbers

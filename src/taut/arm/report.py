@@ -8,24 +8,21 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final, TypeAlias
 
-import numpy as np
-
-from taut.arm.builtin import BUILT_IN, COMMANDS
+from taut.arm.builtin import BUILT_IN
 from taut.arm.catalogue import CATALOGUE, is_installed
 from taut.arm.description import BASE, Arm, CommandKind, Joint
 from taut.arm.friction import FRICTION_FIELDS
-from taut.arm.load import OpenedModel, arm_of, open_model
-from taut.arm.loaders.tree import TreeJoint
+from taut.arm.load import arm_of, open_model
+from taut.arm.loaders.tree import Tree
+from taut.arm.parts import COMMANDS
 from taut.arm.reach import reach
+from taut.arm.rules import model_doubts
 from taut.base.errors import ModelError, Problem, TautError, UsageError, count_of, quoted_list
 from taut.base.types import Float64Array
 
 __all__ = ["ArmRow", "CheckReport", "arm_rows", "check_model", "joint_table"]
 
 MORE_OF_JOINTS: Final = (*FRICTION_FIELDS[2:], "gear")  # shown in the table where a joint has it
-DEGREES: Final = (13.0, 1000.0)  # [rad] limits in degrees are in here; no joint turns about twice and stops
-HEAVIEST: Final = 25_000.0  # [kg/m^3] osmium has 22,600
-HEAVIEST_ARM: Final = 1000.0  # [kg/m^3] of all that moves, in a cube as wide as the arm is long; 140 are known
 WORDS: Final = {"stribeck_shape": "shape"}
 
 Json: TypeAlias = "str | float | bool | list[Json] | dict[str, Json] | None"
@@ -37,7 +34,7 @@ class CheckReport:
 
     name: str
     problems: tuple[Problem, ...] = ()
-    opened: OpenedModel | None = None
+    opened: Tree | None = None
     arm: Arm | None = None
     notes: tuple[str, ...] = field(default=())
 
@@ -74,14 +71,12 @@ class CheckReport:
         return "\n".join(_text(self))
 
     def _source(self) -> str | None:
-        return None if self.opened is None else self.opened.tree.source
+        return None if self.opened is None else self.opened.source
 
-    def _joints(self) -> Sequence[Joint | TreeJoint]:
+    def _joints(self) -> Sequence[Joint]:
         if self.arm is not None:
             return self.arm.joints
-        if self.opened is None:
-            return ()
-        return [joint for joint in self.opened.tree.joints if joint.kind != "fixed"]
+        return () if self.opened is None else tuple(self.opened.movable.values())
 
 
 def check_model(model: str | os.PathLike[str]) -> CheckReport:
@@ -97,7 +92,6 @@ def check_model(model: str | os.PathLike[str]) -> CheckReport:
         opened = open_model(model)
     except TautError as wrong:
         return CheckReport(name=name, problems=_problems_of(wrong, name))
-    tree = opened.tree
     notes: tuple[str, ...] = ()
     try:
         try:
@@ -107,7 +101,7 @@ def check_model(model: str | os.PathLike[str]) -> CheckReport:
             arm = arm_of(opened, tool=str(ask.value))
     except TautError as wrong:
         return CheckReport(
-            name=tree.name, problems=_problems_of(wrong, tree.name), opened=opened, notes=tuple(tree.notes)
+            name=opened.name, problems=_problems_of(wrong, opened.name), opened=opened, notes=tuple(opened.notes)
         )
     doubts = () if name in BUILT_IN else model_doubts(arm)  # the chapter's own links are as light as it draws them
     said = (*notes, *arm.notes, *_without_rotors(arm), *doubts)
@@ -144,11 +138,11 @@ def _floats(array: Float64Array) -> list[Json]:
     return [float(value) for value in array]
 
 
-def _joint_json(joint: Joint | TreeJoint) -> dict[str, Json]:
+def _joint_json(joint: Joint) -> dict[str, Json]:
     return {
         "name": joint.name,
         "type": joint.kind,
-        "unit": "m" if joint.kind == "prismatic" else "rad",
+        "unit": joint.unit,
         "axis": _floats(joint.axis),
         "lower": _finite(joint.lower),
         "upper": _finite(joint.upper),
@@ -210,7 +204,7 @@ def _text(report: CheckReport) -> Iterator[str]:
     yield from (f"  {problem}" for problem in report.problems)
 
 
-def _arm_text(arm: Arm, opened: OpenedModel | None) -> Iterator[str]:
+def _arm_text(arm: Arm, opened: Tree | None) -> Iterator[str]:
     yield ""
     cells: list[tuple[str, ...]] = [("moved by", "mass [kg]", "centre of mass [m]", "links")]
     for joint, body in zip(arm.joints, arm.bodies, strict=True):
@@ -230,13 +224,13 @@ def _arm_text(arm: Arm, opened: OpenedModel | None) -> Iterator[str]:
     yield f"the real arm takes: {', '.join(arm.commands)}"
 
 
-def joint_table(joints: Sequence[Joint | TreeJoint]) -> Iterator[str]:
+def joint_table(joints: Sequence[Joint]) -> Iterator[str]:
     """Lines with the limits, friction, gears and rotors of joints; static friction and the like where one has any."""
     yield from _table(_joint_cells(joints))
 
 
-def _joint_cells(joints: Sequence[Joint | TreeJoint]) -> list[tuple[str, ...]]:
-    usual = TreeJoint(name="", kind="revolute", parent="", child="")
+def _joint_cells(joints: Sequence[Joint]) -> list[tuple[str, ...]]:
+    usual = Joint(name="", kind="revolute")
     more = [name for name in MORE_OF_JOINTS if any(getattr(joint, name) != getattr(usual, name) for joint in joints)]
     heads = [WORDS.get(name, name.replace("_", " ")) for name in more]
     cells: list[tuple[str, ...]] = [
@@ -292,7 +286,7 @@ def arm_rows() -> list[ArmRow]:
     own = [
         ArmRow(
             name=name,
-            joints=sum(joint.kind != "fixed" for joint in made().joints),
+            joints=len(made().movable),
             commands=COMMANDS,
             source="built in",
             installed=True,
@@ -302,52 +296,10 @@ def arm_rows() -> list[ArmRow]:
     return own + [
         ArmRow(
             name=entry.name,
-            joints=entry.joints,
+            joints=len(entry.home),
             commands=entry.commands,
             source=entry.package,
             installed=is_installed(entry),
         )
         for entry in CATALOGUE.values()
     ]
-
-
-# -------------------------------------------------------------------- numbers to doubt
-
-
-def model_doubts(arm: Arm) -> Iterator[str]:
-    """What is hard to believe of limits and masses, in sentences: mostly a wrong unit. Nothing of it is refused."""
-    turned = [
-        joint.name
-        for joint in arm.joints
-        if joint.kind == "revolute" and any(DEGREES[0] < abs(x) < DEGREES[1] for x in (joint.lower, joint.upper))
-    ]
-    if turned:
-        yield f"position limits of {quoted_list(turned)} are more than two turns; were they given in degrees?"
-    length = _length(arm)
-    if not math.isfinite(length):
-        return
-    if arm.total_mass > HEAVIEST_ARM * length**3:
-        yield f"{arm.total_mass:.4g} kg are hard to believe of an arm of {length:.3g} m; were masses given in g?"
-    radii = np.array([math.sqrt(float(np.linalg.eigvalsh(body.inertia)[-1]) / body.mass) for body in arm.bodies])
-    balls = 4.0 / 3.0 * math.pi * (math.sqrt(2.5) * radii) ** 3  # [m^3] with the same radius of gyration
-    masses = np.array([body.mass for body in arm.bodies])
-    for wrong, why in (
-        (radii > length, f"its radius of gyration is up to {radii.max():.3g} m, and the arm has {length:.3g} m"),
-        (masses > HEAVIEST * balls, "no matter is so dense that it could be so small for its mass"),
-    ):
-        if wrong.any():
-            links = quoted_list([body.links[0] for body, one in zip(arm.bodies, wrong, strict=True) if one], 3)
-            yield f"the inertia of {links} is hard to believe: {why}; give it in kg m^2, about the centre of mass"
-
-
-def _length(arm: Arm) -> float:
-    """[m] from the first joint to the farthest centre of mass or the tool, were all of it stretched."""
-    joints: list[float] = []
-    for joint in arm.joints:
-        before = 0.0 if joint.parent == BASE else joints[joint.parent] + float(np.linalg.norm(joint.placement.p))
-        slide = max(abs(joint.lower), abs(joint.upper)) if joint.kind == "prismatic" else 0.0
-        joints.append(before + slide)
-    ends = [*zip(range(arm.n), (body.com for body in arm.bodies), strict=True)]
-    tool = arm.frame(None)
-    ends += [(tool.body, tool.placement.p)] if tool.body != BASE else []
-    return max(joints[i] + float(np.linalg.norm(p)) for i, p in ends)

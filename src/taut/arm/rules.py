@@ -1,4 +1,4 @@
-"""What can be wrong with a model, whoever read it: structure, joints, mass properties. One sentence each.
+"""What can be wrong with a model, whoever read it: structure, joints, mass properties; and what is to be doubted.
 
 Rules about inertia bite on the body that a moving joint carries, with everything that is fixed to it: frames
 without mass are normal. Axes and limits are checked on joints that move.
@@ -25,6 +25,8 @@ __all__ = [
     "indefinite",
     "joint_problems",
     "mass_problems",
+    "model_doubts",
+    "rotor_doubts",
     "structure_problems",
     "value_problems",
     "wrong_mass",
@@ -42,6 +44,12 @@ MIN_EIGENVALUE: Final = 1e-12  # of M scaled to a unit diagonal; rounding is 1e-
 POSES: Final = 10  # random ones, at which M is looked at
 MAX_ENTRIES: Final = 20_000  # of all matrices M: fewer poses of an arm of many joints
 MAX_LENGTH: Final = 1e4  # [m] between two joints, or of a slide; what is farther is a slip, and its square is lost
+MAX_ROTOR_FACTOR: Final = 100.0  # of the inertia of all links; a wrong unit is off by 1e4 to 1e7
+MAX_ROTOR: Final = 1000.0  # [kg m^2] or [kg] seen at any joint
+OTHER_UNIT: Final = "if it was given in kg cm^2, kg mm^2 or g cm^2: 1 kg m^2 is 1e4, 1e6 and 1e7 of these"
+DEGREES: Final = (13.0, 1000.0)  # [rad] limits in degrees are in here; no joint turns about twice and stops
+MAX_DENSITY: Final = 25_000.0  # [kg/m^3] osmium has 22,600
+MAX_ARM_DENSITY: Final = 1000.0  # [kg/m^3] of all that moves, in a cube as wide as the arm is long; 140 are known
 MAX_LINKS: Final = 1000  # a humanoid with hands has 100; what is far beyond is no arm
 
 
@@ -151,34 +159,32 @@ def joint_problems(tree: Tree, locked: Collection[str]) -> Iterator[Problem]:
     """Types that an arm cannot have; axes, limits and friction of the joints that move."""
     names = {joint.name for joint in tree.joints}
     for joint in tree.joints:
-        if not np.abs(joint.origin.p).max() <= MAX_LENGTH:
-            far = f"{float(np.abs(joint.origin.p).max()):g}"
-            yield _bad(joint, "origin", f"its place must be within {MAX_LENGTH:g} m of its parent; got {far}")
-        if joint.kind == "fixed" or joint.name in locked:
+        kind, far = joint.joint.kind, float(np.abs(joint.joint.placement.p).max())
+        if not far <= MAX_LENGTH:
+            yield _bad(joint, "origin", f"its place must be within {MAX_LENGTH:g} m of its parent; got {far:g}")
+        if kind == "fixed" or joint.name in locked:
             continue
         hold = tree.words.hold.format(joint=joint.name)
-        if joint.kind in OTHER_KINDS:
-            yield _bad(joint, "type", f"{OTHER_KINDS[joint.kind]}, {hold}")
+        if kind in OTHER_KINDS:
+            yield _bad(joint, "type", f"{OTHER_KINDS[kind]}, {hold}")
         elif joint.mimic is not None:
             follows = f"it mimics '{joint.mimic}'" if joint.mimic else "a coupling holds it"
             if joint.mimic and joint.mimic not in names:
                 follows += " (there is no such joint)"
             yield _bad(joint, "mimic", f"{follows}, and taut has no coupled joints; make it fixed, {hold}")
         else:
-            for attribute, text in value_problems(joint):
+            for attribute, text in value_problems(joint.joint):
                 yield _bad(joint, attribute, text)
 
 
-def value_problems(joint: Joint | TreeJoint) -> Iterator[tuple[str, str]]:
+def value_problems(joint: Joint) -> Iterator[tuple[str, str]]:
     """What is wrong with the numbers of a joint that moves: (attribute, text) of each."""
-    if not np.isfinite(joint.axis).all():
-        yield "axis", f"axis must be finite; got {joint.axis.tolist()}"
-    elif np.linalg.norm(joint.axis) < AXIS_TOLERANCE:
-        yield "axis", "axis must not be zero: a joint that moves needs a direction"
+    if not AXIS_TOLERANCE <= np.linalg.norm(joint.axis) < math.inf:
+        yield "axis", "axis must be finite and not zero: a joint that moves needs a direction"
     missing = [name for name in ("lower", "upper", "velocity", "effort") if math.isnan(getattr(joint, name))]
     if missing:
         needs = f"a {joint.kind} joint needs <limit lower= upper= velocity= effort=>"
-        yield missing[0] if len(missing) == 1 else "limit", f"it has no {_listed(missing)} limit; {needs}"
+        yield missing[0] if len(missing) == 1 else "limit", f"it has no {' and '.join(missing)} limit; {needs}"
     low, high = joint.lower, joint.upper
     if joint.kind == "continuous" and not (math.isinf(low) and math.isinf(high)):
         yield "limit", "a continuous joint has no position limits; make it revolute"
@@ -197,10 +203,6 @@ def value_problems(joint: Joint | TreeJoint) -> Iterator[tuple[str, str]]:
     ):
         if not (math.isfinite(value) and value >= 0.0):
             yield attribute, f"{word} must be finite and >= 0; got {value:g}"
-
-
-def _listed(words: list[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def mass_problems(tree: Tree) -> Iterator[Problem]:
@@ -314,3 +316,63 @@ def _about(axis: Float64Array, angle: Float64Array) -> Float64Array:
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     s, c = np.sin(angle)[:, np.newaxis, np.newaxis], np.cos(angle)[:, np.newaxis, np.newaxis]
     return np.asarray(np.eye(3) + s * K + (1.0 - c) * (K @ K))
+
+
+# -------------------------------------------------------------------- numbers to doubt
+
+
+def model_doubts(arm: Arm) -> Iterator[str]:
+    """What is hard to believe of limits and masses, in sentences: mostly a wrong unit. Nothing of it is refused."""
+    turned = [
+        joint.name
+        for joint in arm.joints
+        if joint.kind == "revolute" and any(DEGREES[0] < abs(x) < DEGREES[1] for x in (joint.lower, joint.upper))
+    ]
+    if turned:
+        yield f"position limits of {quoted_list(turned)} are more than two turns; were they given in degrees?"
+    yield from rotor_doubts(arm)
+    length = _length(arm)
+    if not math.isfinite(length):
+        return
+    if arm.total_mass > MAX_ARM_DENSITY * length**3:
+        yield f"{arm.total_mass:.4g} kg are hard to believe of an arm of {length:.3g} m; were masses given in g?"
+    radii = np.array([math.sqrt(float(np.linalg.eigvalsh(body.inertia)[-1]) / body.mass) for body in arm.bodies])
+    balls = 4.0 / 3.0 * math.pi * (math.sqrt(2.5) * radii) ** 3  # [m^3] with the same radius of gyration
+    masses = np.array([body.mass for body in arm.bodies])
+    for wrong, why in (
+        (radii > length, f"its radius of gyration is up to {radii.max():.3g} m, and the arm has {length:.3g} m"),
+        (masses > MAX_DENSITY * balls, "no matter is so dense that it could be so small for its mass"),
+    ):
+        if wrong.any():
+            links = quoted_list([body.links[0] for body, one in zip(arm.bodies, wrong, strict=True) if one], 3)
+            yield f"the inertia of {links} is hard to believe: {why}; give it in kg m^2, about the centre of mass"
+
+
+def rotor_doubts(arm: Arm) -> Iterator[str]:
+    """Rotor inertias that are hard to believe: far more than all links on one joint, whatever the pose."""
+    if not arm.rotor_inertia.any():
+        return
+    moments = sum(float(np.linalg.eigvalsh(body.inertia)[-1]) for body in arm.bodies)
+    links = {"m": arm.total_mass, "rad": arm.total_mass * _length(arm) ** 2 + moments}
+    for joint in arm.joints:
+        most, unit = links[joint.unit], "kg" if joint.kind == "prismatic" else "kg m^2"
+        if joint.rotor_inertia > min(MAX_ROTOR, MAX_ROTOR_FACTOR * most):
+            geared = f", gear {joint.gear:g}" if joint.gear != 1.0 else ""
+            yield (
+                f"the rotor inertia of joint '{joint.name}', {joint.rotor_inertia:.4g} [{unit}] seen at the "
+                f"joint{geared}, is hard to believe: no joint of its kind can see more than {most:.3g} [{unit}] of "
+                f"links; {OTHER_UNIT}"
+            )
+
+
+def _length(arm: Arm) -> float:
+    """[m] from the first joint to the farthest centre of mass or the tool, were all of it stretched."""
+    joints: list[float] = []
+    for joint in arm.joints:
+        before = 0.0 if joint.parent == BASE else joints[joint.parent] + float(np.linalg.norm(joint.placement.p))
+        slide = max(abs(joint.lower), abs(joint.upper)) if joint.kind == "prismatic" else 0.0
+        joints.append(before + slide)
+    ends = [*zip(range(arm.n), (body.com for body in arm.bodies), strict=True)]
+    tool = arm.frame(None)
+    ends += [(tool.body, tool.placement.p)] if tool.body != BASE else []
+    return max(joints[i] + float(np.linalg.norm(p)) for i, p in ends)

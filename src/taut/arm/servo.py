@@ -20,15 +20,15 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from taut.arm.friction import FRICTION_FIELDS, Friction
-from taut.arm.gears import MOST_ROTOR, OTHER_UNIT
-from taut.base.checks import finite_scalar, positive_scalar, readable_file
+from taut.arm.rules import MAX_ROTOR, OTHER_UNIT
+from taut.base.checks import finite_array, finite_scalar, positive_scalar, readable_file, require_range
 from taut.base.errors import ModelError, Problem, ShapeError, UsageError, quoted_list, unknown_name
-from taut.base.types import Float64Array
+from taut.base.types import ArrayLike, Float64Array
 
 if TYPE_CHECKING:
     from taut.arm.description import Arm
 
-__all__ = ["Servo", "load_servo", "with_servos"]
+__all__ = ["Servo", "load_servo", "matched_ratio", "reflected_inertia", "with_servos"]
 
 MAX_BYTES: Final = 64 * 1024  # the largest such file met so far has 1 kB
 SLOWEST: Final = 10.0  # [s] of a servo's own time constant; a wrong unit of its inertia makes hours of it
@@ -363,8 +363,79 @@ def _noted(servo: Servo, values: Mapping[str, float]) -> Servo:
 
 def _doubtful(servo: Servo) -> bool:
     """Whether the rotor would take ages to reach its speed, T = I R / kt^2, or is larger than any."""
-    if servo.rotor_inertia > MOST_ROTOR:
+    if servo.rotor_inertia > MAX_ROTOR:
         return True
     if servo.torque_constant is None or servo.resistance is None:
         return False
     return servo.rotor_inertia * servo.resistance > SLOWEST * servo.torque_constant * servo.torque_constant
+
+
+# -------------------------------------------------------------------- gears
+
+
+def reflected_inertia(ratio: ArrayLike, motor_inertia: ArrayLike) -> Float64Array:
+    """What a joint sees of a rotor through its gear: ratio^2 motor_inertia [kg m^2 | kg].
+
+    Law:  K = (I_link + G^2 I_motor) v^2 / 2, since the rotor turns G times as fast as the link
+
+    Args:
+        ratio: G, turns of the motor per turn of the joint; rad/m for a prismatic joint.
+        motor_inertia: Of the rotor about its own axis [kg m^2].
+
+    Raises:
+        RangeError: A ratio that is not above zero, or a negative inertia.
+
+    Example:
+        A link of 1 kg m^2 with a rotor of 1e-3 kg m^2: in direct drive 99.9 % of the inertia is the link's; behind
+        a gear of 100 the rotor is ten times the link.
+
+        >>> round(100.0 / (1.0 + float(reflected_inertia(1.0, 1e-3))), 1)
+        99.9
+        >>> round(float(reflected_inertia(100.0, 1e-3)), 9)
+        10.0
+
+    References:
+        Chapter, section 10.2.1.5 the effect of gearing.
+    """
+    G, rotor = _two("ratio", ratio, "motor_inertia", motor_inertia)
+    require_range("ratio", G, above=0.0)
+    require_range("motor_inertia", rotor, minimum=0.0, unit="kg m^2")
+    return np.asarray(G**2 * rotor)
+
+
+def matched_ratio(link_inertia: ArrayLike, motor_inertia: ArrayLike) -> Float64Array:
+    """The gear ratio that gives the link half of the torque, and the most acceleration: sqrt(I_link / I_motor).
+
+    Law:  a(G) = G tau / (I_link + G^2 I_motor) is largest where I_link = G^2 I_motor: inertia matched
+
+    Args:
+        link_inertia: About the joint's axis [kg m^2].
+        motor_inertia: Of the rotor about its own axis [kg m^2].
+
+    Raises:
+        RangeError: An inertia that is not above zero.
+
+    Example:
+        >>> round(float(matched_ratio(1.0, 1e-3)), 2)
+        31.62
+
+    References:
+        Chapter, section 10.2.1.5 the effect of gearing.
+    """
+    link, rotor = _two("link_inertia", link_inertia, "motor_inertia", motor_inertia)
+    require_range("link_inertia", link, above=0.0, unit="kg m^2")
+    require_range("motor_inertia", rotor, above=0.0, unit="kg m^2")
+    return np.asarray(np.sqrt(link / rotor))
+
+
+def _two(name: str, a: ArrayLike, other: str, b: ArrayLike) -> tuple[Float64Array, Float64Array]:
+    first, second = finite_array(name, a), finite_array(other, b)
+    try:
+        np.broadcast_shapes(first.shape, second.shape)
+    except ValueError as cause:
+        raise ShapeError(
+            f"{name} and {other} must be one number each or one per joint; got shapes {first.shape} and "
+            f"{second.shape}",
+            name=other,
+        ) from cause
+    return first, second

@@ -1,4 +1,4 @@
-"""ClosedLoop: the error dynamics that a law states at a pose, as matrices, and the gains that shape them."""
+"""The error dynamics, and the impedance of the tool, that a law states at a pose: matrices."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from taut.base.errors import RangeError
-from taut.base.types import Float64Array
+from taut.base.types import Float64Array, Matrix6
 from taut.maths.snapshot import Snapshot
 
 if TYPE_CHECKING:
     from taut.control.law import Law
 
-__all__ = ["ClosedLoop", "PlacedGains"]
+__all__ = ["ApparentImpedance", "ClosedLoop", "PlacedGains"]
 
 MIN_TOOL_MOBILITY: Final = (
     1e-2  # [-] of the largest singular value of J: with less the tool hardly moves in a direction
@@ -172,3 +172,37 @@ class ClosedLoop:
         names = [self.names[i] for i in self.axes]
         return [name if names.count(name) == 1 else f"{name} ({names[: k + 1].count(name)})"
                 for k, name in enumerate(names)]  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ApparentImpedance:
+    """Impedance of the tool: D x_ddot + B x_dot + K x = F_ext of its deviation, in world axes; eq. 10.48."""
+
+    D: Matrix6  # [kg, kg m^2]
+    B: Matrix6  # [N s/m, N m s/rad]
+    K: Matrix6  # [N/m, N m/rad]
+
+    def response(
+        self, t: Float64Array, F_ext: Float64Array, x0: Float64Array, v0: Float64Array
+    ) -> tuple[Float64Array, Float64Array]:
+        """(k, 6) deviations and their rates under a wrench (k, 6): eq. 10.48 integrated by the midpoint rule.
+
+        The wrench goes straight from each tick to the next.
+
+        Args:
+            t: (k,) [s].
+            F_ext: (k, 6) wrench of the environment on the arm [N, N m].
+            x0: (6,) deviation at the first tick [m, rad].
+            v0: (6,) its rate [m/s, rad/s].
+        """
+        x, v = np.zeros((len(t), 6)), np.zeros((len(t), 6))
+        x[0], v[0] = x0, v0
+        solvers: dict[float, Float64Array] = {}
+        for i, step in enumerate(np.diff(t)):
+            h = float(round(step, 12))
+            if h not in solvers:
+                solvers[h] = np.asarray(np.linalg.inv(self.D + 0.5 * h * self.B + 0.25 * h * h * self.K), np.float64)
+            middle = 0.5 * (F_ext[i] + F_ext[i + 1])
+            mean = solvers[h] @ (self.D @ v[i] + 0.5 * h * (middle - self.K @ x[i]))
+            x[i + 1], v[i + 1] = x[i] + h * mean, 2.0 * mean - v[i]
+        return x, v

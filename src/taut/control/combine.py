@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any, Self
 from taut.base.errors import MatchError, UsageError
 from taut.base.fields import Declared, Part
 from taut.control.command import Command
-from taut.control.law import Law, MemoryView, call, initial_memory
+from taut.control.gains import MemoryView
+from taut.control.law import Law, call, initial_memory
 from taut.control.trajectories.reference import Reference, Sample
 from taut.maths.snapshot import Snapshot
 
 if TYPE_CHECKING:
-    from taut.control.closed_loop import ClosedLoop
+    from taut.control.closed_loop import ApparentImpedance, ClosedLoop
     from taut.control.tasks.task import Task
 
 __all__ = ["Sum", "Wrapper", "added", "all_laws", "bare", "law_classes", "title"]
@@ -43,11 +44,11 @@ class Sum(Law):
         first = next(iter(followers or self.parts.values()))
         self.__dict__.update(reference=first.reference, ignores_reference=not followers)
 
-    def children(self) -> dict[str, Law]:
+    def declared_parts(self) -> dict[str, Declared]:
         return dict(self.parts)
 
-    def with_children(self, children: Mapping[str, Law]) -> Self:
-        return self._replaced({"parts": dict(children)})
+    def _with_parts(self, parts: Mapping[str, Any]) -> Self:
+        return self._replaced({"parts": {**self.parts, **parts}})
 
     def closed_loop(self, x: Snapshot) -> ClosedLoop | None:
         """That of the one part that states one; None where several do."""
@@ -55,7 +56,7 @@ class Sum(Law):
         if len(stated) != 1:
             return None
         ((name, loop),) = stated.items()
-        return loop.held_by(lambda law, _: self.with_children({**self.parts, name: law}))
+        return loop.held_by(lambda law, _: self._with_parts({name: law}))
 
     def command(self, x: Snapshot, ref: Sample, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
         after: dict[str, Any] = {}
@@ -111,20 +112,13 @@ class Wrapper(Law, abstract=True):
         inner = self.law.closed_loop(x)
         return inner and inner.held_by(lambda law, _: self._replaced({"law": law}))
 
-    def declared_parts(self) -> dict[str, Declared]:
-        own = {name: part for name, part in Declared.declared_parts(self).items() if name != "law"}
-        return {**own, "law": self.law}
-
-    def _with_parts(self, parts: Mapping[str, Any]) -> Self:
-        return self._replaced(parts)
+    def apparent_impedance(self, x: Snapshot) -> ApparentImpedance | None:
+        return self.law.apparent_impedance(x)
 
     def children(self) -> dict[str, Law]:
         return self.law.children()
 
-    def with_children(self, children: Mapping[str, Law]) -> Self:
-        return self._replaced({"law": self.law.with_children(children)})
-
-    def seen_by(self, child: str, x: Snapshot, ref: Sample) -> tuple[Snapshot, Sample]:
+    def seen_by(self, child: str, x: Snapshot, ref: Any) -> tuple[Snapshot, Any]:
         return self.law.seen_by(child, x, ref)
 
     def at_rest(self, x: Snapshot) -> Sample:

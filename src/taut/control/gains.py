@@ -1,21 +1,26 @@
-"""Gains and memory: what a law declares. A gain is a scalar, one per joint, or a matrix, and acts by `@`."""
+"""What a law is declared with: gains, memory, and the integral of an error with what keeps it from winding up."""
 
 from __future__ import annotations
 
+import inspect
 import math
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
 
 import numpy as np
 
 from taut.base.checks import read_only
-from taut.base.errors import ShapeError, UsageError, user_location
-from taut.base.fields import REQUIRED, Field
-from taut.base.types import Array, ArrayLike, Float64Array
+from taut.base.errors import RangeError, ShapeError, UsageError, unknown_name, user_location
+from taut.base.fields import REQUIRED, Choice, Declaration, Declared, Field
+from taut.base.types import Array, ArrayLike, Float64Array, Vector
+from taut.trace import math as tm
 from taut.trace.array import Traced, traced_array
 from taut.trace.scalar import Symbol
 
-__all__ = ["Gain", "GainValue", "Memory"]
+__all__ = ["AntiWindup", "Gain", "GainValue", "Integral", "LawMemory", "Memory", "MemoryView", "Remembers", "solved"]
+
+AntiWindup = Literal["clamping", "back-calculation", "none"]
+DAMPING: Final = 1e-5  # of a matrix ki that is inverted, relative to its trace
 
 
 class GainValue(np.lib.mixins.NDArrayOperatorsMixin):
@@ -230,3 +235,166 @@ class Memory:
     ) -> None:
         self.initial: Float64Array = read_only(initial)
         self.unit, self.record, self.notice, self.doc = unit, record or bool(notice), notice, doc
+
+
+LawMemory = Mapping[str, Any]
+"""Memory by name; a law that holds laws has theirs under their names."""
+
+
+class MemoryView:
+    """Memory as law code reads it: `memory.e_int`, and that of a law it holds: `memory.inner.e_int`."""
+
+    __slots__ = ("_law", "_values")
+
+    def __init__(self, values: LawMemory, law: str) -> None:
+        self._values = values
+        self._law = law
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in self._values:
+            raise unknown_name(f"the memory of {self._law}", "entry", name, self._values)
+        value = self._values[name]
+        return MemoryView(value, f"{self._law}.{name}") if isinstance(value, Mapping) else value
+
+    def __getitem__(self, name: str) -> Any:
+        return self._values[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in self.__slots__:
+            object.__setattr__(self, name, value)
+            return
+        raise UsageError(
+            f"memory.{name} of {self._law} is set at {user_location()}; memory is not changed: return the new one "
+            f"with the command, {{'{name}': ...}}",
+            name=name,
+        )
+
+
+class Remembers(Declared):
+    """A declared object with memory of its own: a law, or a part of laws such as the integral of an error."""
+
+    memories: ClassVar[Mapping[str, Memory]] = {}
+
+    def __init_subclass__(cls) -> None:
+        annotations = dict(inspect.get_annotations(cls))
+        for name, annotation in list(annotations.items()):
+            word = annotation if isinstance(annotation, str) else getattr(annotation, "__name__", "")
+            given = cls.__dict__.get(name, REQUIRED)
+            if word.rpartition(".")[2] == "Memory":  # e_int: Memory = Memory(0.0): no field of the dataclass
+                if name in dir(cls.__mro__[1]):
+                    raise UsageError(
+                        f"{cls.__name__}: '{name}' is a word of {cls.__mro__[1].__name__} itself; give the field "
+                        "another name",
+                        name=name,
+                    )
+                setattr(
+                    cls, name, given if isinstance(given, Memory) else Memory(0.0 if given is REQUIRED else given)
+                )
+                del annotations[name]
+        cls.__annotations__ = annotations
+        cls.memories = {name: value for name, value in vars(cls).items() if isinstance(value, Memory)}
+        super().__init_subclass__()
+
+    @classmethod
+    def declaration_of(cls, name: str, annotation: str, default: Any) -> Declaration[Any]:
+        """`kp: Gain` and `kp: Gain = 5.0` are gains."""
+        kind, _, none = annotation.partition(" | ")
+        if kind.rpartition(".")[2] == "Gain":
+            return Gain(default, optional=none == "None")
+        return super().declaration_of(name, annotation, default)
+
+    def check_rate(self, rate: float) -> None:
+        """Refuse gains that have no meaning at this rate [Hz], with a TautError."""
+
+    def parts_with_memory(self) -> dict[str, Remembers]:
+        """Its parts that may remember something, by field."""
+        return {name: part for name, part in self.declared_parts().items() if isinstance(part, Remembers)}
+
+    def every_memory(self) -> dict[str, Memory]:
+        """Declared memory by path, that of parts below their names."""
+        out = dict(self.memories)
+        for name, part in self.parts_with_memory().items():
+            out |= {f"{name}.{path}": memory for path, memory in part.every_memory().items()}
+        return out
+
+
+class Integral(Remembers):
+    """The integral of an error in a law: `PID(kp=, ki=, integral=Integral(anti_windup="none"))`.
+
+    Law:          e_int' = e_int + e dt, which includes the error of this tick, as in the chapter's pseudocode
+                  "clamping" (conditional integration): an entry rests while limits cut that joint's command and e
+                    pushes further into the limit
+                  "back-calculation": e_int' = e_int + (e - tracking ki^-1 cut) dt, at rest where ki e = tracking cut
+                  "none"; without limits all three are the same, and cost the same
+
+    Args:
+        anti_windup: "clamping", "back-calculation" or "none".
+        tracking: How fast limits drive the integral back, at most the control rate; for "back-calculation", which
+            needs it. 10 1/s is usual.
+
+    References:
+        Astrom and Hagglund, PID Controllers (1995), section 3.5.
+    """
+
+    anti_windup: Choice[AntiWindup] = Choice("clamping", "back-calculation", "none")
+    tracking: Gain = Gain(unit="1/s", shape="entries", optional=True)
+    e_int = Memory(unit="error s")
+
+    def check(self) -> None:
+        if (self.anti_windup == "back-calculation") != (self.tracking is not None):
+            self.refuse("tracking", "is for anti_windup 'back-calculation', which needs it; give both or neither")
+
+    def check_rate(self, rate: float) -> None:
+        """An integral cannot be driven back faster than the rate [Hz]."""
+        largest = 0.0 if self.tracking is None else float(np.max(self.tracking.as_array()))
+        if largest > rate:
+            raise RangeError(
+                f"tracking must be <= the rate, {rate:g} [1/s], or the integral oscillates; got {largest:g}",
+                name="tracking",
+                value=largest,
+            )
+
+    def step(
+        self,
+        memory: MemoryView,
+        e: Vector,
+        dt: Any,
+        *,
+        ki: GainValue,
+        cut: Callable[[], Vector],
+        lost: Callable[[], Vector] | None = None,
+    ) -> tuple[Vector, dict[str, Any]]:
+        """(k,) the integral after this tick, and its new memory.
+
+        Args:
+            memory: Its memory, such as memory.integral.
+            e: (k,) the error.
+            dt: Period [s].
+            ki: The gain that the integral is multiplied with, for back-calculation.
+            cut: What limits took of the command, in the directions of e; called where it is needed.
+            lost: The same in the unit of ki int(e), where that is another one.
+        """
+        before = memory.e_int
+        after: Vector = before + e * dt
+        if self.anti_windup == "clamping":
+            after = tm.where(cut() * e > 0.0, before, after)
+        elif self.anti_windup == "back-calculation":
+            after = after - (self.tracking @ solved(ki, (lost or cut)())) * dt
+        return after, {"e_int": after}
+
+
+def solved(ki: GainValue, cut: Vector) -> Vector:
+    """(n,) ki^-1 cut; nothing for joints, or in directions, that have no integral."""
+    k = ki.as_array()
+    if ki.ndim < 2:
+        some = tm.where(k > 0.0, k, 1.0)
+        out: Vector = tm.where(k > 0.0, cut / some, 0.0 * cut)
+        return out
+    size = k.shape[0]
+    trace = sum(k[i, i] for i in range(size))
+    damped = k @ k + ((DAMPING * trace) ** 2 + np.finfo(np.float64).tiny) * tm.eye(size)
+    inverse: Vector = k @ tm.solve_spd(damped, cut)
+    return inverse

@@ -8,103 +8,25 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Self
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
 import numpy as np
 
-from taut.base.errors import ShapeError, TraceError, UsageError, unknown_name, user_location
-from taut.base.fields import REQUIRED, Declaration, Declared, Part
+from taut.base.errors import ShapeError, TraceError, UsageError
+from taut.base.fields import Declaration, Part
+from taut.base.paths import unflatten
 from taut.control.command import Command
-from taut.control.gains import Gain, GainValue, Memory
+from taut.control.gains import GainValue, LawMemory, MemoryView, Remembers
 from taut.control.trajectories.reference import JointMotion, Reference, Sample
 from taut.maths.snapshot import Snapshot
 from taut.trace.array import has_symbols, traced_array
 
 if TYPE_CHECKING:
-    from taut.control.closed_loop import ClosedLoop
+    from taut.control.closed_loop import ApparentImpedance, ClosedLoop
     from taut.control.tasks.task import Task
 
-__all__ = ["Law", "LawMemory", "Remembers", "call", "initial_memory"]
-
-LawMemory = Mapping[str, Any]
-"""Memory by name; a law that holds laws has theirs under their names."""
-
-
-class MemoryView:
-    """Memory as law code reads it: `memory.e_int`, and that of a law it holds: `memory.inner.e_int`."""
-
-    __slots__ = ("_law", "_values")
-
-    def __init__(self, values: LawMemory, law: str) -> None:
-        self._values = values
-        self._law = law
-
-    def __getattr__(self, name: str) -> Any:
-        if name not in self._values:
-            raise unknown_name(f"the memory of {self._law}", "entry", name, self._values)
-        value = self._values[name]
-        return MemoryView(value, f"{self._law}.{name}") if isinstance(value, Mapping) else value
-
-    def __getitem__(self, name: str) -> Any:
-        return self._values[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._values)
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        if name in self.__slots__:
-            object.__setattr__(self, name, value)
-            return
-        raise UsageError(
-            f"memory.{name} of {self._law} is set at {user_location()}; memory is not changed: return the new one "
-            f"with the command, {{'{name}': ...}}",
-            name=name,
-        )
-
-
-class Remembers(Declared):
-    """A declared object with memory of its own: a law, or a part of laws such as the integral of an error."""
-
-    memories: ClassVar[Mapping[str, Memory]] = {}
-
-    def __init_subclass__(cls) -> None:
-        annotations = dict(inspect.get_annotations(cls))
-        for name, annotation in list(annotations.items()):
-            word = annotation if isinstance(annotation, str) else getattr(annotation, "__name__", "")
-            given = cls.__dict__.get(name, REQUIRED)
-            if word.rpartition(".")[2] == "Memory":  # e_int: Memory = Memory(0.0): no field of the dataclass
-                if name in dir(cls.__mro__[1]):
-                    raise reserved(cls, name)
-                setattr(
-                    cls, name, given if isinstance(given, Memory) else Memory(0.0 if given is REQUIRED else given)
-                )
-                del annotations[name]
-        cls.__annotations__ = annotations
-        cls.memories = {name: value for name, value in vars(cls).items() if isinstance(value, Memory)}
-        super().__init_subclass__()
-
-    @classmethod
-    def declaration_of(cls, name: str, annotation: str, default: Any) -> Declaration[Any]:
-        """`kp: Gain` and `kp: Gain = 5.0` are gains, `inner: Law` holds a law; anything else is a plain field."""
-        kind, _, none = annotation.partition(" | ")
-        word = kind.rpartition(".")[2]
-        if word == "Gain":
-            return Gain(default, optional=none == "None")
-        if word == "Law":
-            return Part(Law, default=default, optional=none == "None")
-        return super().declaration_of(name, annotation, default)
-
-    def check_rate(self, rate: float) -> None:
-        """Refuse gains that have no meaning at this rate [Hz], with a TautError."""
-
-    def every_memory(self) -> dict[str, Memory]:
-        """Declared memory by path, that of parts below their names; not that of laws that are held."""
-        out = dict(self.memories)
-        for name, part in self.declared_parts().items():
-            if isinstance(part, Remembers) and not isinstance(part, Law):
-                out |= {f"{name}.{path}": memory for path, memory in part.every_memory().items()}
-        return out
+__all__ = ["Law", "call", "initial_memory"]
 
 
 class Law(Remembers):
@@ -172,23 +94,21 @@ class Law(Remembers):
 
     # ---------------------------------------------------------------- its parts
 
+    @classmethod
+    def declaration_of(cls, name: str, annotation: str, default: Any) -> Declaration[Any]:
+        """`inner: Law` and `inner: Law | None` hold a law, `kp: Gain` is a gain; anything else is a plain field."""
+        kind, _, none = annotation.partition(" | ")
+        if kind.rpartition(".")[2] == "Law":
+            return Part(Law, default=default, optional=none == "None")
+        return super().declaration_of(name, annotation, default)
+
+    def parts_with_memory(self) -> dict[str, Remembers]:
+        """Not the laws that it holds, whose memory is their own."""
+        return {name: part for name, part in super().parts_with_memory().items() if not isinstance(part, Law)}
+
     def children(self) -> dict[str, Law]:
         """The laws that this law holds, by field."""
-        return {name: value for name in self.declared if isinstance(value := self.__dict__[name], Law)}
-
-    def with_children(self, children: Mapping[str, Law]) -> Self:
-        """A copy that holds other laws."""
-        return self._replaced(children)
-
-    def declared_parts(self) -> dict[str, Declared]:
-        """The declared objects that this law has, by field, among them the laws that it holds."""
-        own = {name: part for name, part in super().declared_parts().items() if not isinstance(part, Law)}
-        return {**own, **self.children()}
-
-    def _with_parts(self, parts: Mapping[str, Any]) -> Self:
-        laws = {name: part for name, part in parts.items() if isinstance(part, Law)}
-        others = {name: part for name, part in parts.items() if name not in laws}
-        return (self.with_children({**self.children(), **laws}) if laws else self)._replaced(others)
+        return {name: part for name, part in self.declared_parts().items() if isinstance(part, Law)}
 
     def gains(self) -> dict[str, GainValue]:
         """This law's own gains, by field."""
@@ -204,7 +124,7 @@ class Law(Remembers):
         """Pairs of a path of its memory and what the outcome of a run says where that is not zero."""
         return tuple((path, memory.notice) for path, memory in self.every_memory().items() if memory.notice)
 
-    def seen_by(self, child: str, x: Snapshot, ref: Sample) -> tuple[Snapshot, Sample]:  # noqa: ARG002
+    def seen_by(self, child: str, x: Snapshot, ref: Any) -> tuple[Snapshot, Any]:  # noqa: ARG002
         """What a law that this one holds sees and follows."""
         return x, ref
 
@@ -226,6 +146,10 @@ class Law(Remembers):
 
         None for a law that states none; `taut.tune` finds its gains.
         """
+        return None
+
+    def apparent_impedance(self, x: Snapshot) -> ApparentImpedance | None:  # noqa: ARG002
+        """What the tool feels like about a state, in plain numbers; None for a law that promises nothing of it."""
         return None
 
     def at_rest(self, x: Snapshot) -> Sample:
@@ -256,8 +180,8 @@ class Law(Remembers):
         Raises:
             RangeError: A gain that has no meaning there.
         """
-        for law in self.children().values():
-            law.check_states(x, rate, changed=changed)
+        for name, law in self.children().items():
+            law.check_states(self.seen_by(name, x, None)[0], rate, changed=changed)
         (self.check_change if changed else self.check_state)(x, rate)
 
     def check_references(self, x: Snapshot, ref: Reference, rate: float, *, later: bool = False) -> None:
@@ -302,29 +226,13 @@ def _takes_memory(cls: type[Law]) -> bool:
     return len(names) == 5
 
 
-def reserved(cls: type, name: str) -> UsageError:
-    """The error for a field or memory with the name of a method."""
-    return UsageError(
-        f"{cls.__name__}: '{name}' is a word of {cls.__mro__[1].__name__} itself; give the field another name",
-        name=name,
-    )
-
-
 # -------------------------------------------------------------------- running a law
 
 
 def initial_memory(law: Law, x: Snapshot, ref: Sample) -> dict[str, Any]:
     """Memory at the first tick: stated values, that of laws it holds, what `start` makes of the measured state."""
-    return {**_declared_memory(law), **law.memory_of_children(x, ref), **law.start(x, ref)}
-
-
-def _declared_memory(part: Remembers) -> dict[str, Any]:
-    """Stated values, nested by part."""
-    out: dict[str, Any] = {name: memory.initial for name, memory in part.memories.items()}
-    for name, inner in part.declared_parts().items():
-        if isinstance(inner, Remembers) and not isinstance(inner, Law) and inner.every_memory():
-            out[name] = _declared_memory(inner)
-    return out
+    stated = unflatten({path: memory.initial for path, memory in law.every_memory().items()})
+    return {**stated, **law.memory_of_children(x, ref), **law.start(x, ref)}
 
 
 def call(law: Law | Task, x: Snapshot, ref: Sample, memory: LawMemory, dt: Any) -> tuple[Command, dict[str, Any]]:

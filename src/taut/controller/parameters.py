@@ -7,7 +7,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from taut.arm.angles import require_radians
+from taut.arm.parts import require_radians
 from taut.base.checks import finite_array
 from taut.base.errors import UsageError
 from taut.base.paths import Parameters, subtree

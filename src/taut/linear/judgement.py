@@ -22,10 +22,10 @@ from taut.base.errors import RangeError, TautError, UsageError
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.combine import all_laws
-from taut.control.laws.friction import FrictionCompensation
+from taut.control.laws.joint import FrictionCompensation
 from taut.control.lawside import LawSide
 from taut.linear.linear_system import Complex, LinearSystem, Mode, balancing
-from taut.linear.linearise import Rest, equilibrium, observed_states, standing_states
+from taut.linear.linearise import NEWTON_STEPS, Rest, equilibrium, observed_states, standing_states
 from taut.linear.period import EMPTY, RESOLUTION, STEP, Period, Point, Side, smooth_plant
 from taut.loop import AnyPlant, HasLawSide, Loop
 from taut.maths.snapshot import snapshot
@@ -47,6 +47,7 @@ FINE: Final = 0.01  # [-] of the largest stable factor on a gain
 MIN_FACTOR, MAX_FACTOR = 2.0**-14, 2.0**14  # [-] on a gain, between which a limit is searched
 DIGITS: Final = 3  # of a factor, and of a gain times it, rounded down: what is printed is no more than what was tried
 SHOWN: Final = 0.2  # [-] the smallest fraction of a mode that a sentence names
+MORE_STEPS: Final = 20  # of Newton's method from an equilibrium to that of other gains
 HUGE: Final = 1e12  # a limit that is never reached
 DRY: Final = ("coulomb", "static", "load_motor", "load_external", "load_motor_static", "load_external_static")
 VISCOUS: Final = "plant.friction.viscous"
@@ -273,9 +274,9 @@ class _Model:
     slack: Float64Array
 
     @classmethod
-    def at(cls, period: Period, start: Point) -> _Model:
+    def at(cls, period: Period, start: Point, steps: int = NEWTON_STEPS) -> _Model:
         """At the equilibrium next to a start, by central differences of two steps (Richardson)."""
-        rest = equilibrium(period, start)
+        rest = equilibrium(period, start, steps=steps)
         found, coordinates = rest.found, period.state_coordinates
         acting = observed_states(found.A, found.C) & ~standing_states(found, period.tolerance)
         for path in ("plant.q", "plant.v"):
@@ -315,18 +316,20 @@ def _judged(period: Period, plant: str, limits: tuple[str, ...] | None = None) -
     elsewhere = period.after(point, nearby[np.newaxis])
     stable, n = not model.grows, period.arm.n
 
-    def stable_with(changed: Changes) -> bool:
+    acting = period.only(model.states)  # a gain times a number makes no other state act
+
+    def stable_with(changed: Changes, period: Period = period) -> bool:
         other = period.changed(point, {**left_out, **changed})
         if np.array_equal(period.after(other, nearby[np.newaxis]), elsewhere):
             return stable  # the gains of a phase that does not act, say
         try:
-            return not _Model.at(period, other).grows
+            return not _Model.at(period, other, MORE_STEPS).grows
         except RangeError:
             return False
 
     def largest(*paths: str) -> float:
         def holds(factor: float) -> bool:
-            return stable if factor == 1.0 else stable_with({path: factor * values[path] for path in paths})
+            return stable if factor == 1.0 else stable_with({path: factor * values[path] for path in paths}, acting)
 
         return float(_rounded_down(largest_factor(holds, FINE, MAX_FACTOR)))
 

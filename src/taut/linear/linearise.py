@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from taut.arm.angles import require_radians
+from taut.arm.parts import require_radians
 from taut.base.checks import finite_array, positive_scalar, read_only
 from taut.base.errors import RangeError, UsageError
 from taut.base.paths import subtree
@@ -32,6 +32,7 @@ from taut.loop import Loop
 from taut.plant.rigid import RigidPlant
 
 __all__ = [
+    "NEWTON_STEPS",
     "WITHIN",
     "Rest",
     "driven_states",
@@ -293,13 +294,14 @@ def standing_states(found: Derivative, tolerance: float) -> Flags:
     return still
 
 
-def equilibrium(map_: PeriodMap, start: Point, within: float = WITHIN) -> Rest:
+def equilibrium(map_: PeriodMap, start: Point, within: float = WITHIN, steps: int = NEWTON_STEPS) -> Rest:
     """The nearest point to a start at which the loop rests with the same inputs and parameters.
 
     Args:
         map_: The map of a period.
         start: Inputs, parameters, and the memory of the first tick.
         within: Maximum distance of a joint from the start [rad | m].
+        steps: Steps of Newton's method at most.
 
     Raises:
         RangeError: There is none so near; the message names a joint and its distance.
@@ -308,7 +310,7 @@ def equilibrium(map_: PeriodMap, start: Point, within: float = WITHIN) -> Rest:
     joints = coordinates.places["plant.q"]
     step = np.full(len(coordinates), np.inf)
     at, found = start, finite_derivative(map_, start)
-    for _ in range(NEWTON_STEPS):
+    for _ in range(steps):
         solved = observed_states(found.A, found.C) & ~standing_states(found, map_.tolerance)
         scale = 1.0 + np.abs(coordinates.numbers(memory))
         wrong = np.abs(found.residual) / scale
@@ -394,7 +396,7 @@ def _never(map_: PeriodMap, found: Derivative) -> RangeError:
         joint, value = None, float(wrong.max())
         what = f"'{coordinates.names[int(np.argmax(wrong))]}' still changes by {value:.3g} in a period"
     return RangeError(
-        f"not an equilibrium, and none is near: after {NEWTON_STEPS} steps of Newton's method {what}; the load is "
+        f"not an equilibrium, and none is near: after all steps of Newton's method {what}; the load is "
         "not balanced there (gravity, a limit that is reached, a target out of reach); begin at= another pose",
         name="at",
         joint=joint,

@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Container, Iterable, Mapping
@@ -16,6 +17,7 @@ from typing import Any, Final, Literal, Protocol, cast, runtime_checkable
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 
 from taut.arm.description import CommandKind
 from taut.base.errors import RangeError, UsageError
@@ -149,12 +151,19 @@ class Period(PeriodMap):
         memory = loop.start(q, np.zeros_like(q), self.inputs.views(row), self.parameters.views(values))
         self.memory = Block.of({path: np.shape(value) for path, value in memory.items()})
         self.state_coordinates = BlockCoordinates(self.memory)
+        self._columns = np.arange(len(self.state_coordinates))
         self._clock = [self.memory.field(CLOCK).offset] if CLOCK in self.memory.shapes else []
         self.start = Point(inputs=row, parameters=values, memory=self.memory.pack(memory))
         blocks, example = (self.inputs, self.parameters, self.memory), (row, values, self.start.memory)
         self._run = compiled_loop(loop, blocks, example)
         outputs = [self._run.outputs.field(path) for path in ("q", "v", "command")]
         self._shown = np.concatenate([np.arange(field.offset, field.offset + field.size) for field in outputs])
+
+    def only(self, states: NDArray[np.intp]) -> Period:
+        """The same period, differentiated by some states alone: the others count as without effect."""
+        other = copy.copy(self)
+        other._columns = states
+        return other
 
     def values(self, point: Point) -> dict[str, Float64Array]:
         """The parameters of a point by path."""
@@ -186,16 +195,18 @@ class Period(PeriodMap):
         """The map and its derivative, without inputs, by central differences."""
         states = self.state_coordinates
         memory, record = self._period(at, at.memory)
-        steps = step * (1.0 + np.abs(states.numbers(at.memory)))[:, np.newaxis]
+        steps = step * (1.0 + np.abs(states.numbers(at.memory)))[self._columns, np.newaxis]
         ends = [
             [self._period(at, at.memory + sign * move) for sign in (1.0, -1.0)]
-            for move in steps * states.basis(at.memory)
+            for move in steps * states.basis(at.memory)[self._columns]
         ]
         new = np.stack([more[0] - less[0] for more, less in ends])
         shown = np.stack([(more[1] - less[1])[self._shown] for more, less in ends])
+        A, C = np.zeros((len(states), len(states))), np.zeros((len(self._shown), len(states)))
+        A[:, self._columns] = (states.read(memory, new) / (2.0 * steps)).T
+        C[:, self._columns] = (shown / (2.0 * steps)).T
         return Derivative(
-            A=(states.read(memory, new) / (2.0 * steps)).T, B=np.zeros((len(states), 0)),
-            C=(shown / (2.0 * steps)).T, D=np.zeros((len(self._shown), 0)),
+            A=A, B=np.zeros((len(states), 0)), C=C, D=np.zeros((len(self._shown), 0)),
             residual=states.difference(memory, at.memory), memory=memory, record=record,
         )  # fmt: skip
 

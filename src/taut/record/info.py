@@ -15,7 +15,7 @@ import numpy as np
 from taut.arm.description import BASE, Arm
 from taut.arm.rules import indefinite
 from taut.base.types import Float64Array
-from taut.control.laws.apparent import FeltImpedance
+from taut.control.closed_loop import ApparentImpedance
 from taut.maths.chain import Chain
 
 __all__ = [
@@ -152,7 +152,7 @@ class PartInfo:
     """One of the laws side by side, or one phase of a task."""
 
     tool: Chain
-    impedance: FeltImpedance | None = None
+    impedance: ApparentImpedance | None = None
     joints: tuple[str, ...] = ()  # of laws side by side: its own
     follows: str | None = None  # of a phase: the part of the reference
 
@@ -185,7 +185,7 @@ class RunInfo:
     stability: Stability | None = None
     limits: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # "effort", "velocity" by joint
     tool: Chain | None = None  # the joints that carry the frame that the law controls
-    impedance: FeltImpedance | None = None  # what the law promises at the tool where F_ext is measured
+    impedance: ApparentImpedance | None = None  # what the law promises at the tool where F_ext is measured
     parts: Mapping[str, PartInfo] = field(default_factory=dict)  # of laws side by side
     phases: Mapping[str, PartInfo] = field(default_factory=dict)  # of a task
     around: Around = field(default_factory=Around)  # what stood around the arm, to draw
@@ -227,7 +227,7 @@ def _reaches(chain: Chain, n: int) -> bool:
     return chain.n == n and all(0 <= link.joint < n for link in chain.links)
 
 
-def _has_mass(impedance: FeltImpedance | None) -> bool:
+def _has_mass(impedance: ApparentImpedance | None) -> bool:
     return impedance is None or bool(np.linalg.eigvalsh(impedance.D)[0] > 0.0)
 
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from taut.arm.angles import short_way
 from taut.arm.description import Arm
+from taut.arm.parts import short_way
 from taut.base.checks import finite_scalar
 from taut.base.errors import RangeError, UsageError, count_of
 from taut.base.paths import Named

@@ -11,7 +11,7 @@ import numpy as np
 
 from taut.base.errors import UsageError
 from taut.base.types import Float64Array
-from taut.control.laws.apparent import FeltImpedance
+from taut.control.closed_loop import ApparentImpedance
 from taut.control.trajectories.force_reference import HybridMotion, TaskForce
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.spatial import log_rows
@@ -183,7 +183,7 @@ class Deviation:
     F_ext: Float64Array  # (k, 6) [N, N m]
     x: Float64Array  # (k, 6) [m, rad]
     v: Float64Array  # (k, 6) [m/s, rad/s]
-    impedance: FeltImpedance
+    impedance: ApparentImpedance
 
     @classmethod
     def of(cls, run: Run) -> Deviation | None:

@@ -15,7 +15,6 @@ from taut.base.errors import RangeError, StabilityWarning, UsageError, warn
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.law import Law
-from taut.control.laws.apparent import felt_impedance
 from taut.control.lawside import LawSide
 from taut.control.side_by_side import SideBySide
 from taut.control.tasks.phase import Phase
@@ -25,8 +24,7 @@ from taut.controller import Controller, compile
 from taut.linear.judgement import Judgement, judge_start
 from taut.loop import AnyPlant, Loop, ModelPlant, check_fit, duration_of_ticks, require_no_reference, state_at_start
 from taut.maths.chain import Chain
-from taut.maths.constraints.functions import Surface
-from taut.maths.constraints.rows import OfPoses
+from taut.maths.constraints.rows import Surface
 from taut.maths.model import PayloadValues
 from taut.maths.snapshot import Snapshot
 from taut.plant.contact import each_contact
@@ -189,7 +187,7 @@ def _of_tool(law: Law | Task, side: LawSide, q: Float64Array, parameters: Mappin
 def _part(law: Law | Task, x: Snapshot) -> PartInfo:
     frame, impedance = law.controlled_frame, None
     if isinstance(law, Law) and frame in (None, x.arm.tool):  # F_ext is taken at the arm's tool
-        impedance = felt_impedance(law, x)
+        impedance = law.apparent_impedance(x)
     return PartInfo(tool=Chain.of(x.model, frame), impedance=impedance)
 
 
@@ -291,7 +289,7 @@ def _of_model(plant: RigidPlant, q: Float64Array, duration: float) -> Around:
     x = Snapshot(plant.model, q=q, v=np.zeros(len(q)))
     for contact in () if plant.contact is None else each_contact(plant.contact):
         for piece in contact.constraint.pieces:
-            if isinstance(piece, OfPoses) and piece.surface is not None:
+            if piece.surface is not None:
                 things.append(_thing(piece.surface, x.T(piece.frames[0]).p, duration))
             else:
                 missing.append(f"a constraint of {piece.count} rows that declares no surface")

@@ -11,9 +11,9 @@ import numpy as np
 
 from taut.analysis.design.achieved import Achieved, Limit, Requirement, Steps
 from taut.analysis.design.specification import Specification, place_poles, square
-from taut.arm.angles import require_radians
 from taut.arm.description import Arm
 from taut.arm.friction import Friction
+from taut.arm.parts import require_radians
 from taut.base.checks import finite_array, one_of, rate_in_hertz
 from taut.base.declarations import REQUIRED
 from taut.base.errors import RangeError, ShapeError, TautError, UsageError

@@ -13,7 +13,7 @@ import numpy as np
 
 from taut.analysis.diagnosis.model import ArmModel, Fit, fit_residual
 from taut.analysis.diagnosis.spectrum import Oscillation, find_oscillation
-from taut.arm.angles import short_way
+from taut.arm.parts import short_way
 from taut.base.errors import UsageError
 from taut.base.plot_style import INK, WIDTH, colour, line, prepared
 from taut.base.types import Array, Float64Array

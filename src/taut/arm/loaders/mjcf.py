@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from taut.arm.loaders.mjcf_compile import Compiled, compiled
-from taut.arm.loaders.mjcf_source import prepare
-from taut.arm.loaders.tree import LinkInertia, Tree, TreeJoint, TreeKind, TreeLink, Words
+from taut.arm.loaders.mjcf_source import Compiled, compiled, prepare
+from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink, Words
 from taut.arm.loaders.visuals import MeshPaths, mjcf_visuals
 from taut.arm.loaders.xml import Element
+from taut.arm.parts import Body, Joint, JointKind
 from taut.base.errors import ModelError, Problem, quoted_list
 from taut.base.types import Float64Array
 from taut.trace.pose import Pose, axis_angle
@@ -99,7 +99,7 @@ class _Builder:
         if m.body_mass[i] > 0.0 or m.body_inertia[i].any():
             pose = _pose(m.body_ipos[i], m.body_iquat[i])
             I = pose.R @ np.diag(m.body_inertia[i]) @ pose.R.T
-            link.inertia = LinkInertia(mass=float(m.body_mass[i]), com=pose.p, inertia=I)
+            link.inertia = Body(mass=float(m.body_mass[i]), com=pose.p, inertia=I)
         self._tree.links.append(link)
         if i > 0:
             self._hang(i, name, line)
@@ -112,7 +112,7 @@ class _Builder:
         T_parent_body = _pose(m.body_pos[i], m.body_quat[i])
         first, count = int(m.body_jntadr[i]), int(m.body_jntnum[i])
         if count == 0:
-            self._fix(parent, name, T_parent_body)
+            self._tree.joints.append(TreeJoint.fixed(parent, name, T_parent_body))
             return
         # T(q) = T_parent_body * [shift to the anchor, turn by q - ref, shift back] for each joint in turn
         T_parent_joint = T_parent_body
@@ -125,7 +125,7 @@ class _Builder:
             if child == name:
                 return
             parent, T_parent_joint = child, shift.inverse()
-        self._fix(parent, name, T_parent_joint)
+        self._tree.joints.append(TreeJoint.fixed(parent, name, T_parent_joint))
 
     def _between(self, j: int, body: str, line: int | None, *, last: bool) -> str:
         """A link without mass at the anchor of a joint: before another joint, or off the body's origin."""
@@ -141,37 +141,37 @@ class _Builder:
         self._tree.links.append(link)
         return link.name
 
-    def _fix(self, parent: str, child: str, pose: Pose) -> None:
-        self._tree.joints.append(TreeJoint(name=f"<{child}>", kind="fixed", parent=parent, child=child, origin=pose))
-
     def _joint(self, j: int, parent: str, child: str, T_parent_joint: Pose) -> None:
         import mujoco
 
         m = self._model
-        kinds: dict[int, TreeKind] = {
+        kinds: dict[int, JointKind] = {
             int(mujoco.mjtJoint.mjJNT_FREE): "floating",
             int(mujoco.mjtJoint.mjJNT_BALL): "ball",
             int(mujoco.mjtJoint.mjJNT_SLIDE): "prismatic",
             int(mujoco.mjtJoint.mjJNT_HINGE): "revolute" if m.jnt_limited[j] else "continuous",
         }
         kind = kinds[int(m.jnt_type[j])]
-        line = self._line(self._result.joints[j] or self._result.bodies[m.jnt_bodyid[j]])
-        joint = TreeJoint(name=self._joint_name(j), kind=kind, parent=parent, child=child, line=line)
-        joint.origin = T_parent_joint
+        name, line = self._joint_name(j), self._line(self._result.joints[j] or self._result.bodies[m.jnt_bodyid[j]])
+        joint, mimic = Joint(name=name, kind=kind, placement=T_parent_joint), None
         if kind not in ("floating", "ball"):
             dof, axis = int(m.jnt_dofadr[j]), np.array(m.jnt_axis[j], dtype=np.float64)
-            ref = float(m.qpos0[m.jnt_qposadr[j]])
-            joint.origin = T_parent_joint @ _motion(kind, axis, -ref)
-            joint.axis = axis
-            joint.viscous = float(m.dof_damping[dof]) + self._actuators.damping.get(j, 0.0)
-            joint.coulomb = float(m.dof_frictionloss[dof])
-            joint.rotor_inertia = float(m.dof_armature[dof]) + self._actuators.inertia.get(j, 0.0)
-            joint.gear = self._actuators.gear(j)
-            joint.effort = self._actuators.effort(j)
-            joint.mimic = self._coupled(j)
-            if m.jnt_limited[j]:
-                joint.lower, joint.upper = (float(x) for x in m.jnt_range[j])
-        self._tree.joints.append(joint)
+            ref, mimic = float(m.qpos0[m.jnt_qposadr[j]]), self._coupled(j)
+            low, high = m.jnt_range[j] if m.jnt_limited[j] else (-math.inf, math.inf)
+            joint = Joint(
+                name=name,
+                kind=kind,
+                placement=T_parent_joint @ _motion(kind, axis, -ref),
+                axis=axis,
+                lower=float(low),
+                upper=float(high),
+                effort=self._actuators.effort(j),
+                viscous=float(m.dof_damping[dof]) + self._actuators.damping.get(j, 0.0),
+                coulomb=float(m.dof_frictionloss[dof]),
+                gear=self._actuators.gear(j),
+                rotor_inertia=float(m.dof_armature[dof]) + self._actuators.inertia.get(j, 0.0),
+            )
+        self._tree.joints.append(TreeJoint(joint=joint, parent=parent, child=child, mimic=mimic, line=line))
 
     def _joint_name(self, j: int) -> str:
         return self._model.jnt(j).name or f"joint{j}"
@@ -205,7 +205,7 @@ class _Builder:
     def _home(self) -> None:
         """The key frame 'home', where the file has one."""
         m = self._model
-        for joint in self._tree.joints:
+        for joint in self._tree.movable.values():
             if m.nkey == 0 or joint.kind not in ("revolute", "continuous", "prismatic"):
                 continue
             j = next(j for j in range(m.njnt) if self._joint_name(j) == joint.name)
@@ -227,7 +227,7 @@ class _Actuators:
         self._gears: dict[int, set[float]] = {}  # of actuators that have a rotor
         self.inertia: dict[int, float] = {}  # seen at the joint [kg m^2 | kg]
         self.damping: dict[int, float] = {}  # seen at the joint [N m s/rad | N s/m]
-        servos, motors, elsewhere, bent = [], [], [], []
+        servos, elsewhere = [], []
         on_joint = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
         for a in range(m.nactuator):
             name = m.actuator(a).name or f"actuator{a}"
@@ -236,9 +236,7 @@ class _Actuators:
                 continue
             unbiased = int(m.actuator_biastype[a]) == int(mujoco.mjtBias.mjBIAS_NONE)
             gain = int(m.actuator_gaintype[a])
-            if gain == int(mujoco.mjtGain.mjGAIN_DCMOTOR):
-                motors.append(name)
-            elif not unbiased:
+            if not unbiased:
                 servos.append(name)
             largest = _smaller_side(m.actuator_forcerange[a]) if m.actuator_forcelimited[a] else math.inf
             if unbiased and gain == int(mujoco.mjtGain.mjGAIN_FIXED) and m.actuator_ctrllimited[a]:
@@ -249,16 +247,8 @@ class _Actuators:
             if m.actuator_armature[a]:
                 self.inertia[j] = self.inertia.get(j, 0.0) + gear**2 * float(m.actuator_armature[a])
                 self._gears.setdefault(j, set()).add(gear)
-            if m.actuator_dampingpoly[a].any():
-                bent.append(name)
         says = (
-            ("damping that is not linear left out, of actuators {}", bent),
-            ("actuators with their own servo gains: {}; an Arm takes torques", servos),
-            (
-                "the electrical motors of {} are left out, with their cogging and LuGre friction; an Arm takes "
-                "torques, and Friction has static friction and the Stribeck effect",
-                motors,
-            ),
+            ("actuators with their own gains or motors: {}; an Arm takes torques", servos),
             ("actuators that drive no joint are left out: {}", elsewhere),
         )
         self.notes = [text.format(quoted_list(names)) for text, names in says if names]
@@ -279,7 +269,7 @@ def _smaller_side(both: Float64Array) -> float:
     return float(min(abs(both[0]), abs(both[1])))
 
 
-def _motion(kind: TreeKind, axis: Float64Array, q: float) -> Pose:
+def _motion(kind: JointKind, axis: Float64Array, q: float) -> Pose:
     return Pose(axis * q) if kind == "prismatic" else Pose(R=axis_angle(axis, q))
 
 
@@ -296,16 +286,13 @@ def _gravity(m: mujoco.MjModel) -> Float64Array:
 
 def _left_out(m: mujoco.MjModel) -> Iterator[str]:
     """What a MuJoCo model can have and an Arm has not."""
-    for what, joints in (
-        ("springs", {j for j in range(m.njnt) if m.jnt_stiffness[j] != 0.0 or m.jnt_stiffnesspoly[j].any()}),
-        ("damping that is not linear", {int(m.dof_jntid[d]) for d in range(m.nv) if m.dof_dampingpoly[d].any()}),
-    ):
-        if joints:
-            yield f"{what} left out, on {quoted_list(m.jnt(j).name or f'joint{j}' for j in sorted(joints))}"
+    springs = [
+        m.jnt(j).name or f"joint{j}" for j in range(m.njnt) if m.jnt_stiffness[j] or m.jnt_stiffnesspoly[j].any()
+    ]
+    if springs:
+        yield f"springs left out, on {quoted_list(springs)}"
     bodies = [m.body(i).name or f"body{i}" for i in range(m.nbody) if m.body_gravcomp[i] != 0.0]
     if bodies:
         yield f"gravcomp left out, on {quoted_list(bodies)}; a law compensates gravity"
     if m.ntendon:
         yield f"{m.ntendon} tendons left out" if m.ntendon > 1 else "1 tendon left out"
-    if m.opt.density or m.opt.viscosity:
-        yield "the drag of the medium is left out (density and viscosity of <option>)"

@@ -1,18 +1,20 @@
-"""An MJCF document made safe for MuJoCo: includes resolved, files and extensions taken out, numbers checked.
+"""An MJCF document made safe for MuJoCo, and compiled by it: includes resolved, files and extensions taken out.
 
 MuJoCo gets one text in which nothing names a file, with one element on each line, so that the lines in its
-messages can be traced back to the user's files.
+messages can be traced back to the user's files. What makes no sense of an arm is MuJoCo's to say; here is what it
+would take in silence: numbers that are not finite or huge, ranges the wrong way round, names that are there twice.
 """
 
 from __future__ import annotations
 
+import math
 import os
+import re
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import Final
-
-import numpy as np
+from typing import TYPE_CHECKING, Final
 
 from taut.arm.loaders.visuals import OutsideError, file_inside
 from taut.arm.loaders.xml import (
@@ -25,11 +27,16 @@ from taut.arm.loaders.xml import (
     numbers,
     read_xml,
 )
-from taut.arm.parts import inertia_matrix
-from taut.arm.rules import MAX_LINKS, check_inertia
+from taut.arm.rules import MAX_LINKS
 from taut.base.errors import FileError, ModelError, Problem
 
-__all__ = ["MjcfSource", "prepare"]
+if TYPE_CHECKING:
+    import mujoco
+
+__all__ = ["Compiled", "compiled", "prepare"]
+
+MeshShape = tuple[str, tuple[float, float, float]]
+"""Name and scale of the mesh of a geom, which MuJoCo was not shown."""
 
 MAX_FILES: Final = 50
 MAX_ATTRIBUTE: Final = 200_000  # characters
@@ -73,41 +80,13 @@ WORDS: Final = frozenset(  # attributes that are names, not numbers
     | {"joint", "joint1", "joint2", "jointinparent", "tendon", "tendon1", "tendon2"}
     | {"site", "site1", "site2", "refsite", "cranksite", "slidersite"}
 )
-COUNTS: Final = {
-    "pos": 3,
-    "quat": 4,
-    "axisangle": 4,
-    "xyaxes": 6,
-    "zaxis": 3,
-    "euler": 3,
-    "mass": 1,
-    "diaginertia": 3,
-    "fullinertia": 6,
-    "axis": 3,
-    "range": 2,
-    "armature": 1,
-    "timestep": 1,
-    "frictionloss": 1,
-    "ref": 1,
-    "actuatorfrcrange": 2,
-    "forcerange": 2,
-    "ctrlrange": 2,
-    "gravity": 3,
-}
-ANY_COUNT: Final = frozenset({"size", "gear", "damping", "stiffness", "qpos", "polycoef", "rgba", "density", "scale"})
 NUMBERED: Final = frozenset(
     {"body", "frame", "inertial", "joint", "geom", "site", "option", "key", "mesh"}
     | {"general", "motor", "position", "velocity", "intvelocity", "damper"}
 )
 RANGES: Final = ("range", "actuatorfrcrange", "forcerange", "ctrlrange")
-NOT_NEGATIVE: Final = {
-    "joint": ("armature", "frictionloss", "damping", "stiffness"),
-    "option": ("timestep", "density", "viscosity"),
-    "inertial": ("mass",),
-    "geom": ("mass", "density"),
-}
-
-
+PLACEHOLDER: Final = 0.01  # [m] radius of the sphere that stands for a mesh
+_LINE = re.compile(r"line (\d+)")
 ESCAPED: Final = str.maketrans(
     {"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "\n": "&#10;", "\r": "&#13;", "\t": "&#9;"}
 )
@@ -135,11 +114,8 @@ def prepare(root: Element, path: Path) -> MjcfSource:
     """The safe text of a document whose root element has been read already.
 
     Raises:
-        ModelError: It is no MJCF, or too deep or large.
+        ModelError: It is too deep or large.
     """
-    if root.tag != "mujoco":
-        text = f"its root element is <{root.tag}>; an MJCF file begins with <mujoco>"
-        raise ModelError(str(path), [Problem(object=path.name, attribute=root.tag, message=text, line=root.line)])
     source = MjcfSource(text="", lines=[], meshes={})
     whole = _Includes(path, source.problems).resolved(root)
     source.problems.extend(_problems(whole, str(path)))
@@ -260,48 +236,24 @@ def _problems(root: Element, main: str) -> Iterator[Problem]:
 
 
 def _number_problems(element: Element) -> Iterator[tuple[str, str]]:
-    tag = element.tag
-    values: dict[str, tuple[float, ...]] = {}
     for attribute, text in element.attributes.items():
-        where = f"{attribute} of <{tag}>"
+        where = f"{attribute} of <{element.tag}>"
+        words = text.split()
         if len(text) > MAX_ATTRIBUTE:
             yield attribute, f"{where} must have at most {MAX_ATTRIBUTE} characters; got {len(text)}"
+        elif attribute in WORDS:
             continue
-        if tag in NUMBERED and (attribute in COUNTS or attribute in ANY_COUNT):
+        elif any(is_not_finite(word) for word in words):
+            yield attribute, f"{where} must be finite; got {text!r}"
+        elif element.tag in NUMBERED and words and words[0][0] in "+-.0123456789":
             try:
-                values[attribute] = numbers(text, COUNTS.get(attribute), bounded=attribute not in RANGES)
+                values = numbers(text, bounded=attribute not in RANGES)
             except BadNumberError as wrong:
                 yield attribute, f"{where} {wrong}"
-        elif attribute not in WORDS and any(is_not_finite(word) for word in text.split()):
-            yield attribute, f"{where} must be finite; got {text!r}"
-    for attribute in NOT_NEGATIVE.get(tag, ()):
-        value = values.get(attribute, (0.0,))
-        if value and value[0] < 0.0:
-            yield attribute, f"{attribute} of <{tag}> must be >= 0; got {value[0]:g}"
-    for attribute in RANGES:
-        low, high = values.get(attribute, (0.0, 0.0))
-        if low >= high and (low, high) != (0.0, 0.0):  # MuJoCo would take it for "no limit"
-            yield attribute, f"{attribute} of <{tag}> must go from low to high; got {low:g} to {high:g}; swap them"
-    if tag == "inertial":
-        yield from _inertia_problems(element, values)
-
-
-def _inertia_problems(element: Element, values: dict[str, tuple[float, ...]]) -> Iterator[tuple[str, str]]:
-    for attribute in ("mass", "pos"):
-        if element.get(attribute) is None:
-            yield attribute, f"<inertial> has no {attribute}; give it one"
-    if "diaginertia" in values:
-        I = np.diag(values["diaginertia"])
-    elif "fullinertia" in values:
-        I = inertia_matrix(values["fullinertia"])
-    else:
-        if not {"diaginertia", "fullinertia"} & set(element.attributes):
-            yield "diaginertia", "<inertial> has no diaginertia or fullinertia; give it one"
-        return
-    (mass,) = values.get("mass", (0.0,))
-    wrong = check_inertia(mass, I) if mass > 0.0 else None
-    if wrong is not None:
-        yield wrong[0], f"{wrong[1]}; fix its <inertial>"
+                continue
+            if attribute in RANGES and len(values) == 2 and any(values) and values[0] >= values[1]:
+                low, high = values  # MuJoCo would take it for "no limit"
+                yield attribute, f"{where} must go from low to high; got {low:g} to {high:g}; swap them"
 
 
 # -------------------------------------------------------------------- the safe text
@@ -351,3 +303,154 @@ def _write(element: Element, text: list[str], lines: list[Element]) -> None:
             _write(child, text, lines)
     text.append(f"</{element.tag}>")
     lines.append(element)
+
+
+# -------------------------------------------------------------------- MuJoCo's compiler
+
+
+@dataclass(kw_only=True)
+class Compiled:
+    """What MuJoCo made of the text, and the elements that it came from."""
+
+    model: mujoco.MjModel
+    bodies: list[Element | None]  # by id
+    joints: list[Element | None]
+    equalities: list[Element | None]
+    meshes: dict[int, MeshShape]  # of geoms, by id
+
+
+def compiled(source: MjcfSource, path: Path) -> Compiled:
+    """Parse and compile.
+
+    Raises:
+        ModelError: What MuJoCo refuses, traced back to the element; a mass that only a mesh would give.
+    """
+    import mujoco
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # MuJoCo warns of what the rules of the tree refuse or allow
+        try:
+            spec = mujoco.MjSpec.from_string(source.text)
+            problems = list(_masses_from_meshes(spec, source))
+            if problems:
+                raise ModelError(str(path), problems)
+            shapes = _without_meshes(spec, source)
+            model = spec.compile()
+        except (ValueError, RuntimeError, mujoco.FatalError) as cause:
+            if isinstance(cause, ModelError):
+                raise
+            raise ModelError(str(path), [_refused(str(cause), source, path)]) from cause
+    return Compiled(
+        model=model,
+        bodies=_elements(spec.bodies, source),
+        joints=_elements(spec.joints, source),
+        equalities=_elements(spec.equalities, source),
+        meshes={geom.id: shape for geom, shape in shapes},
+    )
+
+
+def _refused(text: str, source: MjcfSource, path: Path) -> Problem:
+    """MuJoCo's sentence, with the element, the attribute and the line in the user's file."""
+    found = _LINE.search(text)
+    element = source.at(int(found[1])) if found else None
+    said = re.sub(r"^(XML )?(Error: )*(Schema violation: )?", "", (text.splitlines() or [""])[0])
+    if element is None:
+        element = next((source.named(word) for word in re.findall(r"'([^']+)'", said)), None)
+    if element is None:
+        return Problem(object=path.name, attribute=None, message=f"MuJoCo refuses the model: {said}")
+    name = element.get("name")
+    where = "" if element.file == str(path) else f" in '{element.file}'"
+    called = f"{element.tag} '{name}'" if name else f"<{element.tag}>"
+    return Problem(
+        object=name or element.tag,
+        attribute=_attribute(said, element),
+        message=f"{called}{where}: MuJoCo refuses it: {said}",
+        line=element.line,
+    )
+
+
+def _attribute(said: str, element: Element) -> str:
+    """The attribute that MuJoCo means: it quotes the attribute or its value."""
+    for word in re.findall(r"'([^']+)'", said):
+        for attribute, value in element.attributes.items():
+            if word in (attribute, value):
+                return attribute
+    return element.tag
+
+
+def _elements(
+    items: list[mujoco.MjsBody] | list[mujoco.MjsJoint] | list[mujoco.MjsEquality], source: MjcfSource
+) -> list[Element | None]:
+    found: list[Element | None] = [None] * len(items)
+    for item in items:
+        if 0 <= item.id < len(found):
+            found[item.id] = _element(item.info, item.name, source)
+    return found
+
+
+def _element(said: str, name: str, source: MjcfSource) -> Element | None:
+    """The element whose line MuJoCo names, or that has the name."""
+    line = _LINE.search(said)
+    return source.at(int(line[1])) if line else source.named(name)
+
+
+def _masses_from_meshes(spec: mujoco.MjSpec, source: MjcfSource) -> Iterator[Problem]:
+    """Moving bodies whose inertia MuJoCo would compute from a mesh file."""
+    import mujoco
+
+    mode = mujoco.mjtInertiaFromGeom(spec.compiler.inertiafromgeom)
+    low, high = spec.compiler.inertiagrouprange
+    lost = False
+    for body in spec.bodies:
+        if mode == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE:
+            continue
+        if body.explicitinertial and mode == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO:
+            continue
+        for geom in body.geoms:
+            weightless = geom.mass == 0.0 or (math.isnan(geom.mass) and geom.density == 0.0)
+            if geom.meshname not in source.meshes or weightless or not low <= geom.group <= high:
+                continue
+            if _moves(body, spec):
+                element = _element(body.info, body.name, source)
+                yield Problem(
+                    object=body.name or "body",
+                    attribute="inertial",
+                    message=f"body '{body.name}': its mass would come from the mesh '{geom.meshname}', and meshes "
+                    "are never opened; give it an <inertial> (MuJoCo's compiled model has the numbers: body_mass, "
+                    "body_ipos, body_iquat, body_inertia)",
+                    line=None if element is None else element.line,
+                )
+                break
+            lost = True
+    if lost and spec.compiler.settotalmass > 0.0:
+        text = "settotalmass of <compiler> needs the masses of mesh files, which are never opened; take it out"
+        line = next((element.line for element in source.lines if element.get("settotalmass")), None)
+        yield Problem(object="compiler", attribute="settotalmass", message=text, line=line)
+
+
+def _moves(body: mujoco.MjsBody, spec: mujoco.MjSpec) -> bool:
+    while body is not None and body != spec.worldbody:
+        if body.joints:
+            return True
+        body = body.parent
+    return False
+
+
+def _without_meshes(spec: mujoco.MjSpec, source: MjcfSource) -> list[tuple[mujoco.MjsGeom, MeshShape]]:
+    """Put spheres for meshes, and make what remains compile to every body of the file."""
+    import mujoco
+
+    scales = {mesh.name: (float(mesh.scale[0]), float(mesh.scale[1]), float(mesh.scale[2])) for mesh in spec.meshes}
+    shapes = []
+    for geom in spec.geoms:
+        if geom.meshname not in source.meshes:
+            continue
+        shapes.append((geom, (geom.meshname, scales.get(geom.meshname, (1.0, 1.0, 1.0)))))
+        geom.type = mujoco.mjtGeom.mjGEOM_SPHERE
+        geom.size = [PLACEHOLDER, 0.0, 0.0]
+        geom.meshname = ""
+        geom.fromto = [math.nan] * 6
+    for mesh in list(spec.meshes):
+        if mesh.name in source.meshes:
+            spec.delete(mesh)
+    return shapes

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from taut.arm.loaders.tree import LinkInertia, Tree, TreeJoint, TreeKind, TreeLink, Words, assemble
+from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink, Words, assemble
+from taut.arm.parts import Body, Joint, JointKind
 from taut.base.checks import SYMMETRY_TOLERANCE, finite_array
 from taut.base.errors import RangeError, ShapeError
 from taut.base.types import ArrayLike, Float64Array
@@ -46,7 +47,7 @@ def arm_from_screws(
     n = S.shape[1]
     M = finite_array("Mlist", Mlist, shape=(n + 1, 4, 4))
     G = finite_array("Glist", Glist, shape=(n, 6, 6))
-    tree = Tree(name=name, source="screw axes", words=WORDS)
+    tree = Tree(name=name, source="screw axes", words=WORDS, tool=TOOL)
     tree.links.append(TreeLink(name=BASE))
     T_0_link, parent = Pose.identity(), BASE
     for i in range(n):
@@ -57,18 +58,14 @@ def arm_from_screws(
         moved, link = f"<joint{i + 1}>", f"link{i + 1}"
         tree.links.append(TreeLink(name=moved, is_frame=False))
         tree.links.append(TreeLink(name=link, inertia=_inertia(f"Glist[{i}]", G[i])))
-        joint = TreeJoint(name=f"joint{i + 1}", kind=kind, parent=parent, child=moved, axis=T_0_link.R.T @ axis)
-        joint.origin = T_0_before.inverse() @ T_0_joint
-        tree.joints.append(joint)
-        tree.joints.append(_fixed(moved, link, T_0_joint.inverse() @ T_0_link))
+        place = T_0_before.inverse() @ T_0_joint
+        joint = Joint(name=f"joint{i + 1}", kind=kind, placement=place, axis=T_0_link.R.T @ axis)
+        tree.joints.append(TreeJoint(joint=joint, parent=parent, child=moved))
+        tree.joints.append(TreeJoint.fixed(moved, link, T_0_joint.inverse() @ T_0_link))
         parent = link
     tree.links.append(TreeLink(name=TOOL))
-    tree.joints.append(_fixed(parent, TOOL, _pose(f"Mlist[{n}]", M[n])))
-    return assemble(arm_class, tree, tool=TOOL, gravity=gravity)
-
-
-def _fixed(parent: str, child: str, origin: Pose) -> TreeJoint:
-    return TreeJoint(name=f"<{child}>", kind="fixed", parent=parent, child=child, origin=origin)
+    tree.joints.append(TreeJoint.fixed(parent, TOOL, _pose(f"Mlist[{n}]", M[n])))
+    return assemble(arm_class, tree, gravity=gravity)
 
 
 def _pose(name: str, T: Float64Array) -> Pose:
@@ -78,7 +75,7 @@ def _pose(name: str, T: Float64Array) -> Pose:
         raise RangeError(f"{name} must be a pose: {wrong}", name=name, rule="a pose") from wrong
 
 
-def _axis(tree: Tree, i: int, S: Float64Array, near: Float64Array) -> tuple[TreeKind, Float64Array, Float64Array]:
+def _axis(tree: Tree, i: int, S: Float64Array, near: Float64Array) -> tuple[JointKind, Float64Array, Float64Array]:
     """Kind of joint, unit axis, and the point of the axis nearest to `near`, all in the space frame."""
     omega, v = S[:3], S[3:]
     turn, slide = float(np.linalg.norm(omega)), float(np.linalg.norm(v))
@@ -100,7 +97,7 @@ def _problem(tree: Tree, i: int, text: str) -> None:
     tree.problem(f"joint{i + 1}", f"Slist[:, {i}]", f"joint 'joint{i + 1}': Slist[:, {i}]: {text}")
 
 
-def _inertia(name: str, G: Float64Array) -> LinkInertia:
+def _inertia(name: str, G: Float64Array) -> Body:
     """Mass properties from a spatial inertia, angular first, in the link's frame.
 
     G = [[I_com - m [c][c], m [c]], [-m [c], m 1]] with the centre of mass at c; most often c = 0.
@@ -123,4 +120,4 @@ def _inertia(name: str, G: Float64Array) -> LinkInertia:
     c = mc / m if m > 0.0 else mc
     S = tm.skew(c)
     I = G[:3, :3] + m * S @ S
-    return LinkInertia(mass=m, com=c, inertia=0.5 * (I + I.T))
+    return Body(mass=m, com=c, inertia=0.5 * (I + I.T))

@@ -10,62 +10,30 @@ import dataclasses
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taut.arm.angles import TURN
-from taut.arm.loaders.lump import Lumps
-from taut.arm.parts import STANDARD_GRAVITY, CommandKind, Frame, Joint, Shape
+from taut.arm.parts import BASE, STANDARD_GRAVITY, TURN, Body, CommandKind, Frame, Joint, Visual
 from taut.arm.rules import (
     AXIS_TOLERANCE,
     OTHER_KINDS,
+    check_inertia,
     indefinite,
     joint_problems,
     mass_problems,
     structure_problems,
+    wrong_mass,
 )
 from taut.base.checks import finite_scalar, vector
 from taut.base.errors import ModelError, Problem, RangeError, UsageError, quoted_list, unknown_name
 from taut.base.types import ArrayLike, Float64Array
-from taut.trace.pose import Pose
+from taut.trace.pose import Pose, axis_angle
 
 if TYPE_CHECKING:
     from taut.arm.description import Arm
 
-__all__ = [
-    "LinkInertia",
-    "Tree",
-    "TreeJoint",
-    "TreeLink",
-    "TreeVisual",
-    "Words",
-    "assemble",
-    "require_within_limits",
-    "rest_position",
-]
-
-TreeKind = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar", "ball"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class LinkInertia:
-    """Mass properties of one link as the file gives them."""
-
-    mass: float  # [kg]
-    com: Float64Array  # (3,) in the link's frame [m]
-    inertia: Float64Array  # (3, 3) about com, in the link's axes [kg m^2]
-
-
-@dataclass(frozen=True, kw_only=True)
-class TreeVisual:
-    """Something to draw, fixed to a link."""
-
-    placement: Pose
-    shape: Shape
-    size: tuple[float, ...]
-    file: str = ""
-    rgba: tuple[float, float, float, float] = (0.8, 0.8, 0.8, 1.0)
+__all__ = ["Tree", "TreeJoint", "TreeLink", "Words", "assemble", "require_within_limits", "rest_position"]
 
 
 @dataclass(kw_only=True)
@@ -73,10 +41,10 @@ class TreeLink:
     """One link of the file."""
 
     name: str
-    inertia: LinkInertia | None = None
+    inertia: Body | None = None  # as the file gives it
     line: int | None = None
     lines: dict[str, int] = field(default_factory=dict)  # where an attribute stands, if not at `line`
-    visuals: list[TreeVisual] = field(default_factory=list)
+    visuals: list[Visual] = field(default_factory=list)
     is_frame: bool = True  # False: only a loader's helper, which no caller should see
     unreadable: bool = False  # its mass properties could not be read, which the reader has reported
     if_massless: Problem | None = None  # what to say if a joint moves it and nothing gives it mass
@@ -84,32 +52,24 @@ class TreeLink:
 
 @dataclass(kw_only=True)
 class TreeJoint:
-    """One joint of the file. NaN stands for a limit that the file should give and does not."""
+    """One joint of the file and the links that it joins. NaN stands for a limit that the file should give."""
 
-    name: str
-    kind: TreeKind
+    joint: Joint  # placed in the parent link's frame
     parent: str
     child: str
-    origin: Pose = field(default_factory=Pose.identity)
-    axis: Float64Array = field(default_factory=lambda: np.array([1.0, 0.0, 0.0]))
-    lower: float = -math.inf
-    upper: float = math.inf
-    velocity: float = math.inf
-    effort: float = math.inf
-    viscous: float = 0.0
-    coulomb: float = 0.0
-    static: float | None = None
-    stribeck: float = 0.0
-    stribeck_shape: float = 2.0
-    load_motor: float = 0.0
-    load_external: float = 0.0
-    load_motor_static: float | None = None
-    load_external_static: float | None = None
-    gear: float = 1.0
-    rotor_inertia: float = 0.0
     mimic: str | None = None  # the joint that it follows; "" for a coupling with none
     line: int | None = None
     lines: dict[str, int] = field(default_factory=dict)  # where an attribute stands, if not at `line`
+
+    @classmethod
+    def fixed(cls, parent: str, child: str, placement: Pose) -> TreeJoint:
+        """A joint that fixes a link to another one, named after it."""
+        return cls(joint=Joint(name=f"<{child}>", kind="fixed", placement=placement), parent=parent, child=child)
+
+    @property
+    def name(self) -> str:
+        """Name of the joint."""
+        return self.joint.name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +84,7 @@ class Words:
 
 @dataclass(kw_only=True)
 class Tree:
-    """Links and joints of one file, with the problems met while reading it."""
+    """Links and joints of one model, with the problems met while reading it, and what the catalogue adds."""
 
     name: str
     source: str
@@ -136,6 +96,9 @@ class Tree:
     notes: list[str] = field(default_factory=list)
     gravity: ArrayLike | None = None  # (3,) [m/s^2] where the file states it
     home: dict[str, float] = field(default_factory=dict)  # joint positions where the file states them
+    locked: dict[str, float] = field(default_factory=dict)  # joints that do not move, with their positions [rad | m]
+    tool: str | None = None  # the frame that carries the payload, where it is known
+    commands: tuple[CommandKind, ...] = ("torque",)  # what the real arm takes
     leaves: list[str] | None = None  # frames at the ends, where links alone do not tell
     structure_unknown: bool = False  # something unreadable hides how the links hang together
     words: Words = field(default_factory=Words)
@@ -144,63 +107,62 @@ class Tree:
         """Report one thing that is wrong."""
         self.problems.append(Problem(object=object_, attribute=attribute, message=message, line=line))
 
+    @property
+    def movable(self) -> dict[str, Joint]:
+        """The joints that are not fixed, by name."""
+        return {item.name: item.joint for item in self.joints if item.joint.kind != "fixed"}
+
 
 def assemble(
     arm_class: type[Arm],
     tree: Tree,
     *,
-    locked: Mapping[str, float] | None = None,
-    tool: str | None = None,
     T_WB: Pose | None = None,
     gravity: ArrayLike | None = None,
     home: Mapping[str, float] | ArrayLike | None = None,
-    commands: tuple[CommandKind, ...] = ("torque",),
 ) -> Arm:
     """The Arm of a tree of links and joints.
 
     Args:
         arm_class: The class of what is made, `Arm`, which stands above its loaders.
         tree: What a loader read.
-        locked: Joints that do not move, with the position [rad | m] at which they are held.
-        tool: Frame that carries the payload; the only leaf link by default.
         T_WB: Where the base stands in the world.
-        gravity: (3,) [m/s^2] in the world.
-        home: Joint positions by name, or (n,); by default zero, or mid-range where zero is out of limits.
-        commands: What the real arm takes.
+        gravity: (3,) [m/s^2] in the world; the tree's if left out.
+        home: Joint positions by name, or (n,); the tree's, else zero, or mid-range where zero is out of limits.
 
     Raises:
         ModelError: Everything that is wrong with the model.
         UnknownNameError: A locked joint or a tool that does not exist.
         UsageError: More than one leaf and no tool named.
     """
-    held = _checked_locks(tree, locked or {})
+    locked = _checked_locks(tree)
     problems = [*tree.problems, *structure_problems(tree)]
     sound = len(problems) == len(tree.problems)
-    problems += joint_problems(tree, held)
-    problems += mass_problems(tree)
-    lumps = Lumps(tree, held) if sound and not tree.structure_unknown else None
+    problems += [*joint_problems(tree, locked), *mass_problems(tree)]
+    lumps = _Lumps(tree, locked) if sound and not tree.structure_unknown else None
     if lumps is not None:
         problems += lumps.problems()
-    if lumps is not None and not problems and not lumps.joints():
-        text = "no joint moves; an arm needs one at least"
-        problems.append(Problem(object=tree.name, attribute="joint", message=text, line=tree.line))
+        if not problems and not lumps.joints:
+            text = "no joint moves; an arm needs one at least"
+            problems.append(Problem(object=tree.name, attribute="joint", message=text, line=tree.line))
     if problems or lumps is None:
         raise ModelError(tree.source, sorted(problems, key=_by_line))
-    joints = lumps.joints()
+    if gravity is None:
+        gravity = STANDARD_GRAVITY if tree.gravity is None else tree.gravity
     frames = lumps.frames()
     arm = arm_class(
         name=tree.name,
-        joints=joints,
-        bodies=lumps.bodies(),
+        joints=tuple(lumps.joints),
+        bodies=tuple(lumps.body(i) for i in range(len(lumps.joints))),
         frames=frames,
-        tool=_tool(tree, lumps, frames, tool),
-        home=_home(tree, joints, home),
-        gravity=_gravity(tree, gravity),
+        tool=_tool(tree, lumps, [frame.name for frame in frames]),
+        home=_home(tree, lumps.joints, home),
+        gravity=vector("gravity", gravity, 3, unit="m/s^2"),
         T_WB=Pose.identity() if T_WB is None else T_WB,
-        commands=commands,
+        commands=tree.commands,
         visuals=lumps.visuals(),
         source=tree.source,
-        notes=(*tree.notes, *_limit_notes(joints)),
+        notes=(*tree.notes, *_limit_notes(lumps.joints)),
     )
     least = indefinite(arm)
     if least is not None:
@@ -209,46 +171,38 @@ def assemble(
             "lengths, masses or inertias differ by too much: were all of them given in m, kg and kg m^2?"
         )
         raise ModelError(tree.source, [Problem(object=tree.name, attribute="inertial", message=text, line=tree.line)])
-    if not arm.rotor_inertia.any():
-        return arm
-    from taut.arm.gears import rotor_doubts
-
-    return dataclasses.replace(arm, notes=(*arm.notes, *rotor_doubts(arm)))
+    return arm
 
 
 def _by_line(problem: Problem) -> float:
     return math.inf if problem.line is None else problem.line
 
 
-def _checked_locks(tree: Tree, locked: Mapping[str, float]) -> dict[str, float]:
+def _checked_locks(tree: Tree) -> dict[str, float]:
     """The joints that are held, each at a position that it can have."""
-    joints = {joint.name: joint for joint in tree.joints}
-    held: dict[str, float] = {}
-    for name, value in locked.items():
+    joints = {item.name: item.joint for item in tree.joints}
+    locked: dict[str, float] = {}
+    for name, value in tree.locked.items():
         if name not in joints:
-            movable = [joint.name for joint in tree.joints if joint.kind != "fixed"]
-            raise unknown_name(f"model '{tree.name}'", "joint", name, movable)
-        joint = joints[name]
-        at = f"locked['{name}']"
+            raise unknown_name(f"model '{tree.name}'", "joint", name, tree.movable)
+        joint, at = joints[name], f"locked['{name}']"
         if joint.kind == "fixed":
             raise UsageError(f"joint '{name}' is fixed in the file already; leave it out of locked=", name=at)
-        unit = "m" if joint.kind == "prismatic" else "rad"
-        held[name] = finite_scalar(at, value, unit=unit)
-        if joint.kind in OTHER_KINDS and held[name] != 0.0:
+        locked[name] = finite_scalar(at, value, unit=joint.unit)
+        one_position = joint.kind not in OTHER_KINDS and np.linalg.norm(joint.axis) > AXIS_TOLERANCE
+        if locked[name] != 0.0 and not one_position:
             raise RangeError(
-                f"{at} must be 0.0, where the file puts it: a {joint.kind} joint has no single position; "
-                f"got {held[name]!r}",
+                f"{at} must be 0.0, where the file puts it: a {joint.kind} joint, or one whose axis is zero, has no "
+                f"single position; got {locked[name]!r}",
                 name=at,
                 joint=name,
-                value=held[name],
+                value=locked[name],
             )
-        if held[name] != 0.0 and not np.linalg.norm(joint.axis) > AXIS_TOLERANCE:
-            raise RangeError(f"{at} must be 0.0: the joint's axis is zero; got {held[name]!r}", name=at, joint=name)
-        require_within_limits(at, held[name], joint)
-    return held
+        require_within_limits(at, locked[name], joint)
+    return locked
 
 
-def require_within_limits(at: str, value: float, joint: Joint | TreeJoint) -> None:
+def require_within_limits(at: str, value: float, joint: Joint) -> None:
     """A position that the joint can have.
 
     Raises:
@@ -256,10 +210,9 @@ def require_within_limits(at: str, value: float, joint: Joint | TreeJoint) -> No
     """
     slack = 1e-9 * max(1.0, abs(value))
     if joint.lower < joint.upper and not joint.lower - slack <= value <= joint.upper + slack:
-        unit = "m" if joint.kind == "prismatic" else "rad"
         limits = f"[{joint.lower:g}, {joint.upper:g}]"
         raise RangeError(
-            f"{at} must be within the joint's limits {limits} [{unit}]; got {value!r}",
+            f"{at} must be within the joint's limits {limits} [{joint.unit}]; got {value!r}",
             name=at,
             joint=joint.name,
             value=value,
@@ -276,29 +229,17 @@ def require_within_limits(at: str, value: float, joint: Joint | TreeJoint) -> No
         )
 
 
-def _gravity(tree: Tree, gravity: ArrayLike | None) -> Float64Array:
-    if gravity is None:
-        gravity = STANDARD_GRAVITY if tree.gravity is None else tree.gravity
-    return vector("gravity", gravity, 3, unit="m/s^2")
-
-
-def _tool(tree: Tree, lumps: Lumps, frames: tuple[Frame, ...], tool: str | None) -> str:
+def _tool(tree: Tree, lumps: _Lumps, names: list[str]) -> str:
     """The frame that was asked for, or the only leaf that a joint moves."""
-    names = [frame.name for frame in frames]
-    if tool is not None:
-        if tool not in names:
-            raise unknown_name(
-                f"model '{tree.name}'",
-                "frame",
-                tool,
-                names,
-                hint=f"{len(names)} frames: taut check MODEL lists them",
-            )
-        return tool
+    if tree.tool is not None:
+        if tree.tool not in names:
+            hint = f"{len(names)} frames: taut check MODEL lists them"
+            raise unknown_name(f"model '{tree.name}'", "frame", tree.tool, names, hint=hint)
+        return tree.tool
     leaves = tree.leaves
     if leaves is None:
         parents = {joint.parent for joint in tree.joints}
-        leaves = [link.name for link in tree.links if link.name not in parents and lumps.moved(link.name)]
+        leaves = [link.name for link in tree.links if link.name not in parents and lumps.at[link.name][0] != BASE]
     if len(leaves) == 1:
         return leaves[0]
     raise UsageError(
@@ -309,24 +250,22 @@ def _tool(tree: Tree, lumps: Lumps, frames: tuple[Frame, ...], tool: str | None)
     )
 
 
-def _home(tree: Tree, joints: tuple[Joint, ...], home: Mapping[str, float] | ArrayLike | None) -> Float64Array:
+def _home(tree: Tree, joints: list[Joint], home: Mapping[str, float] | ArrayLike | None) -> Float64Array:
     """The pose that was asked for, else the file's, else zero or what of it the limits allow."""
     names = [joint.name for joint in joints]
-    if home is not None and not isinstance(home, Mapping):
-        q = vector("home", home, len(joints), joints=names)
-    else:
-        by_name = tree.home if home is None else home
+    by_name = tree.home if home is None else home
+    if isinstance(by_name, Mapping):
         for name in by_name:
             if name not in {joint.name for joint in tree.joints}:
                 raise unknown_name(f"model '{tree.name}'", "joint", name, names)
-        rest = [by_name.get(joint.name, rest_position(joint)) for joint in joints]
-        q = vector("home", rest, len(joints), joints=names)
+        by_name = [by_name.get(joint.name, rest_position(joint)) for joint in joints]
+    q = vector("home", by_name, len(joints), joints=names)
     for i, joint in enumerate(joints):
         require_within_limits(f"home[{i}] (joint '{joint.name}')", float(q[i]), joint)
     return q
 
 
-def rest_position(joint: Joint | TreeJoint) -> float:
+def rest_position(joint: Joint) -> float:
     """Zero, or where the limits leave it out, the middle between them [rad | m]."""
     if joint.lower <= 0.0 <= joint.upper or math.isnan(joint.lower) or math.isnan(joint.upper):
         return 0.0
@@ -335,16 +274,135 @@ def rest_position(joint: Joint | TreeJoint) -> float:
     return 0.5 * (joint.lower + joint.upper)
 
 
-def _limit_notes(joints: tuple[Joint, ...]) -> Iterator[str]:
-    for attribute, words in (
-        ("upper", "position"),
-        ("velocity", "speed"),
-        ("effort", "effort"),
-    ):
-        free = [
-            joint.name
-            for joint in joints
-            if math.isinf(getattr(joint, attribute)) and not (attribute == "upper" and joint.kind == "continuous")
-        ]
+def _limit_notes(joints: list[Joint]) -> Iterator[str]:
+    for attribute, words in (("upper", "position"), ("velocity", "speed"), ("effort", "effort")):
+        limited = [joint for joint in joints if attribute != "upper" or joint.kind != "continuous"]
+        free = [joint.name for joint in limited if math.isinf(getattr(joint, attribute))]
         if free:
             yield f"no {words} limit on {quoted_list(free)}"
+
+
+# -------------------------------------------------------------------- links that hang on each other
+
+
+class _Lumps:
+    """Bodies, joints, frames and visuals of a tree, some of whose joints are locked.
+
+    Joints stand in the order of a walk from the root: parents before children, each chain in one piece.
+    """
+
+    def __init__(self, tree: Tree, locked: Mapping[str, float]) -> None:
+        self._tree = tree
+        self._links = {link.name: link for link in tree.links}
+        self.joints: list[Joint] = []  # those that move
+        self.at: dict[str, tuple[int, Pose]] = {}  # link -> (body, T_body_link), in the order of the walk
+        self._walk(locked)
+        self._on_body: dict[int, list[TreeLink]] = {i: [] for i in range(BASE, len(self.joints))}
+        for link, (body, _) in self.at.items():
+            self._on_body[body].append(self._links[link])
+
+    def _walk(self, locked: Mapping[str, float]) -> None:
+        children: dict[str, list[TreeJoint]] = {}
+        for item in self._tree.joints:
+            children.setdefault(item.parent, []).append(item)
+        has_parent = {item.child for item in self._tree.joints}
+        root = next(link for link in self._links if link not in has_parent)
+        self.at[root] = (BASE, Pose.identity())
+        # Depth first and iterative. A joint is numbered when the walk reaches it, so that chains stay whole.
+        stack = list(reversed(children.get(root, [])))
+        while stack:
+            item = stack.pop()
+            joint = item.joint
+            body, T_body_link = self.at[item.parent]
+            T = T_body_link @ joint.placement
+            if joint.kind == "fixed":
+                self.at[item.child] = (body, T)
+            elif joint.name in locked:
+                self.at[item.child] = (body, T @ _held(joint, locked[joint.name]))
+            else:
+                self.joints.append(dataclasses.replace(joint, parent=body, placement=T, axis=_unit_axis(joint.axis)))
+                self.at[item.child] = (len(self.joints) - 1, Pose.identity())
+            stack.extend(reversed(children.get(item.child, [])))
+
+    def frames(self) -> tuple[Frame, ...]:
+        """A frame for each link, and the file's own."""
+        links = [(name, name, Pose.identity()) for name in self.at if self._links[name].is_frame]
+        frames = []
+        for name, link, T_link_frame in (*links, *self._tree.frames):
+            body, T_body_link = self.at[link]
+            frames.append(Frame(name=name, body=body, placement=T_body_link @ T_link_frame))
+        return tuple(frames)
+
+    def visuals(self) -> tuple[Visual, ...]:
+        """What can be drawn, on the bodies."""
+        return tuple(
+            dataclasses.replace(visual, body=body, placement=T_body_link @ visual.placement)
+            for link, (body, T_body_link) in self.at.items()
+            for visual in self._links[link].visuals
+        )
+
+    def body(self, i: int) -> Body:
+        """Mass, centre of mass and inertia of all links on one body, in that body's frame."""
+        parts = []
+        for link in self._on_body[i]:
+            if link.inertia is not None and link.inertia.mass > 0.0:
+                T = self.at[link.name][1]
+                R = T.R
+                parts.append((link.inertia.mass, T.act(link.inertia.com), R @ link.inertia.inertia @ R.T))
+        links = tuple(link.name for link in self._on_body[i])
+        mass = float(sum(m for m, _, _ in parts))
+        if mass <= 0.0:
+            return Body(mass=mass, com=np.zeros(3), inertia=np.zeros((3, 3)), links=links)
+        com = np.sum([m * c for m, c, _ in parts], axis=0) / mass
+        total = np.zeros((3, 3))
+        for m, c, about_com in parts:
+            d = c - com
+            total += about_com + m * (float(d @ d) * np.eye(3) - np.outer(d, d))
+        return Body(mass=mass, com=com, inertia=0.5 * (total + total.T), links=links)
+
+    def problems(self) -> Iterator[Problem]:
+        """Bodies that no joint can move: without mass, or with an inertia that no rigid body has."""
+        words = self._tree.words
+        for i, joint in enumerate(self.joints):
+            links = self._on_body[i]
+            if any(link.unreadable or wrong_mass(link) for link in links):
+                continue  # reported already
+            body = self.body(i)
+            wrong = check_inertia(body.mass, body.inertia)
+            if wrong is None:
+                continue
+            attribute, text = wrong
+            owner = next((link for link in links if link.inertia is not None), None)
+            if owner is None and links[0].if_massless is not None:
+                yield links[0].if_massless
+                continue
+            if owner is None:
+                owner, text = links[0], f" is moved by joint '{joint.name}' and has no mass; {words.no_mass}"
+            else:
+                fixed = [link.name for link in links if link is not owner and link.is_frame]
+                along = f", with {quoted_list(fixed, 3)} fixed to it" if fixed else ""
+                text = f"{along}: {text}; {words.wrong_inertia}"
+            yield Problem(
+                object=owner.name,
+                attribute=attribute,
+                message=f"{words.link} '{owner.name}'{text}",
+                line=owner.lines.get(attribute, owner.line),
+            )
+
+
+def _unit_axis(axis: Float64Array) -> Float64Array:
+    """The axis with length 1, exact along x, y and z; a zero axis, which is reported, as it is."""
+    length = np.linalg.norm(axis)
+    if not length >= AXIS_TOLERANCE:
+        return axis
+    unit = np.asarray(axis, dtype=np.float64) / length
+    nearest = np.round(unit)
+    return np.where(np.abs(unit - nearest) < 1e-11, nearest, unit) + 0.0
+
+
+def _held(joint: Joint, q: float) -> Pose:
+    """The motion of a joint that is held at q, as a pose; `assemble` has checked that q fits the joint."""
+    if q == 0.0:
+        return Pose.identity()
+    axis = _unit_axis(joint.axis)
+    return Pose(axis * q) if joint.kind == "prismatic" else Pose(R=axis_angle(axis, q))

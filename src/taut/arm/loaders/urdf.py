@@ -2,34 +2,28 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import math
 from collections.abc import Container, Iterator, Mapping
-from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
-from taut.arm.loaders.tree import LinkInertia, Tree, TreeJoint, TreeKind, TreeLink, Words
+from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink, Words
 from taut.arm.loaders.visuals import MeshPaths, colours_of, urdf_visuals
-from taut.arm.loaders.xml import BadNumberError, Element, numbers, read_xml
-from taut.arm.parts import inertia_matrix
+from taut.arm.loaders.xml import BadNumberError, Element, numbers
+from taut.arm.parts import Body, Joint, JointKind, inertia_matrix
 from taut.arm.rules import MAX_LINKS
 from taut.base.errors import ModelError, Problem, quoted_list, unknown_name
 from taut.trace.pose import Pose
 
-__all__ = ["read_urdf", "urdf_tree"]
+__all__ = ["urdf_tree"]
 
 WORDS: Final = Words(no_mass="give it an <inertial> with mass and inertia", wrong_inertia="fix its <inertial>")
-KINDS: Final[tuple[TreeKind, ...]] = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
-SIZES: Final[Mapping[str, Mapping[str, int]]] = {
-    "box": {"size": 3},
-    "cylinder": {"radius": 1, "length": 1},
-    "sphere": {"radius": 1},
-}
-
+KINDS: Final[tuple[JointKind, ...]] = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+LIMITS: Final = ("lower", "upper", "velocity", "effort")
 INERTIA: Final = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 ELEMENTS: Final = {
     "robot": ("link", "joint"),
@@ -46,7 +40,7 @@ ATTRIBUTES: Final = {
     "parent": ("link",),
     "child": ("link",),
     "axis": ("xyz",),
-    "limit": ("lower", "upper", "velocity", "effort"),
+    "limit": LIMITS,
     "dynamics": ("damping", "friction"),
     "mimic": ("joint", "multiplier", "offset"),
 }
@@ -57,25 +51,17 @@ MAX_ATTRIBUTES: Final = 50  # an element with more is a vendor's own
 LIKE: Final = 0.75  # difflib's ratio from which a word is taken for another
 
 
-def read_urdf(path: Path, packages: Mapping[str, Path] | None = None) -> Tree:
-    """The links and joints of a URDF file.
+def urdf_tree(robot: Element, path: Path, packages: Mapping[str, Path] | None = None) -> Tree:
+    """The links and joints of a URDF document; its problems are kept in the tree, and `assemble` raises them.
 
     Args:
+        robot: Its root element.
         path: The file.
         packages: Folders that stand for `package://NAME` in the names of meshes.
 
     Raises:
-        FileError: The file cannot be read.
-        ModelError: It is no URDF. All other problems are kept in the tree; `assemble` raises them together.
+        ModelError: It has more links or joints than an arm.
     """
-    return urdf_tree(read_xml(path), path, packages)
-
-
-def urdf_tree(robot: Element, path: Path, packages: Mapping[str, Path] | None = None) -> Tree:
-    """The links and joints of a URDF document whose root element has been read already."""
-    if robot.tag != "robot":
-        text = f"its root element is <{robot.tag}>; a URDF begins with <robot>"
-        raise ModelError(str(path), [Problem(object=path.name, attribute=robot.tag, message=text, line=robot.line)])
     name = robot.get("name") or path.stem
     tree = Tree(name=name, source=str(path), line=robot.line, words=WORDS)
     if name != robot.get("name"):
@@ -122,7 +108,6 @@ class _Reader:
         link = TreeLink(name=element.get("name") or "", line=element.line)
         owner = f"link '{link.name}'"
         self._check_words(owner, element)
-        self._check_sizes(owner, element)
         inertial = self._only(owner, element, "inertial")
         if inertial is None:
             return link
@@ -140,7 +125,7 @@ class _Reader:
             link.unreadable = True
             return link
         I = inertia_matrix(six)
-        link.inertia = LinkInertia(mass=m, com=origin.p, inertia=origin.R @ I @ origin.R.T)
+        link.inertia = Body(mass=m, com=origin.p, inertia=origin.R @ I @ origin.R.T)
         return link
 
     # ---------------------------------------------------------------- joints
@@ -150,29 +135,39 @@ class _Reader:
         owner = f"joint '{name}'"
         self._check_words(owner, element)
         kind = self._kind(owner, element)
-        ends = [self._end(owner, element, role) for role in ("parent", "child")]
-        joint = TreeJoint(name=name, kind=kind, parent=ends[0] or "", child=ends[1] or "", line=element.line)
-        joint.lines.update({end.tag: end.line for end in element.children if end.tag in ("parent", "child")})
-        joint.origin = self._origin(owner, element)
+        parent, child = (self._end(owner, element, role) for role in ("parent", "child"))
+        lines = {end.tag: end.line for end in element.children if end.tag in ("parent", "child")}
+        placement, direction = self._origin(owner, element), np.array((1.0, 0.0, 0.0))
         axis = self._only(owner, element, "axis")
         if axis is not None:
-            joint.lines["axis"] = axis.line
-            joint.axis = np.array(self._numbers(owner, axis, "xyz", (1.0, 0.0, 0.0), required=True))
-        self._limits(owner, joint, self._only(owner, element, "limit"))
+            lines["axis"] = axis.line
+            direction = np.array(self._numbers(owner, axis, "xyz", (1.0, 0.0, 0.0), required=True))
+        limit = self._only(owner, element, "limit")
+        if limit is not None:
+            lines |= dict.fromkeys(("limit", *LIMITS), limit.line)
+        values = self._limits(owner, name, kind, limit)
         dynamics = self._only(owner, element, "dynamics")
         if dynamics is not None:
-            joint.lines["damping"] = joint.lines["friction"] = dynamics.line
-            joint.viscous = self._number(owner, dynamics, "damping", 0.0)
-            joint.coulomb = self._number(owner, dynamics, "friction", 0.0)
+            lines["damping"] = lines["friction"] = dynamics.line
+            values["viscous"] = self._number(owner, dynamics, "damping", 0.0)
+            values["coulomb"] = self._number(owner, dynamics, "friction", 0.0)
         mimic = self._only(owner, element, "mimic")
         if mimic is not None:
-            joint.lines["mimic"] = mimic.line
-            joint.mimic = mimic.get("joint") or ""
+            lines["mimic"] = mimic.line
             self._number(owner, mimic, "multiplier", 1.0)
             self._number(owner, mimic, "offset", 0.0)
-        return joint if all(ends) else None
+        if parent is None or child is None:
+            return None
+        return TreeJoint(
+            joint=Joint(name=name, kind=kind, placement=placement, axis=direction, **values),
+            parent=parent,
+            child=child,
+            mimic=None if mimic is None else mimic.get("joint") or "",
+            line=element.line,
+            lines=lines,
+        )
 
-    def _kind(self, owner: str, element: Element) -> TreeKind:
+    def _kind(self, owner: str, element: Element) -> JointKind:
         given = element.get("type")
         for kind in KINDS:
             if given == kind:
@@ -193,24 +188,17 @@ class _Reader:
             self._problem(owner, role, text, element.line if end is None else end.line)
         return link or None
 
-    def _limits(self, owner: str, joint: TreeJoint, limit: Element | None) -> None:
+    def _limits(self, owner: str, name: str, kind: JointKind, limit: Element | None) -> dict[str, Any]:
         """Position, speed and effort limits; NaN where the joint should have one and the file gives none."""
-        needed = math.nan if joint.kind in ("revolute", "prismatic") else math.inf
-        read: dict[str, float] = {}
-        for name in ("lower", "upper", "velocity", "effort"):
-            default = -needed if name == "lower" else needed
-            read[name] = default
-            if limit is not None:
-                joint.lines[name] = limit.line
-                read[name] = self._number(owner, limit, name, default, bounded=False)
+        needed = math.nan if kind in ("revolute", "prismatic") else math.inf
+        read: dict[str, Any] = {word: -needed if word == "lower" else needed for word in LIMITS}
         if limit is not None:
-            joint.lines["limit"] = limit.line
-        if joint.kind == "continuous":
-            if limit is not None and ("lower" in limit.attributes or "upper" in limit.attributes):
-                self._wrapping.append(joint.name)
-            read["lower"], read["upper"] = -math.inf, math.inf
-        joint.lower, joint.upper = read["lower"], read["upper"]
-        joint.velocity, joint.effort = read["velocity"], read["effort"]
+            read = {word: self._number(owner, limit, word, read[word], bounded=False) for word in LIMITS}
+            if kind == "continuous":
+                if "lower" in limit.attributes or "upper" in limit.attributes:
+                    self._wrapping.append(name)
+                read["lower"], read["upper"] = -math.inf, math.inf
+        return read
 
     # ---------------------------------------------------------------- pieces
 
@@ -228,16 +216,6 @@ class _Reader:
     def _check_words(self, owner: str, element: Element) -> None:
         for word, text, line in _slips(element):
             self._problem(owner, word, text, line)
-
-    def _check_sizes(self, owner: str, element: Element) -> None:
-        """Shapes are never needed to control an arm, but one of a negative size is a slip."""
-        for shape in (child for tag in ("visual", "collision") for child in element.all(tag)):
-            for body in (body for geometry in shape.all("geometry") for body in geometry.children):
-                for name, count in SIZES.get(body.tag, {}).items():
-                    with suppress(BadNumberError):  # which is left out of what is drawn
-                        if min(numbers(body.get(name) or "", count)) < 0.0:
-                            text = f"{name} of <{body.tag}> must be >= 0 [m]; got {body.get(name)}"
-                            self._problem(owner, name, text, body.line)
 
     def _only(self, owner: str, element: Element, tag: str) -> Element | None:
         """The one child of that tag; a second one is a problem."""
@@ -331,75 +309,52 @@ def _meant(word: str, known: tuple[str, ...], present: Container[str]) -> str | 
 # is no gear of a joint; it is left out and said.
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Gear:
-    """What one transmission says of one joint."""
-
-    ratio: float
-    rotor: float | None  # [kg m^2] of the rotor itself
-
-
 def _read_transmissions(robot: Element, tree: Tree) -> None:
     """Put gear ratios and rotor inertias into the joints of the tree; problems and notes too."""
-    joints = {joint.name: joint for joint in tree.joints if joint.kind != "fixed"}
-    found: dict[str, list[_Gear]] = {}
+    items = {item.name: item for item in tree.joints if item.joint.kind != "fixed"}
+    found: dict[str, set[tuple[float, float]]] = {}
     coupled: list[str] = []
     for transmission in robot.all("transmission"):
         names = [end.get("name") or "".join(end.text).strip() for end in transmission.all("joint")]
         actuators = transmission.all("actuator")
         if len(names) != 1 or len(actuators) != 1:
-            coupled += [name for name in names if name in joints]
-        elif names[0] in joints:
-            found.setdefault(names[0], []).append(_gear_of(transmission, actuators[0], names[0], tree))
-    several = []
+            coupled += [name for name in names if name in items]
+        elif names[0] in items:
+            found.setdefault(names[0], set()).add(_gear_of(transmission, actuators[0], names[0], tree))
+    several = [name for name, gears in found.items() if len(gears) > 1]
     for name, gears in found.items():
-        if len({(gear.ratio, gear.rotor) for gear in gears}) > 1:
-            several.append(name)
-        else:
-            _put_gear(joints[name], gears[0])
-    tree.notes.extend(_left_out(coupled, several))
+        if name not in several:
+            ((ratio, rotor),) = gears
+            items[name].joint = dataclasses.replace(items[name].joint, gear=ratio, rotor_inertia=ratio**2 * rotor)
+    for names, text in ((coupled, "of several joints or motors"), (several, "that contradict each other")):
+        if names:
+            joints = quoted_list(dict.fromkeys(names))
+            tree.notes.append(f"transmissions {text} are left out, with their gears, on {joints}")
 
 
-def _put_gear(joint: TreeJoint, gear: _Gear) -> None:
-    joint.gear = gear.ratio
-    if gear.rotor is not None:
-        joint.rotor_inertia = gear.ratio**2 * gear.rotor
-
-
-def _left_out(coupled: list[str], several: list[str]) -> Iterator[str]:
-    if coupled:
-        names = quoted_list(dict.fromkeys(coupled))
-        yield f"transmissions of several joints or motors are left out, with their gears, on {names}"
-    if several:
-        yield f"transmissions that contradict each other are left out, with their gears, on {quoted_list(several)}"
-
-
-def _gear_of(transmission: Element, actuator: Element, joint: str, tree: Tree) -> _Gear:
-    ratio = 1.0
+def _gear_of(transmission: Element, actuator: Element, joint: str, tree: Tree) -> tuple[float, float]:
+    """Gear ratio of one transmission, and the inertia of its rotor itself [kg m^2]."""
+    ratio, rotor = 1.0, 0.0
     for place in (actuator, transmission):  # ROS 1 puts it into the actuator, the PR2 beside it
         for element in place.all(REDUCTION):
-            ratio = abs(_transmission_number(element, "".join(element.text), joint, tree, 1.0, least=None))
+            ratio = abs(_transmission_number(element, "".join(element.text), joint, tree, ratio))
     for element in actuator.all(GEAR_RATIO):
-        ratio = abs(_transmission_number(element, element.get("value"), joint, tree, 1.0, least=None))
-    rotor = None
+        ratio = abs(_transmission_number(element, element.get("value"), joint, tree, ratio))
     for element in actuator.all(ROTOR_INERTIA):
-        rotor = _transmission_number(element, element.get("value"), joint, tree, 0.0, least=0.0)
-    return _Gear(ratio=ratio, rotor=rotor)
+        rotor = _transmission_number(element, element.get("value"), joint, tree, rotor)
+    return ratio, rotor
 
 
-def _transmission_number(
-    element: Element, text: str | None, joint: str, tree: Tree, default: float, *, least: float | None
-) -> float:
+def _transmission_number(element: Element, text: str | None, joint: str, tree: Tree, default: float) -> float:
     """A number of a transmission: a ratio is not zero, of either sign; an inertia is >= 0."""
     try:
         (value,) = numbers(text or "", 1)
-        if least is None and value == 0.0:
-            raise BadNumberError("must not be 0: a gear has a ratio, and direct drive is 1")
-        if least is not None and value < least:
+        if element.tag == ROTOR_INERTIA and value < 0.0:
             raise BadNumberError(f"must be >= 0 [kg m^2]; got {value:g}")
+        if element.tag != ROTOR_INERTIA and value == 0.0:
+            raise BadNumberError("must not be 0: a gear has a ratio, and direct drive is 1")
     except BadNumberError as wrong:
-        tree.problem(
-            joint, element.tag, f"joint '{joint}': <{element.tag}> of its transmission {wrong}", element.line
-        )
+        text = f"joint '{joint}': <{element.tag}> of its transmission {wrong}"
+        tree.problem(joint, element.tag, text, element.line)
         return default
     return value

@@ -11,13 +11,12 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Final
 
-from taut.arm.loaders.tree import TreeVisual
 from taut.arm.loaders.xml import BadNumberError, Element, numbers
-from taut.arm.parts import Shape
+from taut.arm.parts import Shape, Visual
 from taut.trace.pose import Pose
 
 if TYPE_CHECKING:
-    from taut.arm.loaders.mjcf_compile import Compiled
+    from taut.arm.loaders.mjcf_source import Compiled
 
 __all__ = [
     "SHOWABLE",
@@ -109,7 +108,7 @@ def file_inside(root: Path, name: str) -> Path:
 LAST_SHOWN_GROUP: Final = 2  # collision shapes live in the groups above
 
 
-def mjcf_visuals(result: Compiled, files: Mapping[str, str], meshes: MeshPaths) -> Iterator[tuple[int, TreeVisual]]:
+def mjcf_visuals(result: Compiled, files: Mapping[str, str], meshes: MeshPaths) -> Iterator[tuple[int, Visual]]:
     """Shapes to draw, each with the id of its body.
 
     Args:
@@ -129,14 +128,14 @@ def mjcf_visuals(result: Compiled, files: Mapping[str, str], meshes: MeshPaths) 
         kind = int(m.geom_type[g])
         file = ""
         if g in result.meshes:
-            name = files[result.meshes[g].name]
+            name = files[result.meshes[g][0]]
             if PurePosixPath(name).suffix.lower() not in SHOWABLE:
                 meshes.drop_unshowable(name)
                 continue
             file = meshes.resolve(name)
             if not file:
                 continue
-            shape, size = "mesh", result.meshes[g].scale
+            shape, size = "mesh", result.meshes[g][1]
         elif kind == int(types.mjGEOM_BOX):
             shape, size = "box", tuple(2.0 * s for s in size)
         elif kind in (int(types.mjGEOM_CYLINDER), int(types.mjGEOM_CAPSULE)):
@@ -147,7 +146,7 @@ def mjcf_visuals(result: Compiled, files: Mapping[str, str], meshes: MeshPaths) 
             continue
         yield (
             int(m.geom_bodyid[g]),
-            TreeVisual(
+            Visual(
                 placement=Pose(m.geom_pos[g], wxyz=m.geom_quat[g]),
                 shape=shape,
                 size=size,
@@ -167,6 +166,11 @@ def _geom_colour(result: Compiled, g: int) -> tuple[float, float, float, float]:
 
 Colour = tuple[float, float, float, float]
 GREY: Colour = (0.8, 0.8, 0.8, 1.0)
+SIZES: Final[Mapping[Shape, Mapping[str, int]]] = {  # how many numbers each attribute of a shape has
+    "box": {"size": 3},
+    "cylinder": {"radius": 1, "length": 1},
+    "sphere": {"radius": 1},
+}
 
 
 def colours_of(robot: Element) -> dict[str, Colour]:
@@ -175,7 +179,7 @@ def colours_of(robot: Element) -> dict[str, Colour]:
     return {name: colour for name, colour in found if name and colour is not None}
 
 
-def urdf_visuals(link: Element, meshes: MeshPaths, colours: Mapping[str, Colour]) -> list[TreeVisual]:
+def urdf_visuals(link: Element, meshes: MeshPaths, colours: Mapping[str, Colour]) -> list[Visual]:
     """The shapes of <visual> where all of them can be drawn, else those of <collision>, else what is left."""
     shapes = link.all("visual")
     shown = _drawn(shapes, meshes, colours)
@@ -191,7 +195,7 @@ def _mesh_names(shape: Element) -> list[str]:
     return [mesh.get("filename") or "" for geometry in shape.all("geometry") for mesh in geometry.all("mesh")]
 
 
-def _drawn(shapes: list[Element], meshes: MeshPaths, colours: Mapping[str, Colour]) -> list[TreeVisual]:
+def _drawn(shapes: list[Element], meshes: MeshPaths, colours: Mapping[str, Colour]) -> list[Visual]:
     found = []
     for shape in shapes:
         try:
@@ -203,7 +207,7 @@ def _drawn(shapes: list[Element], meshes: MeshPaths, colours: Mapping[str, Colou
     return found
 
 
-def _visual(shape: Element, meshes: MeshPaths, colours: Mapping[str, Colour]) -> TreeVisual | None:
+def _visual(shape: Element, meshes: MeshPaths, colours: Mapping[str, Colour]) -> Visual | None:
     geometry = next((child for element in shape.all("geometry") for child in element.children), None)
     if geometry is None:
         return None
@@ -222,14 +226,11 @@ def _visual(shape: Element, meshes: MeshPaths, colours: Mapping[str, Colour]) ->
             return None
         file = meshes.resolve(name)
         scale = numbers(geometry.get("scale") or "1 1 1", 3)
-        return TreeVisual(placement=placement, shape="mesh", size=scale, file=file, rgba=rgba) if file else None
-    if geometry.tag == "box":
-        return TreeVisual(placement=placement, shape="box", size=_sizes(geometry, "size", 3), rgba=rgba)
-    if geometry.tag == "cylinder":
-        size = (*_sizes(geometry, "radius", 1), *_sizes(geometry, "length", 1))
-        return TreeVisual(placement=placement, shape="cylinder", size=size, rgba=rgba)
-    if geometry.tag == "sphere":
-        return TreeVisual(placement=placement, shape="sphere", size=_sizes(geometry, "radius", 1), rgba=rgba)
+        return Visual(placement=placement, shape="mesh", size=scale, file=file, rgba=rgba) if file else None
+    for shape_of, counts in SIZES.items():
+        if geometry.tag == shape_of:
+            size = [value for name, count in counts.items() for value in _sizes(geometry, name, count)]
+            return Visual(placement=placement, shape=shape_of, size=tuple(size), rgba=rgba)
     return None
 
 

@@ -11,13 +11,14 @@ import numpy as np
 from taut.base.errors import RangeError, UsageError
 from taut.base.fields import Choice
 from taut.base.types import Float64Array, Matrix, Rotation, Twist, Vector, Vector3, Wrench
-from taut.control.closed_loop import ClosedLoop
+from taut.control.closed_loop import ApparentImpedance, ClosedLoop
 from taut.control.command import Command, Terms, Torque
-from taut.control.gains import Gain, GainValue
-from taut.control.law import Law, MemoryView, call
+from taut.control.gains import Gain, GainValue, MemoryView
+from taut.control.law import Law, call
 from taut.control.laws.task_error import FRAMES, GainFrame, pulled
 from taut.control.laws.task_space import (
     Bound,
+    TaskSpace,
     check_damping,
     check_sensor,
     modal_damping,
@@ -77,8 +78,6 @@ class Admittance(Law):
         model: "own" or "measured".
         frame: Axes of D, B and K.
         error_max: (2,) largest offset that the spring answers [m, rad], smoothly; no bound if left out.
-        deadband: (force, moment) below which the measured wrench counts for nothing [N, N m]; beyond it, for what is
-            above.
         tool: The frame that is controlled; the arm's tool if left out.
 
     Raises:
@@ -106,7 +105,6 @@ class Admittance(Law):
     model: Choice[ModelKind] = Choice("own", "measured")
     frame: Choice[GainFrame] = Choice(*FRAMES)
     error_max: Gain = Gain(unit="m, rad", shape=2, accepts=("pair",), above=0.0, optional=True)
-    deadband: Gain = Gain(unit="N, N m", shape=2, accepts=("pair",), optional=True)
     tool: str | None = None
 
     def check(self) -> None:
@@ -143,18 +141,21 @@ class Admittance(Law):
             self, x, lambda g: replace(self, K=g.K, B=None, zeta=g.zeta), inertia=self.D.matrix(6), stiffness=True
         )
 
+    def apparent_impedance(self, x: Snapshot) -> ApparentImpedance:
+        return TaskSpace.of(self).at(x).impedance(self.D.matrix(6), self._damping(), self.K.matrix(6))
+
     def command(
         self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: float
     ) -> tuple[Command, dict[str, object]]:
         after: dict[str, object] = {}
         if self.model == "own":
             body = Body(p=memory.p, R=memory.R, twist=memory.twist)
-            acceleration, new = integrated(self._model(), self.frame, body, ref, self._moving(x), dt)
+            acceleration, new = integrated(self._model(), self.frame, body, ref, wrench_at(x, self.tool), dt)
             after |= {"p": new.p, "R": new.R, "twist": new.twist}
         else:
             T = x.T(self.tool)
             body = Body(p=T.p, R=T.R, twist=x.twist(self.tool))
-            acceleration = answered(self._model(), self.frame, body, ref, self._moving(x))
+            acceleration = answered(self._model(), self.frame, body, ref, wrench_at(x, self.tool))
         command, after["inner"] = call(self.inner, x, _motion(body, acceleration), memory["inner"], dt)
         if isinstance(command, Torque):
             command = Torque(command.terms + Terms(wrench=-(x.J().T @ x.F_ext)))
@@ -165,14 +166,6 @@ class Admittance(Law):
                 name="model",
             )
         return command, after
-
-    def _moving(self, x: Snapshot) -> Wrench:
-        """(6,) what moves the virtual mass, at the tool that is controlled, in world axes."""
-        F = wrench_at(x, self.tool)
-        if self.deadband is None:
-            return F
-        force, moment = (_beyond(part, self.deadband[k]) for k, part in enumerate((F[:3], F[3:])))
-        return tm.array([*force, *moment])
 
     def _model(self) -> Model:
         return Model(
@@ -186,15 +179,6 @@ class Admittance(Law):
 
 def _motion(body: Body, acceleration: Vector) -> TaskMotion:
     return TaskMotion.of({"p": body.p, "R": body.R, "twist": body.twist, "acceleration": acceleration})
-
-
-def _beyond(part: Vector, width: Any) -> Vector:
-    """(3,) what of a force is beyond a deadband, in its direction."""
-    square = part[0] * part[0] + part[1] * part[1] + part[2] * part[2]
-    outside = square > width * width
-    size = tm.sqrt(tm.where(outside, square, 1.0))
-    share = tm.where(outside, 1.0 - width / size, 0.0)
-    return share * part  # type: ignore[no-any-return]
 
 
 # -------------------------------------------------------------------- the virtual mass, spring and damper

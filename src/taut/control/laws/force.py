@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
 import numpy as np
 
 from taut.base.checks import positive_scalar, vector
+from taut.base.errors import RangeError
 from taut.base.fields import Choice, Part
 from taut.base.types import ArrayLike, Matrix, Rotation, Vector, Wrench
 from taut.control.closed_loop import ClosedLoop, PlacedGains
 from taut.control.command import Command, Terms, Torque
-from taut.control.gains import Gain, GainValue
-from taut.control.integral import Integral, check_force_pole, damping_force
-from taut.control.law import Law, MemoryView
+from taut.control.gains import Gain, GainValue, Integral, MemoryView
+from taut.control.law import Law
 from taut.control.laws.null_space import Posture, check_null, with_null_space
 from taut.control.laws.task_space import bounded_inertia, check_sensor, task_gain, tool_loop, wrench_at
 from taut.control.trajectories.force_reference import HybridMotion, TaskForce
@@ -271,6 +271,45 @@ def _inwards(R: Rotation | None, six: Vector) -> Vector:
 
 def _numbers(gain: GainValue) -> Matrix:
     return np.asarray(gain.matrix(6), dtype=np.float64)
+
+
+# -------------------------------------------------------------------- what sampled force control needs
+
+
+def damping_force(kdamp: Matrix, mobility: Matrix, rate: Vector, dt: Any) -> Vector:
+    """(k,) D y of a damper kdamp on y, with D = (kdamp^-1 + dt mobility)^-1 = (I + kdamp mobility dt)^-1 kdamp.
+
+    It is kdamp times the y that this force alone leaves when the tick ends. Held over a tick, kdamp y itself reverses
+    what is light, such as a last link about its own axis, and diverges where kdamp mobility dt > 2; the eigenvalues
+    of D mobility dt are in [0, 1) for any kdamp.
+
+    Args:
+        kdamp: (k, k) symmetric, positive semidefinite.
+        mobility: (k, k) by which a force accelerates y: J M^-1 J^T, symmetric, positive semidefinite.
+        rate: (k,) y.
+        dt: Control period [s].
+    """
+    out: Vector = tm.solve(tm.eye(len(mobility)) + dt * (kdamp @ mobility), kdamp @ rate)
+    return out
+
+
+def check_force_pole(kfp: Matrix, kfi: Matrix, rate: float) -> None:
+    """The slow mode of a force that is fed back, -kfi / (1 + kfp), must be slower than the rate [Hz] on any contact.
+
+    Raises:
+        RangeError: It is not.
+    """
+    gains = [np.asarray(gain, dtype=np.float64) for gain in (kfp, kfi)]
+    fastest = np.linalg.solve(np.eye(len(gains[0])) + gains[0], gains[1])
+    pole = float(np.max(np.abs(np.linalg.eigvals(fastest))))
+    if pole >= 2.0 * rate:
+        raise RangeError(
+            f"kfi / (1 + kfp) must be below twice the rate, {2.0 * rate:g} [1/s], or the force oscillates on any "
+            f"contact; got {pole:g}; a pole of 1 to 20 1/s is usual",
+            name="kfi",
+            value=pole,
+            rule="kfi / (1 + kfp) < 2 rate",
+        )
 
 
 # -------------------------------------------------------------------- multipliers, and whether they are there

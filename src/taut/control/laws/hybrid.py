@@ -13,9 +13,8 @@ from taut.base.fields import Choice, Field, Part, Plain
 from taut.base.types import Vector
 from taut.control.closed_loop import ClosedLoop, PlacedGains
 from taut.control.command import Command, Terms, Torque
-from taut.control.gains import Gain, Memory
-from taut.control.integral import check_force_pole, damping_force
-from taut.control.law import Law, MemoryView, call
+from taut.control.gains import Gain, Memory, MemoryView
+from taut.control.law import Law, call
 from taut.control.laws.constraints import (
     along_constraint,
     check_constraint,
@@ -24,7 +23,14 @@ from taut.control.laws.constraints import (
     felt_along,
     of_one_body,
 )
-from taut.control.laws.force import E_INT_MAX, asked_multipliers, misses, of_wrench
+from taut.control.laws.force import (
+    E_INT_MAX,
+    asked_multipliers,
+    check_force_pole,
+    damping_force,
+    misses,
+    of_wrench,
+)
 from taut.control.laws.task_space import check_sensor, wrench_at
 from taut.control.trajectories.force_reference import MAX_MULTIPLIERS, HybridMotion, hybrid_kind
 from taut.control.trajectories.reference import Reference, Sample
@@ -160,7 +166,7 @@ class HybridMotionForce(Law):
         """Whether forces are fed back."""
         return self.kfp is not None or self.kfi is not None
 
-    def seen_by(self, child: str, x: Snapshot, ref: Sample) -> tuple[Snapshot, Sample]:
+    def seen_by(self, child: str, x: Snapshot, ref: Any) -> tuple[Snapshot, Any]:
         return x, ref.motion if child == "motion" and isinstance(ref, HybridMotion) else ref
 
     def at_rest(self, x: Snapshot) -> Sample:

@@ -11,10 +11,10 @@ import numpy as np
 from taut.base.errors import RangeError
 from taut.base.fields import Choice
 from taut.base.types import Float64Array, Vector
-from taut.control.closed_loop import ClosedLoop
+from taut.control.closed_loop import ApparentImpedance, ClosedLoop
 from taut.control.command import Command, Terms, Torque
-from taut.control.gains import Gain
-from taut.control.law import Law, MemoryView
+from taut.control.gains import Gain, MemoryView
+from taut.control.law import Law
 from taut.control.laws.null_space import Posture, check_free, check_null, with_null_space
 from taut.control.laws.task_error import FRAMES, GainFrame, TaskError
 from taut.control.laws.task_space import (
@@ -146,6 +146,15 @@ class Impedance(TaskLaw):
         """D V_e-dot + B V_e + K X_e = 0, with the arm's own inertia where D is not given."""
         D = None if self.D is None else self.D.matrix(self.dimensions)
         return tool_loop(self, x, lambda g: replace(self, K=g.K, B=None, zeta=g.zeta), inertia=D, stiffness=True)
+
+    def apparent_impedance(self, x: Snapshot) -> ApparentImpedance | None:
+        """D, B and K at this state; with the decoupled error."""
+        if self.error != "decoupled":
+            return None
+        c = self.space.at(x)
+        inertia = bounded_inertia(x, c.J)
+        D = c.matrix_inwards(inertia.Lambda) if self.D is None else self.D.matrix(6)
+        return c.impedance(D, self.damping_matrix(c, inertia), self.K.matrix(6))
 
     def command(self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
         c, after = self.space.at(x, ref), dict[str, Any]()

@@ -11,14 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from taut.arm.angles import require_radians
-from taut.base.checks import vector
+from taut.arm.parts import require_radians
 from taut.base.errors import MatchError, UsageError, count_of
 from taut.base.fields import Field
 from taut.base.types import Vector
 from taut.control.command import Command, Terms, Torque
-from taut.control.gains import Gain, Memory
-from taut.control.law import Law, MemoryView, call
+from taut.control.gains import Gain, Memory, MemoryView
+from taut.control.law import Law, call
 from taut.control.trajectories.reference import Sample
 from taut.maths import dynamics as dyn
 from taut.maths.singularity import ResolvedMotion
@@ -45,16 +44,16 @@ class Posture(Law):
     ignores_reference = True
     kp: Gain = Gain(10.0, unit="1/s^2")
     kd: Gain = Gain(6.0, unit="1/s")
-    q: Field = Field(unit="rad | m", shape="joints", optional=True, run_time=False)
+    q: Field = Field(unit="rad | m", shape="n", optional=True, run_time=False)
     rest = Memory(unit="rad | m", doc="the posture that is kept")
 
     def start(self, x: Snapshot, ref: Sample) -> Mapping[str, Vector]:  # noqa: ARG002
-        return {"rest": x.q if self.q is None else tm.array(vector("q", self.q, x.n, joints=x.arm.joint_names))}
+        return {"rest": x.q if self.q is None else self.q * np.ones(x.n)}
 
     def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
         """A posture that lies far beyond a joint's limits is meant in degrees."""
         if self.q is not None:
-            require_radians("q", vector("q", self.q, x.n, joints=x.arm.joint_names), x.arm)
+            require_radians("q", self.q * np.ones(x.n), x.arm)
 
     def command(self, x: Snapshot, ref: Sample, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:  # noqa: ARG002
         e = x.difference(memory.rest)

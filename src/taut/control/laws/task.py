@@ -13,9 +13,8 @@ from taut.base.fields import Choice, Part
 from taut.base.types import Vector
 from taut.control.closed_loop import ClosedLoop
 from taut.control.command import Command, Position, Terms, Torque, Velocity
-from taut.control.gains import Gain, GainValue, Memory
-from taut.control.integral import Integral
-from taut.control.law import Law, MemoryView
+from taut.control.gains import Gain, GainValue, Integral, Memory, MemoryView
+from taut.control.law import Law
 from taut.control.laws.null_space import Posture, check_free, check_null, with_null_space
 from taut.control.laws.task_error import TaskError, task_error
 from taut.control.laws.task_space import TaskLaw, eased, task_gain, tool_loop

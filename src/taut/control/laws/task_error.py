@@ -15,6 +15,7 @@ import numpy as np
 from taut.base.errors import ShapeError
 from taut.base.fields import Declared, Plain
 from taut.base.types import Array, Matrix, Rotation, Twist, Vector, Wrench
+from taut.control.closed_loop import ApparentImpedance
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import (
@@ -61,6 +62,11 @@ class TaskError:
     def outwards(self, six: Array) -> Array:
         """The way back."""
         return six if self.R is None else rotated(self.R, six)
+
+    def impedance(self, D: Matrix, B: Matrix, K: Matrix) -> ApparentImpedance:
+        """The impedance in world axes of inertia, damping and stiffness in the axes of the gains."""
+        D, B, K = (np.asarray(self.matrix_outwards(C), dtype=np.float64) for C in (D, B, K))
+        return ApparentImpedance(D=D, B=B, K=K)
 
     def matrix_inwards(self, C: Matrix) -> Matrix:
         """(k, k) a symmetric matrix in the coordinates of the error, in the axes of the gains."""

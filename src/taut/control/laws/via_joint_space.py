@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Final
 
 import numpy as np
 
-from taut.base.errors import ShapeError
 from taut.base.fields import Choice, Field
 from taut.base.types import Array, ArrayLike, Matrix, Vector
 from taut.control.closed_loop import ClosedLoop
 from taut.control.command import Command
-from taut.control.gains import Gain, Memory
-from taut.control.law import Law, MemoryView, call
+from taut.control.gains import Gain, Memory, MemoryView
+from taut.control.law import Law, call
 from taut.control.trajectories.reference import JointMotion, Sample
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths import dynamics as dyn
@@ -35,6 +35,9 @@ from taut.trace import math as tm
 __all__ = ["ViaJointSpace", "via_joint_space"]
 
 MAX_STEPS: Final = 10
+PULL: Final = 1.0  # [1/s] at which redundant joints go to their posture
+DAMPING: Final = 0.1  # [-] of J J^T at a singularity, as the singular value that it is the square of
+RISE: Final = 0.1  # [s] in which the speed of joints that catch up is reached from rest
 ARRIVED: Final = 1e-5  # [m, rad] an error under which the tool's target is met
 MOVING: Final = 1e-3  # share of full speed above which the joints are on their way
 MIN_DIVISOR: Final = 1e-30  # keeps a quotient finite
@@ -53,19 +56,27 @@ class ViaJointSpace(Law):
                   solution carried on by v_des and a_des: dt^3/6 times the joints' jerk from what is wanted
 
     J^-1 is the inverse, for redundant joints the pseudo-inverse, with too few least squares (a radian counts as much
-    as a third of the reach). Redundant joints go to `posture`, where they started if it is left out, at the rate
-    `pull`: closed paths of the tool then end as closed paths of the joints.
+    as a third of the reach). Redundant joints go to `posture`, where they started if it is left out, at 1/s: closed
+    paths of the tool then end as closed paths of the joints.
 
-    Limits: a joint goes towards its limit no faster than the way that is left over `rise`; one that would is held to
+    Limits: a joint goes towards its limit no faster than the way that is left over 0.1 s; one that would is held to
     that, with the v_des and a_des that it means, and the others make up for it as well as they can. Near a
-    singularity J J^T is damped, by at most damping^2 (without dimension), and not at all beyond twice that; v_des as
-    a whole never exceeds the arm's own speed limits.
+    singularity J J^T is damped, by at most 0.1^2 (without dimension), and not at all beyond twice that; v_des as a
+    whole never exceeds the arm's own speed limits.
 
-    A target that jumps, or starts elsewhere, is approached at no more than `speed`, which is reached from rest in the
-    time `rise`, and v_des says so; one that moves without a twist is followed with a lag. What is unreachable is
-    approached as far as it goes. In a run, `run.extra["law.ik_error"]` (k, 2) is what is left [m, rad] and
+    A target that jumps, or starts elsewhere, is approached at no more than `speed`, which is reached from rest in
+    0.1 s, and v_des says so; one that moves without a twist is followed with a lag. What is unreachable is approached
+    as far as it goes. In a run, `run.extra["law.ik_error"]` (k, 2) is what is left [m, rad] and
     `run.extra["law.ik_outcome"]` how each tick ended, `taut.dynamics.IkOutcome.of(...)`; after a step `ctrl.memory`
     has both.
+
+    Args:
+        inner: A law of joint motion, or a sum of them.
+        steps: Newton steps in a tick. One is enough where the reference has twist and acceleration.
+        tool: The frame that is to follow; the arm's tool if left out.
+        directions: "all" six; "position"; "pointing", for tools that may spin: position, and where z points.
+        posture: (n,) where redundant joints go; where they started if left out.
+        speed: Of joints that catch up with a target which jumped.
 
     References:
         Section 10.2.3 task space motion control, equations 10.28 to 10.30.
@@ -77,11 +88,8 @@ class ViaJointSpace(Law):
     steps: Choice[int] = Choice(*range(1, MAX_STEPS + 1))
     tool: str | None = None
     directions: Choice[Directions] = Choice(*DIRECTIONS)
-    posture: Field = Field(unit="rad | m", shape="joints", optional=True, run_time=False)
-    pull: Gain = Gain(1.0, unit="1/s", shape="scalar")
-    damping: Gain = Gain(0.1, unit="1", shape="scalar", above=0.0)
+    posture: Field = Field(unit="rad | m", shape="n", optional=True, run_time=False)
     speed: Gain = Gain(1.0, unit="rad/s | m/s", accepts=("scalar",), above=0.0)
-    rise: Gain = Gain(0.1, unit="s", shape="scalar", minimum=1e-3)
     q_des = Memory(unit="rad | m", record=True)
     ik_error = Memory((0.0, 0.0), unit="m, rad", record=True)
     ik_outcome = Memory(record=True, doc="how the tick ended, IkOutcome.of(...)")
@@ -91,7 +99,7 @@ class ViaJointSpace(Law):
             follows = f"{type(self.inner).__name__} follows a {self.inner.reference.__name__}"
             self.refuse("inner", f"must be a law of joint motion, such as ComputedTorque; {follows}")
 
-    def seen_by(self, child: str, x: Snapshot, ref: Sample) -> tuple[Snapshot, Sample]:  # noqa: ARG002
+    def seen_by(self, child: str, x: Snapshot, ref: Any) -> tuple[Snapshot, Any]:  # noqa: ARG002
         """The law that it holds begins with a rest where the arm is."""
         return x, JointMotion.at_rest(x, None)
 
@@ -104,7 +112,7 @@ class ViaJointSpace(Law):
             "v_asked": zero,
             "held": zero,
             "pace": 0.0,
-            "posture": x.q,
+            "posture": x.q if self.posture is None else self.posture * np.ones(x.n),
             "ik_error": np.zeros(2),
             "ik_outcome": IkOutcome.SOLVED.code,
         }
@@ -115,16 +123,18 @@ class ViaJointSpace(Law):
         return inner and inner.held_by(lambda law, _: replace(self, inner=law), alone=inner.alone or self.inner)
 
     def command(self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: Any) -> tuple[Command, dict[str, Any]]:
-        wanted = self._joint_motion(x, ref, memory, dt)
-        sample = JointMotion.of({"q": wanted.q, "v": wanted.v, "a": wanted.a})
-        command, after = call(self.inner, x, sample, memory["inner"], dt)
-        return command, {**wanted.memory, "inner": after}
+        motion, own = self._joint_motion(x, ref, memory, dt)
+        command, after = call(self.inner, x, motion, memory["inner"], dt)
+        return command, {**own, "inner": after}
 
-    def _joint_motion(self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: Any) -> _Wanted:
+    def _joint_motion(
+        self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: Any
+    ) -> tuple[JointMotion, dict[str, Any]]:
+        """What the inner law is to follow, and what is remembered."""
         arm, task = x.arm, task_of(x.arm, self.tool, self.directions)
-        q, held, rise = memory.q_des, memory.held, self.rise.as_array()[()]
+        q, held = memory.q_des, memory.held
         # Towards a limit no faster than the way that is left over the rise; from beyond one only back.
-        slowest, fastest = (tm.minimum(arm.lower, q) - q) / rise, (tm.maximum(arm.upper, q) - q) / rise
+        slowest, fastest = (tm.minimum(arm.lower, q) - q) / RISE, (tm.maximum(arm.upper, q) - q) / RISE
         free = 1.0 - tm.abs(held)
         forced = tm.where(held > 0.0, fastest, tm.where(held < 0.0, slowest, 0.0))
         onward = dt * shortened(memory.v_des + 0.5 * dt * memory.a_des, arm.velocity)
@@ -138,12 +148,12 @@ class ViaJointSpace(Law):
         moved = shortened(q_pred - q + share * ahead, arm.velocity * dt)
         q_new = q + tm.clip(moved, dt * slowest, dt * fastest)
 
-        rates = self._rates(x, at, ref, task, seen, free, forced, self._posture(x, memory))
+        rates = self._rates(x, at, ref, task, seen, free, forced, memory.posture)
         pushed = rates.wish + seen.J.T @ seen.solved.multipliers(seen.e) / dt  # where a held joint would go
         wish = tm.where(free > 0.5, rates.v + share * ahead / dt, pushed)
         held = tm.where(wish > fastest, 1.0, tm.where(wish < slowest, -1.0, 0.0))
         v = tm.clip(rates.v, slowest, fastest)
-        a = tm.where(held > 0.0, -fastest / rise, tm.where(held < 0.0, -slowest / rise, rates.a))
+        a = tm.where(held > 0.0, -fastest / RISE, tm.where(held < 0.0, -slowest / RISE, rates.a))
 
         left = tm.array(task.left(seen.T, ref.pose, dyn.jacobian(x.model, at, self.tool) @ (q_new - at)))
         new = {
@@ -159,37 +169,27 @@ class ViaJointSpace(Law):
         # Where joints catch up, or may not go as fast as they should, the rate of what is asked is what it is.
         asked = shortened(v + (q_new - q_pred) / dt, arm.velocity)
         limited = tm.where(share < 1.0, 1.0, tm.where(rates.slowed < 1.0, 1.0, 0.0))
-        seen_rate = shortened((asked - memory.v_asked) / dt, arm.velocity / rise)
+        seen_rate = shortened((asked - memory.v_asked) / dt, arm.velocity / RISE)
         new["v_asked"] = asked
-        return _Wanted(q=q_new, v=asked, a=tm.where(limited > 0.5, seen_rate, a), memory=new)
-
-    def _posture(self, x: Snapshot, memory: MemoryView) -> Array:
-        if self.posture is None:
-            kept: Array = memory.posture
-            return kept
-        posture = np.asarray(self.posture)
-        if posture.shape != (x.n,):
-            raise ShapeError(
-                f"posture must have one entry per joint, shape ({x.n},); got shape {posture.shape}", name="posture"
-            )
-        return posture
+        return JointMotion.of({"q": q_new, "v": asked, "a": tm.where(limited > 0.5, seen_rate, a)}), new
 
     def _seen(self, x: Snapshot, q: Vector, ref: TaskMotion, task: Task, free: Vector) -> _Seen:
         """One Newton step from q, and what it was made of."""
         T = dyn.pose(x.model, q, self.tool)
         J, e = task.seen(T, dyn.jacobian(x.model, q, self.tool)), task.error(T, ref.pose)
-        damping = damping_near_singularity(J, free, self.damping.as_array()[()])
+        damping = damping_near_singularity(J, free, DAMPING)
         solved = Resolved(J, free, damping + tm.norm(e) + TINY)
         return _Seen(T=T, J=J, e=e, damping=damping, solved=solved, step=solved(e))
 
     def _paced(self, ahead: Vector, pace: Any, velocity: Vector, dt: Any) -> tuple[Any, Any]:
         """The share of a way that is gone in this tick, and the share of full speed that this is.
 
-        Full speed is reached in the time `rise` and left in the same, as if the way were straight.
+        Full speed is reached in the time RISE and left in the same, as if the way were straight.
         """
-        rise = self.rise.as_array()[()]
-        time = tm.maximum(MIN_DIVISOR, _largest(tm.abs(ahead) / tm.minimum(self.speed.as_array(), velocity)))
-        fastest = tm.minimum(tm.minimum(1.0, pace + dt / rise), tm.sqrt(2.0 * time / rise))
+        time = tm.maximum(
+            MIN_DIVISOR, functools.reduce(tm.maximum, tm.abs(ahead) / tm.minimum(self.speed.as_array(), velocity))
+        )
+        fastest = tm.minimum(tm.minimum(1.0, pace + dt / RISE), tm.sqrt(2.0 * time / RISE))
         share = tm.minimum(1.0, fastest * dt / time)
         return share, share * time / dt
 
@@ -205,25 +205,25 @@ class ViaJointSpace(Law):
         posture: Array,
     ) -> _Rates:
         """Equations 10.29 and 10.30 for the free joints; the others move as they must."""
-        arm, T, J, rise = x.arm, seen.T, seen.J, self.rise.as_array()[()]
+        arm, T, J = x.arm, seen.T, seen.J
         solve = Resolved(J, free, seen.damping + TINY)
         b = task.seen(T, ref.twist) - J @ forced
-        redundant, pull = task.size < x.n, self.pull.as_array()[()]
-        towards = pull * arm.difference(posture, q)
+        redundant = task.size < x.n
+        towards = PULL * arm.difference(posture, q)
         null = free * shortened(towards, tm.minimum(self.speed.as_array(), arm.velocity)) if redundant else None
         fast = solve(b, null) + forced
         push = J.T @ solve.multipliers(b, null)
         wish = push + (towards if redundant else forced)
-        worst = _largest(tm.abs(fast) / arm.velocity)
+        worst = functools.reduce(tm.maximum, tm.abs(fast) / arm.velocity)
         slowed = 1.0 / tm.maximum(1.0, worst)
         v = slowed * fast
         J_W, J_W_rate = dyn.jacobian(x.model, q, self.tool), jacobian_rate(x.model, q, v, self.tool)
         J_rate = task.seen_rate(T, J_W[3:] @ v, J_W, J_W_rate)
         wanted = task.seen_rate(T, J_W[3:] @ v, slowed * ref.twist, slowed * slowed * ref.acceleration)
         if redundant:
-            null = free * (J_rate.T @ (slowed * solve.multipliers(b, null)) - pull * v)
-        a = solve(wanted - J_rate @ v + J @ (forced / rise), null)
-        return _Rates(v=v, a=shortened(a, arm.velocity / rise), wish=wish, slowed=slowed)
+            null = free * (J_rate.T @ (slowed * solve.multipliers(b, null)) - PULL * v)
+        a = solve(wanted - J_rate @ v + J @ (forced / RISE), null)
+        return _Rates(v=v, a=shortened(a, arm.velocity / RISE), wish=wish, slowed=slowed)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -248,16 +248,6 @@ class _Rates:
     slowed: Any  # share of the speed that equation 10.29 asks for
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Wanted:
-    """What the inner law is to follow, and what is remembered."""
-
-    q: Vector
-    v: Vector  # with the way that is caught up
-    a: Vector
-    memory: dict[str, Any]
-
-
 def _outcome(left: Array, held: Vector, damping: Any, motion: Vector, task: Task) -> Any:
     """The code of how a tick ended."""
     rest = IkOutcome.FEWER_JOINTS if task.rank < task.asked else IkOutcome.STALLED
@@ -267,13 +257,6 @@ def _outcome(left: Array, held: Vector, damping: Any, motion: Vector, task: Task
     return tm.where(tm.maximum(left[0], left[1]) < ARRIVED, IkOutcome.SOLVED.code, code)
 
 
-def _largest(values: Vector) -> Any:
-    out = values[0]
-    for value in values[1:]:
-        out = tm.maximum(out, value)
-    return out
-
-
 def via_joint_space(
     law: Law,
     *,
@@ -281,28 +264,13 @@ def via_joint_space(
     tool: str | None = None,
     directions: Directions = "all",
     posture: ArrayLike | None = None,
-    pull: float = 1.0,
-    damping: float = 0.1,
     speed: ArrayLike = 1.0,
-    rise: float = 0.1,
 ) -> ViaJointSpace:
-    """A law that follows the motion of the tool, of one that follows the motion of the joints.
-
-    Args:
-        law: A law of joint motion, or a sum of them.
-        steps: Newton steps in a tick. One is enough where the reference has twist and acceleration.
-        tool: The frame that is to follow; the arm's tool if left out.
-        directions: "all" six; "position"; "pointing", for tools that may spin: position, and where z points.
-        posture: (n,) where redundant joints go [rad | m]; where they started if left out.
-        pull: How fast they go there [1/s]; 0 leaves them alone.
-        damping: Of J J^T at a singularity, as the singular value that it is the square of, without dimension.
-        speed: Scalar or (n,), of joints that catch up with a target which jumped [rad/s | m/s].
-        rise: Time in which that speed is reached from rest, and left [s].
+    """A law that follows the motion of the tool, of one that follows the motion of the joints: see `ViaJointSpace`.
 
     Raises:
         UsageError: Not a law of joint motion; unknown directions.
-        RangeError: Numbers out of range.
-        ShapeError: Gains of another shape.
+        RangeError, ShapeError: Numbers out of range, or of another shape.
 
     Example:
         >>> import taut
@@ -314,14 +282,4 @@ def via_joint_space(
         >>> bool(np.abs(run.q[-1] - arm.home - 0.2).max() < 1e-3)
         True
     """
-    return ViaJointSpace(
-        inner=law,
-        steps=steps,
-        tool=tool,
-        directions=directions,
-        posture=posture,
-        pull=pull,
-        damping=damping,
-        speed=speed,
-        rise=rise,
-    )
+    return ViaJointSpace(inner=law, steps=steps, tool=tool, directions=directions, posture=posture, speed=speed)

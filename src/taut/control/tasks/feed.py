@@ -45,7 +45,7 @@ def feed_of(side: LawSide, ref: Reference, q: Float64Array, parameters: Callable
     return ReferenceFeed(ref, side.law.reference, side.arm, side.dt, side.at_rest(q))
 
 
-class TaskFeed:
+class TaskFeed(Feed):
     """Fills the reference of a block of ticks in which one phase acts.
 
     A phase without a reference holds where it began. So does what no phase follows at the moment, and what stands

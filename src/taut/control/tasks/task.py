@@ -24,8 +24,8 @@ from taut.base.errors import (
 from taut.base.fields import Declared
 from taut.base.types import Float64Array
 from taut.control.command import Command, Position, Terms, Torque, Velocity
-from taut.control.gains import Gain
-from taut.control.law import Law, LawMemory, MemoryView, call, initial_memory
+from taut.control.gains import Gain, LawMemory, MemoryView
+from taut.control.law import Law, call, initial_memory
 from taut.control.tasks.guards import Guard, GuardView, Lasting, condition
 from taut.control.tasks.phase import STOP, Phase, named_phases
 from taut.control.trajectories.compound import PhaseSample, phase_sample

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from taut.arm.angles import short_way
+from taut.arm.parts import short_way
 from taut.base.types import Array, Float64Array
 from taut.control.limits import LIMIT_TERMS
 from taut.record.metrics.declaration import Metric
