@@ -1,8 +1,8 @@
 """Logs: runs as MCAP files, written while they go on, read back exactly.
 
 A file has a record `taut.run` at the start and a record `taut.outcome` at the end, each a JSON text with its
-checksum, and between them one ROS 2 message of constant size per tick: taut/msg/Tick on the topic /run has t and every
-column: q, v, tau, command, terms_P, reference_q, extra_F_ext, ... These are numbers of fixed count alone, so that
+checksum, and between them one ROS 2 message of constant size per tick: taut/msg/Tick on the topic /run has t and all
+columns: q, v, tau, command, terms_P, reference_q, extra_F_ext, ... These are numbers of fixed count alone, so that
 thousands are written and read at a time by NumPy.
 
 References:
