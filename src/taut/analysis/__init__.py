@@ -54,7 +54,6 @@ if TYPE_CHECKING:
     from taut.record.friction_plot import plot_friction as plot_friction
     from taut.record.metrics import METRICS as METRICS
     from taut.record.metrics import Metric as Metric
-    from taut.record.metrics import metric as metric
     from taut.scenarios.compare import grade as grade
 
 __getattr__, __dir__, __all__ = lazy_names(__name__, __file__)
