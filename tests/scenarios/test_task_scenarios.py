@@ -186,9 +186,9 @@ BROKEN: dict[str, tuple[dict[str, Any], str]] = {
         {**LINE, "velocity": 0.5, "acceleration": [1, 1]},
         "[reference] velocity must be (linear, angular) [m/s, rad/s]; got 0.5",
     ),
-    "a line that is too fast": (
+    "a line with a duration and limits": (
         {**LINE, "velocity": [0.01, 1.0], "acceleration": [1, 1]},
-        "[reference] kind: needs duration [s], or velocity and acceleration",
+        "[reference] kind: needs duration",
     ),
     "a key of a circle": ({**LINE, "angle": 1.0}, "[reference] has no key 'angle'"),
     "a centre in words": (

@@ -253,10 +253,6 @@ class MujocoPlant(PlantInMujoco):
         """
         self._parts.check_together(values)
 
-    def set_parameter(self, path: str, value: ArrayLike) -> None:
-        """Give a parameter a new value, which acts from the next step."""
-        self.set_parameters({path: value})
-
     def set_parameters(self, values: Mapping[str, ArrayLike]) -> None:
         """Give parameters new values at once, which act from the next step."""
         checked = {path: self.checked_parameter(path, value) for path, value in values.items()}
