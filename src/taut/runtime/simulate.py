@@ -201,7 +201,7 @@ def _judged(verdict: Judgement | str, plant: Plant) -> Stability:
 
 def _recorded(going: FusedRun | HostedRun, log: str | os.PathLike[str] | None, progress: bool | None) -> Run:
     """Run to the end, with a log file and a bar where they are asked for."""
-    from taut.record.log.writing import RunLog, open_log
+    from taut.record.log.writing import open_log
 
     tape = going.tape
     with Progress(len(tape.inputs["t"]), progress) as bar:
@@ -209,7 +209,7 @@ def _recorded(going: FusedRun | HostedRun, log: str | os.PathLike[str] | None, p
             kept, outcome = going.go(bar.advance, None)
             outcome = tape.explained(outcome)
         else:
-            with RunLog(open_log(log)) as file:
+            with open_log(log) as file:
                 kept, outcome = going.go(bar.advance, file)
                 outcome = file.finish(tape.explained(outcome))
     return tape.piece(0, kept, outcome)
