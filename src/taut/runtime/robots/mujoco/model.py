@@ -18,7 +18,7 @@ from taut.arm.parts import inertia_matrix
 from taut.base.checks import in_compiled_shape, read_only
 from taut.base.fields import Declared, Field
 from taut.base.types import ArrayLike, Float64Array
-from taut.maths.adds import Adds
+from taut.maths.model import Adds
 from taut.plant.drivetrain import Drivetrain
 from taut.plant.parts import PlantParts
 from taut.runtime.robots.mujoco.rig import Guard, Rig, index
