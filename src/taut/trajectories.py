@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from taut.control.trajectories.samples import TaskSamples as TaskSamples
     from taut.control.trajectories.task import Circle as Circle
     from taut.control.trajectories.task import Line as Line
-    from taut.control.trajectories.task import Screw as Screw
     from taut.control.trajectories.task import Steady as Steady
 
 __getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

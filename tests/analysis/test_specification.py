@@ -9,7 +9,7 @@ import pytest
 import scipy.linalg
 
 import taut
-from taut.analysis.constraints.specification import linear_sum
+from taut.analysis.constraints import linear_sum
 
 DAMPER = [[2.0, 1.0], [1.0, 1.0]]
 PAIRS = list(combinations(["V1", "V2", "F1", "F2"], 2))
@@ -39,11 +39,9 @@ class TestTheChaptersDamper:
         assert answer.reason in str(answer)
         assert (answer.quantities, answer.determined) == ({}, {})
 
-    def test_without_coupling_a_force_and_the_motion_along_it_are_not_listed(self) -> None:
-        assert list(taut.analysis.possible_specifications(B=DAMPER)) == PAIRS
-        assert taut.analysis.possible_specifications(B=[2.0, 1.0]) == (
-            ("V1", "V2"), ("V1", "F2"), ("V2", "F1"), ("F1", "F2"),
-        )  # fmt: skip
+    def test_without_coupling_a_force_and_the_motion_along_it_are_not_admissible(self) -> None:
+        admissible = {pair for pair in PAIRS if taut.analysis.check_specification(pair, B=[2.0, 1.0]).ok}
+        assert admissible == {("V1", "V2"), ("V1", "F2"), ("V2", "F1"), ("F1", "F2")}
 
 
 class TestLinearEnvironments:
@@ -72,12 +70,6 @@ class TestLinearEnvironments:
                 got = np.array(list(answer.quantities.values()))
                 np.testing.assert_allclose(got, expected, rtol=1e-6, atol=1e-7)
         assert 5 < sum(verdicts) < 55
-
-    def test_of_a_spring_displacements_are_specified_and_of_a_mass_accelerations(self) -> None:
-        answer = taut.analysis.check_specification({"X1": 0.01, "F2": 5.0}, K=[1000.0, 500.0])
-        assert answer.quantities == pytest.approx({"X1": 0.01, "X2": 0.01, "F1": 10.0, "F2": 5.0})
-        answer = taut.analysis.check_specification({"V_dot1": 2.0}, M=3.0, F0=[1.0])
-        assert answer.quantities["F1"] == pytest.approx(7.0)
 
     @pytest.mark.parametrize("scale", [1e-9, 1e9])
     def test_the_unit_of_the_forces_changes_no_verdict(self, scale: float) -> None:
@@ -110,7 +102,7 @@ def test_too_many_too_few_and_dependent_quantities_are_not_admissible(given: lis
     ("words", "error", "name"),
     [
         ({}, taut.errors.UsageError, "B"),
-        ({"B": DAMPER, "K": 1.0}, taut.errors.UsageError, "B"),
+        ({"B": 2.0}, taut.errors.ShapeError, "B"),
         ({"B": np.ones((2, 3))}, taut.errors.ShapeError, "B"),
         ({"B": DAMPER, "F0": [1.0]}, taut.errors.ShapeError, "F0"),
         ({"B": [[1.0, np.nan]]}, taut.errors.RangeError, "B"),

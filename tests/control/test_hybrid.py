@@ -461,13 +461,12 @@ def squared(T: Pose) -> Any:
             taut.errors.UsageError,
             "press is a force into a surface, and the first row of the constraint is none; put the surface",
         ),
-        (lambda: taut.pressing(3.0), taut.errors.UsageError, "pressing takes a motion such as"),  # type: ignore[arg-type]
-        (lambda: taut.pressing(taut.hold()), taut.errors.UsageError, "got a hold without its sample"),
+        (lambda: taut.pressing(3.0), taut.errors.UsageError, "motion must be a Sample or a Trajectory"),  # type: ignore[arg-type]
         (lambda: taut.pressing(taut.JointMotion(q=[0.0]), -3.0), taut.errors.RangeError, "press must be >= 0"),
         (
             lambda: taut.pressing(taut.JointMotion(q=[0.0]), 3.0, lam=[1.0]),
             taut.errors.UsageError,
-            "pressing takes one of press, lam and F_app; got press and lam",
+            "press is in place of lam and F_app",
         ),
         (
             lambda: taut.pressing(taut.JointMotion(q=[0.0]), lam=np.ones((2, 2))),

@@ -173,7 +173,6 @@ class TestTheRecordOfWhatWasAskedFor:
             (lambda x: x.Cv, {"coriolis", "v"}),
             (lambda x: x.C, {"coriolis", "v"}),
             (lambda x: x.friction, {"friction"}),
-            (lambda x: x.friction, {"friction"}),
             (lambda x: x.tau_applied, {"tau_applied"}),
             (lambda x: x.tau_cut, {"tau_cut"}),
             (lambda x: x.at(x.q, x.v).g, {"gravity", "v"}),
@@ -181,7 +180,7 @@ class TestTheRecordOfWhatWasAskedFor:
             (lambda x: x.Jdot_v(), {"v"}),
             (lambda x: x.twist(), {"v"}),
         ],
-        ids=range(14),
+        ids=range(12),
     )
     @pytest.mark.parametrize("adds", [None, Adds(gravity=True, coriolis=True, friction=True)], ids=["", "adds"])
     def test_names_it(self, ask: object, used: set[str], adds: Adds | None) -> None:

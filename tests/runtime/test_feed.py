@@ -296,7 +296,7 @@ class Rows(Gives):
 
 
 CASES += [
-    (Gives(taut.JointMotion(q=[0.0]), since=0.0095), taut.errors.ShapeError, "ref.q must have shape (2,); the reference gives (1,)"),
+    (Gives(taut.JointMotion(q=[0.0]), since=0.0095), taut.errors.ShapeError, "the samples of the reference differ in size"),
 ]  # fmt: skip
 
 
@@ -318,7 +318,7 @@ def test_a_reference_that_does_not_fit_is_refused_in_words(
 def test_rows_that_are_not_as_many_as_the_times_are_refused_in_words() -> None:
     with pytest.raises(taut.errors.ShapeError) as caught:
         run(HandPlant(), Rows(None))
-    assert str(caught.value) == "rows(times) must give one row per time; it gives 3 of ref.q for 21 times"
+    assert str(caught.value) == "rows(times) must give one row per time; it gives 3 for 21 times"
 
 
 def test_a_chunk_of_samples_of_different_sizes_is_refused_when_it_is_made() -> None:

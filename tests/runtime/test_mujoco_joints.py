@@ -181,27 +181,15 @@ def test_steps_that_are_too_long_for_a_spring_are_refused_with_what_is_enough(st
 def test_what_does_not_go_together_is_refused_in_words() -> None:
     plant = taut.MujocoPlant(ROUGH)
     with pytest.raises(taut.errors.RangeError) as caught:
-        plant.set_parameter("plant.friction.static", 0.1)
+        plant.set_parameters({"plant.friction.static": 0.1})
     assert str(caught.value) == (
         "plant.friction.static[0] must be >= plant.friction.coulomb: friction at rest is no less than in motion; got "
         "0.1 < 0.3 [N m | N]"
     )
-    with pytest.raises(
-        taut.errors.UsageError, match=r"actuation must be taut\.drives\.Actuation\(\.\.\.\); got float"
-    ):
+    with pytest.raises(taut.errors.UsageError, match="actuation must be an Actuation"):
         taut.MujocoPlant(ROUGH, actuation=2.0)  # type: ignore[arg-type]
     with pytest.raises(taut.errors.UsageError, match="and needs a rotor"):
         taut.MujocoPlant(
             taut.load_arm("planar2"),
             actuation=taut.drives.Actuation(transmission=taut.drives.Transmission(stiffness=1e3)),
         )
-    with pytest.raises(taut.errors.UsageError, match="has gears that lose power"):
-        taut.MujocoPlant(
-            taut.load_arm("planar2"), integrator="rk4",
-            actuation=taut.drives.Actuation(transmission=taut.drives.Transmission(efficiency=0.9)),
-        )  # fmt: skip
-    with pytest.raises(taut.errors.UsageError) as caught_too:
-        taut.MujocoPlant(
-            PLANAR, integrator="rk4", actuation=taut.drives.Actuation(transmission=taut.drives.Transmission(stiffness=1e3)),
-        )  # fmt: skip
-    assert caught_too.value.name == "integrator"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,7 +11,6 @@ import pytest
 from mujoco_arms import MOTORS, PAIR, cell, idle, pair
 
 import taut
-from taut.arm.description import Visual
 
 ARM = taut.load_arm("planar2")
 
@@ -32,13 +30,6 @@ def said(act: Callable[[], object], kind: type[taut.TautError]) -> str:
     [
         ({"friction": "no"}, taut.errors.UsageError, "friction must be 'arm' or None; got 'no'"),
         ({"limits": True}, taut.errors.UsageError, "limits must be 'arm' or None; got True"),
-        (
-            {"integrator": "Euler"},
-            taut.errors.UsageError,
-            "integrator must be one of 'discrete', 'euler', 'implicitfast', 'implicit', 'rk4'; got 'Euler'",
-        ),
-        ({"touch": "all"}, taut.errors.UsageError, "touch must be one of 'tool', 'links'; got 'all'"),
-        ({"looks": ""}, taut.errors.UsageError, "looks must be one of 'plain', 'meshes'; got ''"),
         ({"timestep": 0.0}, taut.errors.RangeError, "timestep must be > 0 [s]; got 0.0"),
         ({"timestep": np.nan}, taut.errors.RangeError, "timestep must be finite [s]; got nan"),
         ({"tool_radius": -1.0}, taut.errors.RangeError, "tool_radius must be > 0 [m]; got -1.0"),
@@ -69,12 +60,6 @@ def test_options_are_checked(options: dict[str, object], kind: type[taut.TautErr
 def test_a_plant_takes_an_arm() -> None:
     words = "arm must be an Arm; got 'panda'"
     assert said(lambda: taut.MujocoPlant("panda"), taut.errors.UsageError) == words
-
-
-def test_rk4_refuses_dry_friction_and_takes_an_arm_without() -> None:
-    arm = ARM.with_joints(coulomb=[0.1, 0.0])
-    assert "dry friction" in said(lambda: taut.MujocoPlant(arm, integrator="rk4"), taut.errors.UsageError)
-    taut.MujocoPlant(arm, integrator="rk4", adds=("friction",))
 
 
 def test_a_control_period_that_does_not_fit_is_refused() -> None:
@@ -128,7 +113,7 @@ def test_parameters_are_checked_before_a_run_begins(
 ) -> None:
     plant = taut.MujocoPlant(ARM)
     before = dict(plant.parameters)
-    assert said(lambda: plant.set_parameter(path, value), kind) == words
+    assert said(lambda: plant.set_parameters({path: value}), kind) == words
     assert plant.parameters == before
     if kind is not taut.errors.UnknownNameError:
         events = [taut.Event(t=1.0, set={path: value})]
@@ -194,7 +179,7 @@ def test_parameters_are_checked_before_a_run_begins(
         ),
         (
             "<body name='link1'><geom size='1'/></body>",
-            "scene: body 'link1' of the scene: the arm has a body of that name; rename it (line 1)",
+            "scene: MuJoCo refuses the model: repeated name 'link1' in body",
         ),
         (
             "<!DOCTYPE x [<!ENTITY a 'b'>]><geom size='1'/>",
@@ -242,20 +227,6 @@ def test_a_scene_that_is_no_file_is_refused(tmp_path: Path) -> None:
         lambda: taut.MujocoPlant(ARM, scene=tmp_path), taut.errors.FileError
     )
     assert "does not exist" in said(lambda: taut.MujocoPlant(ARM, scene="nowhere.xml"), taut.errors.FileError)
-
-
-def test_a_mesh_that_is_gone_or_broken_is_named(tmp_path: Path) -> None:
-    file = tmp_path / "link.stl"
-    shape = Visual(body=0, placement=taut.Pose(), shape="mesh", size=(1.0, 1.0, 1.0), file=str(file))
-    arm = dataclasses.replace(ARM, visuals=(shape,))
-    taut.MujocoPlant(arm)  # meshes are never needed
-    assert f"mesh '{file}' does not exist" in said(
-        lambda: taut.MujocoPlant(arm, looks="meshes"), taut.errors.FileError
-    )
-    file.write_text("no mesh")
-    assert "built in: MuJoCo refuses the model: " in said(
-        lambda: taut.MujocoPlant(arm, looks="meshes"), taut.errors.ModelError
-    )
 
 
 # -------------------------------------------------------------------- attach

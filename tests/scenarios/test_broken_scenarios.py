@@ -295,8 +295,8 @@ CASES: dict[str, tuple[dict[str, Any], str]] = {
     "a file that leaves the folder": ({"outputs": {"plot": "../x.png"}}, "outputs.plot"),
     "a file of another kind": ({"outputs": {"video": "x.avi"}}, "outputs.video"),
     "a file without a name": ({"outputs": {"log": ".mcap"}}, "outputs.log"),
-    "a file with a name of 5000 letters": ({"outputs": {"csv": "a" * 5000 + ".csv"}}, "outputs.csv"),
-    "a file with a zero in its name": ({"outputs": {"csv": "a\0.csv"}}, ""),
+    "a file with a name of 5000 letters": ({"outputs": {"log": "a" * 5000 + ".mcap"}}, "outputs.log"),
+    "a file with a zero in its name": ({"outputs": {"log": "a\0.mcap"}}, ""),
     # [[pass]]
     "an unknown law to pass": ({"pass": [{**PASS, "law": "PID"}]}, "pass 1.law"),
     "an unknown metric": ({"pass": [PASS, {**PASS, "metric": "rms"}]}, "pass 2.metric"),

@@ -139,7 +139,7 @@ def fig_10_10() -> Shown:
 
 
 def controllers() -> dict[str, tuple[Law, Callable[..., float]]]:
-    """Those of figure 10.12 with their torques written out; the gains of figure 10.6 in both readings."""
+    """Controllers of figure 10.12 and their torques written out; the gains of figure 10.6 in both readings."""
 
     def feedback(t: float, theta: float, v: float, e_int: float) -> float:
         q, qdot, _ = (float(each) for each in desired(2, np.asarray(t)))

@@ -179,7 +179,7 @@ def sec_10_4_1() -> Shown:
     sharp = Constraint(lambda T: T.p[2], one_sided=True)
     yield from counted("cabinet door", natural_constraints(door, at=handle), 1, 5)
     yield from counted("chalk on a board", natural_constraints(chalk, at=at), 5, 1)
-    yield from counted("chalk that sticks", natural_constraints(sharp, at=at, mode="stick", friction=0.3), 3, 3)
+    yield from counted("chalk that sticks", natural_constraints(sharp, at=at, mode="stick"), 3, 3)
     yield from counted("chalk pulled away", natural_constraints(sharp, at=at, mode="apart"), 6, 0)
 
 

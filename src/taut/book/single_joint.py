@@ -125,7 +125,7 @@ W: Final = 2.0 * math.pi * 0.4  # [rad/s] of the desired motion of the pseudocod
 
 
 def trajectory(phase: float) -> tuple[float, float, float]:
-    """That motion: angle, rate and acceleration."""
+    """Angle, rate and acceleration of that motion."""
     return 0.2 + 0.5 * math.sin(phase), 0.5 * W * math.cos(phase), -0.5 * W * W * math.sin(phase)
 
 
@@ -262,7 +262,7 @@ def settling(zeta: float) -> float:
 
 
 def overshoot(zeta: float) -> float:
-    """By the formula [%]."""
+    """Overshoot by the formula [%]."""
     return 100.0 * math.exp(-math.pi * zeta / math.sqrt(1.0 - zeta**2))
 
 

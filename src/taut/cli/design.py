@@ -46,8 +46,8 @@ def _design(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
 
 def _in_file(path: str) -> dict[str, Any]:
     """arm, plant, rate and sensing of a file: [arm], [plant] and [control] of a scenario, which may have more."""
-    from taut.scenarios.experiment import read_control_side_and_plant
     from taut.scenarios.reading import read_toml
+    from taut.scenarios.scenario import read_control_side_and_plant
 
     read_in = read_control_side_and_plant(read_toml(path, f"plant '{path}'"))
     return {name: value for name, value in read_in.items() if name != "limits"}

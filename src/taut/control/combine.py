@@ -44,11 +44,11 @@ class Sum(Law):
         first = next(iter(followers or self.parts.values()))
         self.__dict__.update(reference=first.reference, ignores_reference=not followers)
 
-    def children(self) -> dict[str, Law]:
+    def declared_parts(self) -> dict[str, Declared]:
         return dict(self.parts)
 
-    def with_children(self, children: Mapping[str, Law]) -> Self:
-        return self._replaced({"parts": dict(children)})
+    def _with_parts(self, parts: Mapping[str, Any]) -> Self:
+        return self._replaced({"parts": {**self.parts, **parts}})
 
     def closed_loop(self, x: Snapshot) -> ClosedLoop | None:
         """That of the one part that states one; None where several do."""
@@ -56,7 +56,7 @@ class Sum(Law):
         if len(stated) != 1:
             return None
         ((name, loop),) = stated.items()
-        return loop.held_by(lambda law, _: self.with_children({**self.parts, name: law}))
+        return loop.held_by(lambda law, _: self._with_parts({name: law}))
 
     def command(self, x: Snapshot, ref: Sample, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
         after: dict[str, Any] = {}
@@ -115,20 +115,10 @@ class Wrapper(Law, abstract=True):
     def apparent_impedance(self, x: Snapshot) -> ApparentImpedance | None:
         return self.law.apparent_impedance(x)
 
-    def declared_parts(self) -> dict[str, Declared]:
-        own = {name: part for name, part in Declared.declared_parts(self).items() if name != "law"}
-        return {**own, "law": self.law}
-
-    def _with_parts(self, parts: Mapping[str, Any]) -> Self:
-        return self._replaced(parts)
-
     def children(self) -> dict[str, Law]:
         return self.law.children()
 
-    def with_children(self, children: Mapping[str, Law]) -> Self:
-        return self._replaced({"law": self.law.with_children(children)})
-
-    def seen_by(self, child: str, x: Snapshot, ref: Sample) -> tuple[Snapshot, Sample]:
+    def seen_by(self, child: str, x: Snapshot, ref: Any) -> tuple[Snapshot, Any]:
         return self.law.seen_by(child, x, ref)
 
     def at_rest(self, x: Snapshot) -> Sample:

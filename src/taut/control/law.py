@@ -9,12 +9,12 @@ from __future__ import annotations
 import dataclasses
 import inspect
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Self
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
 import numpy as np
 
 from taut.base.errors import ShapeError, TraceError, UsageError
-from taut.base.fields import Declaration, Declared, Part
+from taut.base.fields import Declaration, Part
 from taut.base.paths import unflatten
 from taut.control.command import Command
 from taut.control.gains import GainValue, LawMemory, MemoryView, Remembers
@@ -108,21 +108,7 @@ class Law(Remembers):
 
     def children(self) -> dict[str, Law]:
         """The laws that this law holds, by field."""
-        return {name: value for name in self.declared if isinstance(value := self.__dict__[name], Law)}
-
-    def with_children(self, children: Mapping[str, Law]) -> Self:
-        """A copy that holds other laws."""
-        return self._replaced(children)
-
-    def declared_parts(self) -> dict[str, Declared]:
-        """The declared objects that this law has, by field, among them the laws that it holds."""
-        own = {name: part for name, part in super().declared_parts().items() if not isinstance(part, Law)}
-        return {**own, **self.children()}
-
-    def _with_parts(self, parts: Mapping[str, Any]) -> Self:
-        laws = {name: part for name, part in parts.items() if isinstance(part, Law)}
-        others = {name: part for name, part in parts.items() if name not in laws}
-        return (self.with_children({**self.children(), **laws}) if laws else self)._replaced(others)
+        return {name: part for name, part in self.declared_parts().items() if isinstance(part, Law)}
 
     def gains(self) -> dict[str, GainValue]:
         """This law's own gains, by field."""
@@ -138,7 +124,7 @@ class Law(Remembers):
         """Pairs of a path of its memory and what the outcome of a run says where that is not zero."""
         return tuple((path, memory.notice) for path, memory in self.every_memory().items() if memory.notice)
 
-    def seen_by(self, child: str, x: Snapshot, ref: Sample) -> tuple[Snapshot, Sample]:  # noqa: ARG002
+    def seen_by(self, child: str, x: Snapshot, ref: Any) -> tuple[Snapshot, Any]:  # noqa: ARG002
         """What a law that this one holds sees and follows."""
         return x, ref
 
@@ -194,8 +180,8 @@ class Law(Remembers):
         Raises:
             RangeError: A gain that has no meaning there.
         """
-        for law in self.children().values():
-            law.check_states(x, rate, changed=changed)
+        for name, law in self.children().items():
+            law.check_states(self.seen_by(name, x, None)[0], rate, changed=changed)
         (self.check_change if changed else self.check_state)(x, rate)
 
     def check_references(self, x: Snapshot, ref: Reference, rate: float, *, later: bool = False) -> None:

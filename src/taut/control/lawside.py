@@ -204,24 +204,25 @@ class LawSide:
             x, command, after = self._first_run(elsewhere)
         self.check_start(x.q, self._own_parameters)
         total = as_array(command.total, f"the command of {type(self.law).__name__}")
-        if isinstance(command, Torque) and "gravity" in x.used:
+        torque = isinstance(command, Torque)
+        if torque and "gravity" in x.used:
             self._check_gravity_once(np.asarray(total), np.asarray(x.g))
-        added: tuple[str, ...] = ()
-        if self.limits is not None:
-            added = self.limits.terms(command, self.title)
-        shapes = {f"law.{path}": np.shape(as_array(v, path)) for path, v in flatten(after).items()}
-        n = (self.arm.n,)
         self.sensing.check_used(x.used, self.title)
+        added = () if self.limits is None else self.limits.terms(command, self.title)
         at_rest = self.sensing_at_start(self.measurements_at_rest(self.arm.home), self._own_parameters)
-        shapes |= {f"sensing.{path}": np.shape(value) for path, value in at_rest.items()}
-        if (isinstance(command, Torque) and "tau_applied" in x.used) or {"rate_limit", "blend"} & set(added):
-            shapes["limits.tau_applied"] = n
+        limits: dict[str, Any] = fresh_blend(self.arm.n) if "blend" in added else {}
+        if (torque and "tau_applied" in x.used) or {"rate_limit", "blend"} & set(added):
+            limits["tau_applied"] = np.zeros(self.arm.n)
         if self.limits is not None and "tau_cut" in x.used:
-            shapes["limits.tau_cut"] = n
-        if "blend" in added:
-            shapes |= {f"limits.{name}": np.shape(value) for name, value in fresh_blend(self.arm.n).items()}
-        used = x.used | ({"v"} if "speed_limit" in added and isinstance(command, Torque) else set())
-        return Probe(kind=command.kind, used=frozenset(used), shapes=shapes, terms=(*command.terms.parts, *added))
+            limits["tau_cut"] = np.zeros(self.arm.n)
+        memory = flatten({"law": after, "sensing": at_rest, "limits": limits})
+        used = x.used | ({"v"} if "speed_limit" in added and torque else set())
+        return Probe(
+            kind=command.kind,
+            used=frozenset(used),
+            shapes={path: np.shape(as_array(value, path)) for path, value in memory.items()},
+            terms=(*command.terms.parts, *added),
+        )
 
     def _check_gravity_once(self, tau: Float64Array, g: Float64Array) -> None:
         """A law of the user's may not add gravity by x.h and by x.g: at rest, twice what carries the arm.
@@ -241,7 +242,7 @@ class LawSide:
     def _first_run(self, q: Float64Array) -> tuple[Snapshot, Command, dict[str, Any]]:
         """Two ticks at rest at q: what was asked for, the command, the memory."""
         measured, ref = self.measurements_at_rest(q), self.at_rest(q)
-        x = self._snapshot(measured, np.zeros(self.arm.n), self._own_parameters, {})
+        x = self._snapshot(measured, self._own_parameters, {})
         law = self.law.bound(subtree(self._own_parameters, "law"))
         _, after = call(law, x, ref, _initial(law, x, ref), self.dt)
         command, after = call(law, x, ref, after, self.dt)
@@ -314,7 +315,7 @@ class LawSide:
         """Measurements of the arm at rest at q, with nothing touching it."""
         at_rest = {name: np.zeros(shape) for name, shape in measurement_shapes(self.arm.n).items()}
         upwards = -dyn.pose(self.model, q).R.T @ self.arm.gravity
-        return {**at_rest, "q": q, "q_motor": q, "a_tip": upwards, "t": 0.0}
+        return {**at_rest, "v": np.zeros(self.arm.n), "q": q, "q_motor": q, "a_tip": upwards, "t": 0.0}
 
     def sense(
         self, measured: Mapping[str, Any], memory: Mapping[str, Any], parameters: Mapping[str, Any], dt: Any
@@ -374,7 +375,7 @@ class LawSide:
         numbers = {path: np.array(value) for path, value in parameters.items()}
         before = self.sensing_at_start(copies, numbers) if sensing is None else sensing
         seen, _ = self.sense(copies, before, numbers, self.dt)
-        return self._snapshot({**seen, "t": t}, seen["v"], numbers, {})
+        return self._snapshot({**seen, "t": t}, numbers, {})
 
     def _with_v(self, measured: Mapping[str, Any]) -> Mapping[str, Any]:
         return measured if "v" in measured else {**measured, "v": np.zeros(self.arm.n)}
@@ -389,23 +390,17 @@ class LawSide:
         """
         shapes, sensing = self.probe.shapes, self.sensing_at_start(measured, parameters)
         seen, _ = self.sense(measured, sensing, parameters, self.dt)
-        x = self._snapshot(seen, seen["v"], parameters, {})
-        held = {}
-        if "limits.tau_applied" in shapes:
-            rest = x.g if self.probe.kind == Torque.kind else tm.zeros(self.arm.n)
-            tau = tm.where(measured[KNOWN] > 0.5, measured[HELD], rest) if KNOWN in measured else rest
-            held = {"tau_applied": tau}
-            x = self._snapshot(seen, seen["v"], parameters, held)
+        n = self.arm.n
+        rest = self._snapshot(seen, parameters, {}).g if self.probe.kind == Torque.kind else tm.zeros(n)
+        held = tm.where(measured[KNOWN] > 0.5, measured[HELD], rest) if KNOWN in measured else rest
+        limits = {**fresh_blend(n), "tau_applied": held, "tau_cut": tm.zeros(n)}
+        x = self._snapshot(seen, parameters, limits if "limits.tau_applied" in shapes else {})
         law = self.law.bound(subtree(parameters, "law"))
-        memory = flatten({"law": _initial(law, x, ref), "sensing": sensing, "limits": held})
-        if "limits.tau_cut" in shapes:
-            memory["limits.tau_cut"] = tm.zeros(self.arm.n)
-        if "limits.bump" in shapes:
-            memory |= {f"limits.{name}": value for name, value in fresh_blend(self.arm.n).items()}
+        memory = flatten({"law": _initial(law, x, ref), "sensing": sensing, "limits": limits})
         filled = {path: _filled(as_array(memory[path], path), shape) for path, shape in shapes.items()}
         if "limits.bump" in shapes:
             asked = self.tick(measured, ref, filled, parameters, self.dt).memory["limits.asked"]
-            filled["limits.bump"], filled["limits.phase"] = held["tau_applied"] - asked, as_array(0.0, "limits.phase")
+            filled["limits.bump"], filled["limits.phase"] = held - asked, as_array(0.0, "limits.phase")
         return filled
 
     def tick(
@@ -423,7 +418,7 @@ class LawSide:
         if begins is not None and "tau_cut" in before:  # what another law was cut is nothing for this one's integral
             before = {**before, "tau_cut": tm.where(begins, tm.zeros(self.arm.n), before["tau_cut"])}
         seen, sensing = self.sense(measured, subtree(memory, "sensing"), parameters, dt)
-        x = self._snapshot(seen, seen["v"], parameters, before)
+        x = self._snapshot(seen, parameters, before)
         law = self.law.bound(subtree(parameters, "law"))
         command, after = call(law, x, ref, _nested_memory(law, nested.get("law", {})), dt)
         total = as_array(command.total, "command")
@@ -446,26 +441,19 @@ class LawSide:
         )
 
     def _snapshot(
-        self,
-        measured: Mapping[str, Any],
-        v: Vector,
-        parameters: Mapping[str, Any],
-        held: Mapping[str, Array],
+        self, seen: Mapping[str, Any], parameters: Mapping[str, Any], held: Mapping[str, Array]
     ) -> Snapshot:
-        others = {name: measured[name] for name in MEASUREMENTS if name in measured}
         zero = np.zeros(self.arm.n)
+        others = {name: seen[name] for name in MEASUREMENTS if name in seen}
+        torques = {name: held.get(name, zero) for name in ("tau_applied", "tau_cut")}
         return Snapshot(
             self.model,
-            q=measured["q"],
-            v=v,
-            t=measured["t"],
+            q=seen["q"],
+            v=seen["v"],
+            t=seen["t"],
             payload=_payload_of(parameters),
             adds=self.adds,
-            measured={
-                **others,
-                "tau_applied": held.get("tau_applied", zero),
-                "tau_cut": held.get("tau_cut", zero),
-            },
+            measured={**others, **torques},
         )
 
 

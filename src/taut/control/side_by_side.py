@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from typing import Any, Self
 
 from taut.arm.description import Arm
 from taut.base.errors import MatchError, UsageError, unknown_name
-from taut.base.types import Array
-from taut.control.command import Command, Terms
+from taut.base.fields import Declared
+from taut.base.types import Vector
+from taut.control.command import Command
 from taut.control.gains import MemoryView
 from taut.control.law import Law, call
 from taut.control.trajectories.compound import joined, require_part_name, together_kind
@@ -41,11 +42,11 @@ class SideBySide(Law):
     parts: Mapping[str, Law]
     joints: Mapping[str, tuple[str, ...] | None]
 
-    def children(self) -> dict[str, Law]:
+    def declared_parts(self) -> dict[str, Declared]:
         return dict(self.parts)
 
-    def with_children(self, children: Mapping[str, Law]) -> Self:
-        return self._replaced({"parts": dict(children)})
+    def _with_parts(self, parts: Mapping[str, Any]) -> Self:
+        return self._replaced({"parts": {**self.parts, **parts}})
 
     def check_size(self, joints: Sequence[str] | int, prefix: str = "") -> None:
         """Each part has a size of its own, which is checked where it is known: in the first evaluation."""
@@ -78,8 +79,8 @@ class SideBySide(Law):
             )
         return out
 
-    def seen_by(self, child: str, x: Snapshot, ref: Sample) -> tuple[Snapshot, Sample]:
-        return self.seen(x)[child], getattr(ref, child)
+    def seen_by(self, child: str, x: Snapshot, ref: Any) -> tuple[Snapshot, Any]:
+        return self.seen(x)[child], getattr(ref, child, None)
 
     def seen(self, x: Snapshot) -> dict[str, Snapshot]:
         """What each part sees: its own joints, as an arm of their own."""
@@ -93,11 +94,6 @@ class SideBySide(Law):
         seen = self.seen(x)
         return joined({name: law.at_rest(seen[name]) for name, law in self.parts.items()})
 
-    def check_states(self, x: Snapshot, rate: float, *, changed: bool = False) -> None:
-        seen = self.seen(x)
-        for name, law in self.parts.items():
-            law.check_states(seen[name], rate, changed=changed)
-
     def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
         places, seen = self._places(x.arm), self.seen(x)
         after: dict[str, Any] = {}
@@ -105,12 +101,12 @@ class SideBySide(Law):
         for name, law in self.parts.items():
             law.check_size(len(places[name]))
             commands[name], after[name] = call(law, seen[name], getattr(ref, name), memory[name], dt)
-        kinds = {type(command) for command in commands.values()}
-        if len(kinds) > 1:
+        kind, *others = {type(command) for command in commands.values()}
+        if others:
             words = ", ".join(f"{name} a {command.kind}" for name, command in commands.items())
             raise MatchError(f"laws side by side give commands of one kind; these give {words}", name="SideBySide")
-        total = _spread(commands, places, x.n)
-        return kinds.pop()(total), after
+        whole = [c.terms.mapped(partial(_spread, places=places[name], n=x.n)) for name, c in commands.items()]
+        return kind(sum(whole[1:], start=whole[0])), after
 
     def __repr__(self) -> str:
         return f"SideBySide({', '.join(f'{name}={law!r}' for name, law in self.parts.items())})"
@@ -184,15 +180,9 @@ def _subset(arm: Arm, joints: tuple[str, ...]) -> Arm:
     return arm.subset(joints)
 
 
-def _spread(commands: Mapping[str, Command], places: Mapping[str, list[int]], n: int) -> Terms:
-    """The named terms of all parts, each with the joints of its own."""
-    total, named = tm.zeros(n), dict[str, Array]()
-    for part, command in commands.items():
-        own = places[part]
-        for k, i in enumerate(own):
-            total[i] = command.total[k]
-        for name, values in command.terms.parts.items():
-            row = named.setdefault(name, tm.zeros(n))
-            for k, i in enumerate(own):
-                row[i] = values[k]
-    return Terms.known(total, named)
+def _spread(values: Vector, *, places: Sequence[int], n: int) -> Vector:
+    """(n,) what stands in the places of some joints, and zero elsewhere."""
+    out = tm.zeros(n)
+    for k, i in enumerate(places):
+        out[i] = values[k]
+    return out

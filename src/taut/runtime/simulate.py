@@ -24,8 +24,7 @@ from taut.controller import Controller, compile
 from taut.linear.judgement import Judgement, judge_start
 from taut.loop import AnyPlant, Loop, ModelPlant, check_fit, duration_of_ticks, require_no_reference, state_at_start
 from taut.maths.chain import Chain
-from taut.maths.constraints.functions import Surface
-from taut.maths.constraints.rows import OfPoses
+from taut.maths.constraints.rows import Surface
 from taut.maths.model import PayloadValues
 from taut.maths.snapshot import Snapshot
 from taut.plant.contact import each_contact
@@ -225,7 +224,7 @@ def _of_task(task: Sequence[Phase], plant: Plant | None) -> Controller:
 
 def _recorded(going: FusedRun | HostedRun, log: str | os.PathLike[str] | None, progress: bool | None) -> Run:
     """Run to the end, with a log file and a bar where they are asked for."""
-    from taut.record.log.writing import RunLog, open_log
+    from taut.record.log.writing import open_log
 
     tape = going.tape
     with Progress(len(tape.inputs["t"]), progress) as bar:
@@ -233,7 +232,7 @@ def _recorded(going: FusedRun | HostedRun, log: str | os.PathLike[str] | None, p
             kept, outcome = going.go(bar.advance, None)
             outcome = tape.explained(outcome)
         else:
-            with RunLog(open_log(log)) as file:
+            with open_log(log) as file:
                 kept, outcome = going.go(bar.advance, file)
                 outcome = file.finish(tape.explained(outcome))
     return tape.piece(0, kept, outcome)
@@ -290,7 +289,7 @@ def _of_model(plant: RigidPlant, q: Float64Array, duration: float) -> Around:
     x = Snapshot(plant.model, q=q, v=np.zeros(len(q)))
     for contact in () if plant.contact is None else each_contact(plant.contact):
         for piece in contact.constraint.pieces:
-            if isinstance(piece, OfPoses) and piece.surface is not None:
+            if piece.surface is not None:
                 things.append(_thing(piece.surface, x.T(piece.frames[0]).p, duration))
             else:
                 missing.append(f"a constraint of {piece.count} rows that declares no surface")

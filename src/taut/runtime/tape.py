@@ -148,22 +148,16 @@ class Tape:
 
     def _remarks(self, ticks: int) -> str:
         """Which sensors were at their range in the first ticks of the run, and what the law has to say of them."""
-        said = ""
-        for name, column in self.outputs.items():
-            at = np.flatnonzero(column[:ticks])
-            if name.startswith("saturated.") and len(at):
-                said += (
-                    f"; the sensor of {name.removeprefix('saturated.')} was at its range in {len(at)} of {ticks} "
-                    f"ticks, first at t = {self.inputs['t'][at[0]]:.6g} s"
-                )
-        for path, text in self._side.notices.items():
-            lost = self.outputs[path][:ticks] != 0.0
-            if self._phases:
-                lost[~self._acting(path, 0, ticks)] = False
-            if lost.ndim > 1:
-                text += f" (index {', '.join(str(i) for i in np.flatnonzero(lost.any(axis=0)))})"
-                lost = lost.any(axis=1)
-            at = np.flatnonzero(lost)
+        said, sensors = "", [name for name in self.outputs if name.startswith("saturated.")]
+        texts = {name: f"the sensor of {name.removeprefix('saturated.')} was at its range" for name in sensors}
+        for path, text in (texts | dict(self._side.notices)).items():
+            there = self.outputs[path][:ticks] != 0.0
+            if self._phases and path not in texts:
+                there[~self._acting(path, 0, ticks)] = False
+            if there.ndim > 1:
+                text += f" (index {', '.join(str(i) for i in np.flatnonzero(there.any(axis=0)))})"
+                there = there.any(axis=1)
+            at = np.flatnonzero(there)
             if len(at):
                 said += f"; {text} in {len(at)} of {ticks} ticks, first at t = {self.inputs['t'][at[0]]:.6g} s"
         return said

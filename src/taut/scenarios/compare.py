@@ -186,12 +186,9 @@ def _experiment(
                 "runs, taut.load_run('a.mcap').phase(name)",
                 name="on",
             )
-        fields = {each.name for each in dataclasses.fields(Experiment)} & vars(scenario).keys() - {"name"}
-        experiment = Experiment(
-            name=scenario.source if case is None or case in scenario.source else f"{scenario.source}: case '{case}'",
-            texts={"Scenario": scenario.text},
-            **{name: getattr(scenario, name) for name in fields},
-        )
+        named = case is None or case in scenario.source
+        name = scenario.source if named else f"{scenario.source}: case '{case}'"
+        experiment = dataclasses.replace(scenario.experiment, name=name)
     else:
         raise UsageError(
             f"laws are compared on a scenario's name, a .toml file or a taut.Loop; got {type(on).__name__}", name="on"

@@ -67,11 +67,11 @@ def _one_law(gains: Table, table: Table, name: str) -> Law:
     if issubclass(known[name], Wrapper) and "law" not in gains:
         raise table.error(f"'{name}' is around another one: write wrapped_by = {{ law = '{name}' }} there", "law")
     law: Law = read(known[name], gains, others=["wrapped_by"])
-    if "wrapped_by" in gains:
-        outer = gains.table("wrapped_by")
-        outer.need("law")
-        wrappers = {word: kind for word, kind in known.items() if issubclass(kind, Wrapper)}
-        law = read(wrappers[outer.choice("law", wrappers)], outer, others=["law"], law=law)
+    wrappers = {word: kind for word, kind in known.items() if issubclass(kind, Wrapper)}
+    while "wrapped_by" in gains:
+        gains = gains.table("wrapped_by")
+        gains.need("law")
+        law = read(wrappers[gains.choice("law", wrappers)], gains, others=["law", "wrapped_by"], law=law)
     return law
 
 

@@ -35,7 +35,6 @@ from taut.trajectories import (
     Line,
     Quintic,
     Samples,
-    Screw,
     Sine,
     Spline,
     Steady,
@@ -47,7 +46,7 @@ __all__ = ["TASK", "read_phases", "read_reference"]
 
 POSITIONS: Final = ("q", "q0", "q1", "center", "points")  # of the joints, which may be "home"
 POSES: Final = ("pose", "T0", "T1", "T")  # of the tool, which may be "home"
-TOOL_POINTS: Final = ("centre", "via", "end")  # of the tool
+TOOL_POINTS: Final = ("centre",)  # of the tool
 ROTATIONS: Final = ("xyzw", "wxyz", "rpy", "R")
 FORCES: Final = ("press", "lam", "F_app")  # that a motion applies, as of taut.pressing
 POSE: Final = "{ p = [0.4, 0.0, 0.3], rpy = [3.14, 0.0, 0.0] }"
@@ -134,7 +133,6 @@ KINDS: Final[Mapping[str, Callable[..., Any]]] = {
     "samples": Samples,
     "pose": TaskMotion,
     "line": Line,
-    "screw": Screw,
     "circle": Circle,
     "task-samples": TaskSamples,
     "policy": SamplePolicy,

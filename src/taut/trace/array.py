@@ -47,10 +47,12 @@ def traced_array(x: Any) -> Traced:
 
 def has_symbols(x: Any) -> bool:
     """Whether an array, list or number holds a symbol."""
+    if isinstance(x, float):  # most are, and a trace asks a million times
+        return False
     if isinstance(x, (Symbol, Traced)):
         return True
     if isinstance(x, np.ndarray):
-        return x.dtype == object and any(isinstance(entry, Symbol) for entry in x.flat)
+        return x.dtype.hasobject and any(isinstance(entry, Symbol) for entry in x.flat)
     if isinstance(x, NDArrayOperatorsMixin):  # a gain
         return has_symbols(np.asarray(x))
     return isinstance(x, (list, tuple)) and any(has_symbols(entry) for entry in x)

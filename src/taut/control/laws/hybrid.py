@@ -166,7 +166,7 @@ class HybridMotionForce(Law):
         """Whether forces are fed back."""
         return self.kfp is not None or self.kfi is not None
 
-    def seen_by(self, child: str, x: Snapshot, ref: Sample) -> tuple[Snapshot, Sample]:
+    def seen_by(self, child: str, x: Snapshot, ref: Any) -> tuple[Snapshot, Any]:
         return x, ref.motion if child == "motion" and isinstance(ref, HybridMotion) else ref
 
     def at_rest(self, x: Snapshot) -> Sample:

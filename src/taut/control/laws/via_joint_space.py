@@ -98,7 +98,7 @@ class ViaJointSpace(Law):
             follows = f"{type(self.inner).__name__} follows a {self.inner.reference.__name__}"
             self.refuse("inner", f"must be a law of joint motion, such as ComputedTorque; {follows}")
 
-    def seen_by(self, child: str, x: Snapshot, ref: Sample) -> tuple[Snapshot, Sample]:  # noqa: ARG002
+    def seen_by(self, child: str, x: Snapshot, ref: Any) -> tuple[Snapshot, Any]:  # noqa: ARG002
         """The law that it holds begins with a rest where the arm is."""
         return x, JointMotion.at_rest(x, None)
 

@@ -9,12 +9,11 @@ from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 
-from taut.base.checks import finite_array, require_range, symmetric_psd
 from taut.base.errors import UsageError
 from taut.base.fields import Part, Plain
 from taut.base.types import Rotation, Vector, Vector3
 from taut.control.closed_loop import ApparentImpedance
-from taut.control.combine import Wrapper
+from taut.control.combine import Wrapper, bare
 from taut.control.command import Command, Terms, Torque
 from taut.control.gains import Gain, GainValue, Memory, MemoryView
 from taut.control.laws.constraints import check_place, check_reference
@@ -25,7 +24,7 @@ from taut.control.trajectories.reference import Reference
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.constraints.constraint import Constraint
 from taut.maths.constraints.multipliers import Constrained
-from taut.maths.constraints.rows import ConstraintRows, OfPoses
+from taut.maths.constraints.rows import ConstraintRows
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import rotated
 from taut.trace import math as tm
@@ -89,11 +88,7 @@ class EnergyTank(Wrapper):
     def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
         """What a function of the pose gives where a run starts is as good as numbers would be."""
         if self.stiffness is not None:
-            values = finite_array("K", np.asarray(self._wanted(x)["K"], dtype=np.float64))
-            if values.ndim == 2:
-                symmetric_psd("K", values)
-            else:
-                require_range("K", values, minimum=0.0)
+            self.law.changed("K", self._wanted(x)["K"])
 
     def apparent_impedance(self, x: Snapshot) -> ApparentImpedance | None:
         return None if self.stiffness is not None else super().apparent_impedance(x)
@@ -133,77 +128,8 @@ class EnergyTank(Wrapper):
 def _six(value: Any, size: int) -> Any:
     """What a function of the pose gives as a gain: a pair, one per direction, or a matrix."""
     array = tm.array(value) if not isinstance(value, np.ndarray) else value
-    if size == 6 and array.shape == (2,):
-        array = tm.array([array[0]] * 3 + [array[1]] * 3)
-    if array.shape not in ((size,), (size, size)):
-        raise UsageError(
-            f"K as a function of the pose must give (linear, angular), ({size},) or ({size}, {size}); got shape "
-            f"{array.shape}",
-            name="K",
-        )
-    return array
-
-
-class LossOfContact(Wrapper):
-    """Loss of contact of a law of force: it is reported, and a hybrid law lets the force go and brakes.
-
-    Law:          contact is missing where more than `contact` is asked for and less is measured along it, and lost
-                    when it has been missing for longer than `patience`
-                  of a one-sided row of a hybrid law: lam' = lam_0 + s (lam - lam_0), lam_0 = max(lam, -2 contact),
-                    and the rate y against the row is braked by (1 - s) y / 0.02 s: the term `lost`
-                    s goes to 0 within the patience while contact is missing, and back to 1; the integral rests
-    Closed loop:  that of the law, in contact; without, a tool that seeks a surface at no more than 2 `contact`
-
-    In a run `law.lost` is a column, 1 where contact is lost, of which the metric contact_lost_time is the time.
-    A `ForceControl` is only watched: its kdamp bounds the speed.
-
-    Args:
-        law: A `ForceControl` or a `HybridMotionForce` that feeds a measured force back.
-        contact: (force, moment) that count as contact.
-        patience: Time without it after which contact is lost.
-
-    Example:
-        >>> import taut
-        >>> law = LossOfContact(law=taut.laws.ForceControl(kfi=5.0, kdamp=(100.0, 5.0)), patience=0.02)
-        >>> law.parameters()["patience"]
-        array(0.02)
-    """
-
-    law: Part[ForceControl | HybridMotionForce] = Part(ForceControl, HybridMotionForce, inline=True)
-    contact: Gain = Gain((1.0, 0.1), unit="N, N m", shape=2, accepts=("pair",), above=0.0)
-    patience: Gain = Gain(0.05, unit="s", shape="scalar")
-    alone = Memory(unit="s", doc="time since there was contact")
-    lost = Memory(notice="the tool met less than was asked for, contact was lost")
-    applied = Memory(1.0, doc="fraction s of the force of each row")
-
-    def check(self) -> None:
-        super().check()
-        if not self.law.measures:
-            self.refuse("law", "must feed a measured force back, with which contact is seen")
-
-    def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
-        command, after = self.inner(self.law, x, ref, memory, dt)
-        missing, patience = self.law.missing(x, ref, self.contact), self.patience.as_array()
-        alone = tm.where(functools.reduce(tm.maximum, missing) > 0.5, memory.alone + dt, 0.0)
-        after |= {"alone": alone, "lost": tm.where(alone > patience + 0.5 * dt, 1.0, 0.0), "applied": memory.applied}
-        if isinstance(self.law, HybridMotionForce):
-            step, s = dt / tm.maximum(patience, dt), memory.applied + tm.zeros(len(missing))
-            after["applied"] = tm.clip(s + tm.where(missing > 0.5, -step, step), 0.0, 1.0)
-            after["e_int"] = tm.where(missing > 0.5, memory.e_int, after["e_int"])
-            rows = self.law.constraint.at(x)
-            held = Constrained.of(rows, x.M_factors)
-            softer = (s - 1.0) * (after["lam"] - self._gentle(self.law.constraint, after["lam"]))
-            braked = rows.rate(x.v) * np.array(rows.one_sided, dtype=np.float64) / (BRAKING + dt)
-            braking = held.of_bias((s - 1.0) * braked)
-            after["lam"] = after["lam"] + softer + braking
-            command = Torque(command.terms + Terms(lost=held.pressing(softer + braking)))
-        return command, after
-
-    def _gentle(self, constraint: Constraint, lam: Vector) -> Vector:
-        """(k,) the multipliers with which a one-sided row is still sought when it is lost."""
-        least = -GENTLE * np.where(constraint.moments, self.contact[1], self.contact[0])
-        out: Vector = tm.where(np.array(constraint.one_sided), tm.maximum(lam, least), lam)
-        return out
+    pair = size == 6 and array.shape == (2,)
+    return tm.array([array[0]] * 3 + [array[1]] * 3) if pair else array
 
 
 class NormalEstimate(Wrapper):
@@ -270,7 +196,7 @@ class NormalEstimate(Wrapper):
         constraint, moved = self.law.constraint, self.law.motion.controlled_frame or x.arm.tool
         (frame,) = constraint.frame or (None,)
         check_sensor(x, frame)
-        if (frame or x.arm.tool) != moved or constraint.moments[0] or not isinstance(constraint.pieces[0], OfPoses):
+        if (frame or x.arm.tool) != moved or constraint.moments[0] or constraint.pieces[0].pfaffian:
             raise UsageError(
                 f"NormalEstimate is of a surface's normal at the frame that moves, '{moved}': put the surface first, "
                 "of that frame, or leave the estimate out",
@@ -284,19 +210,26 @@ class NormalEstimate(Wrapper):
         check_reference(self.law.constraint, x, ref, self.law.motion.controlled_frame, np.inf, later=later)
 
     def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
-        constraint = self.law.constraint
-        stated, V = constraint.at(x), x.twist(*(constraint.frame or ()))
-        assert stated.A is not None
-        size = tm.sqrt(stated.A[0, :3] @ stated.A[0, :3] + NEVER)
-        n_0 = stated.A[0, :3] / size
-        sliding = V[:3] + ((stated.A[0, 3:] @ V[3:] + stated.phi_t[0]) / size) * n_0
-        tilt = self.updated(memory.tilt, n_0, sliding, x.F_ext[:3], dt)
-        n = n_0 + tilt
+        n_0, phi_t = self._stated(x)
+        V = x.twist(*(self.law.constraint.frame or ()))
+        sliding = V[:3] + (n_0[3:] @ V[3:] + phi_t) * n_0[:3]
+        tilt = self.updated(memory.tilt, n_0[:3], sliding, x.F_ext[:3], dt)
+        n = n_0[:3] + tilt
         n = n / tm.sqrt(n @ n + NEVER)
-        rows = turned_rows(constraint, x, turn_between(n_0, n))
         inner = {name: memory[name] for name in memory if name not in self.memories}
-        tau, after = self.law.controlled(x, ref, MemoryView(inner, "HybridMotionForce"), dt, rows)
+        tau, after = self.law.controlled(x, ref, MemoryView(inner, "HybridMotionForce"), dt, self.turned(x, n))
         return tau, {**after, "tilt": tilt, "normal": n}
+
+    def _stated(self, x: Snapshot) -> tuple[Vector, Any]:
+        """(6,) the stated first row and the rate of its phi, for a normal of length 1."""
+        rows = self.law.constraint.at(x)
+        assert rows.A is not None
+        size = tm.sqrt(rows.A[0, :3] @ rows.A[0, :3] + NEVER)
+        return rows.A[0] / size, rows.phi_t[0] / size
+
+    def turned(self, x: Snapshot, n: Vector3) -> ConstraintRows:
+        """The rows of the constraint rotated about where the tool touches, so that its normal is n."""
+        return turned_rows(self.law.constraint, x, turn_between(self._stated(x)[0][:3], n))
 
     def updated(self, tilt: Vector3, n_0: Vector3, v: Vector3, F: Vector3, dt: Any) -> Vector3:
         """(3,) the tilt after a tick.
@@ -351,3 +284,69 @@ def turned_rows(constraint: Constraint, x: Snapshot, R: Rotation) -> ConstraintR
     seen = constraint.at(x.turned(R, frame))
     assert seen.A is not None
     return dataclasses.replace(seen, A=tm.array([rotated(R, row) for row in seen.A]))
+
+
+class LossOfContact(Wrapper):
+    """Loss of contact of a law of force: it is reported, and a hybrid law lets the force go and brakes.
+
+    Law:          contact is missing where more than `contact` is asked for and less is measured along it, and lost
+                    when it has been missing for longer than `patience`
+                  of a one-sided row of a hybrid law: lam' = lam_0 + s (lam - lam_0), lam_0 = max(lam, -2 contact),
+                    and the rate y against the row is braked by (1 - s) y / 0.02 s: the term `lost`
+                    s goes to 0 within the patience while contact is missing, and back to 1; the integral rests
+    Closed loop:  that of the law, in contact; without, a tool that seeks a surface at no more than 2 `contact`
+
+    In a run `law.lost` is a column, 1 where contact is lost, of which the metric contact_lost_time is the time.
+    A `ForceControl` is only watched: its kdamp bounds the speed.
+
+    Args:
+        law: A `ForceControl` or a `HybridMotionForce` that feeds a measured force back, or a `NormalEstimate` of it.
+        contact: (force, moment) that count as contact.
+        patience: Time without it after which contact is lost.
+
+    Example:
+        >>> import taut
+        >>> law = LossOfContact(law=taut.laws.ForceControl(kfi=5.0, kdamp=(100.0, 5.0)), patience=0.02)
+        >>> law.parameters()["patience"]
+        array(0.02)
+    """
+
+    law: Part[Any] = Part(ForceControl, HybridMotionForce, NormalEstimate, inline=True)
+    contact: Gain = Gain((1.0, 0.1), unit="N, N m", shape=2, accepts=("pair",), above=0.0)
+    patience: Gain = Gain(0.05, unit="s", shape="scalar")
+    alone = Memory(unit="s", doc="time since there was contact")
+    lost = Memory(notice="the tool met less than was asked for, contact was lost")
+    applied = Memory(1.0, doc="fraction s of the force of each row")
+
+    def check(self) -> None:
+        super().check()
+        law: Any = bare(self.law)
+        if not law.measures:
+            self.refuse("law", "must feed a measured force back, with which contact is seen")
+
+    def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
+        command, after = self.inner(self.law, x, ref, memory, dt)
+        law: Any = bare(self.law)
+        patience = self.patience.as_array()
+        missing = law.missing(x, ref, self.contact)
+        alone = tm.where(functools.reduce(tm.maximum, missing) > 0.5, memory.alone + dt, 0.0)
+        after |= {"alone": alone, "lost": tm.where(alone > patience + 0.5 * dt, 1.0, 0.0), "applied": memory.applied}
+        if isinstance(law, HybridMotionForce):
+            step, s = dt / tm.maximum(patience, dt), memory.applied + tm.zeros(len(missing))
+            after["applied"] = tm.clip(s + tm.where(missing > 0.5, -step, step), 0.0, 1.0)
+            after["e_int"] = tm.where(missing > 0.5, memory.e_int, after["e_int"])
+            estimate = self.law if isinstance(self.law, NormalEstimate) else None
+            rows = estimate.turned(x, after["normal"]) if estimate else law.constraint.at(x)
+            held = Constrained.of(rows, x.M_factors)
+            softer = (s - 1.0) * (after["lam"] - self._gentle(law.constraint, after["lam"]))
+            braked = rows.rate(x.v) * np.array(rows.one_sided, dtype=np.float64) / (BRAKING + dt)
+            braking = held.of_bias((s - 1.0) * braked)
+            after["lam"] = after["lam"] + softer + braking
+            command = Torque(command.terms + Terms(lost=held.pressing(softer + braking)))
+        return command, after
+
+    def _gentle(self, constraint: Constraint, lam: Vector) -> Vector:
+        """(k,) the multipliers with which a one-sided row is still sought when it is lost."""
+        least = -GENTLE * np.where(constraint.moments, self.contact[1], self.contact[0])
+        out: Vector = tm.where(np.array(constraint.one_sided), tm.maximum(lam, least), lam)
+        return out

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 
@@ -23,32 +24,29 @@ NEAR = 1e-9  # of a tick: what a period that is meant to be whole may miss one b
 BLOCK: Final = 4096  # ticks that a run fills and takes at once
 
 
-class Feed(Protocol):
-    """What fills the reference of a run, block by block."""
+class Feed(ABC):
+    """What fills the reference of a run, block by block: of a task several references, of a law one."""
 
-    @property
-    def block(self) -> int:
-        """Ticks that a run takes at once, at most."""
-        ...
+    block = BLOCK  # ticks that a run takes at once, at most
 
-    def follow(self, memory: Mapping[str, Any], tick: int, state: Callable[[], Any]) -> bool:
+    def follow(self, memory: Mapping[str, Any], tick: int, state: Callable[[], Any]) -> bool:  # noqa: ARG002
         """Whether another reference begins with a tick, so that what was filled beyond it is void."""
-        ...
+        return False
 
-    def ends(self, outputs: Mapping[str, Float64Array], first: int, end: int) -> int | None:
+    def ends(self, outputs: Mapping[str, Float64Array], first: int, end: int) -> int | None:  # noqa: ARG002
         """The tick with which another reference begins after the ticks from first to end, by their outputs."""
-        ...
+        return None
 
+    @abstractmethod
     def next_question(self, tick: int) -> int | None:
         """The first tick after `tick` at which the source of a stream is asked; None if never."""
-        ...
 
+    @abstractmethod
     def fill(self, views: Mapping[str, Float64Array], first: int, state: Callable[[], Any]) -> int:
         """Write the reference of the ticks from `first` on; the number of ticks that were filled."""
-        ...
 
 
-class ReferenceFeed:
+class ReferenceFeed(Feed):
     """Fills the reference of a block of ticks.
 
     Args:
@@ -83,16 +81,6 @@ class ReferenceFeed:
             raise UsageError(
                 f"blend is for a stream of motions, and the law follows {kind.__name__}; leave it out", name="blend"
             )
-
-    block = BLOCK
-
-    def follow(self, memory: Mapping[str, Any], tick: int, state: Callable[[], Any]) -> bool:  # noqa: ARG002
-        """Whether another reference begins with a tick: a run of one law has one."""
-        return False
-
-    def ends(self, outputs: Mapping[str, Float64Array], first: int, end: int) -> int | None:  # noqa: ARG002
-        """The tick with which another reference begins: none."""
-        return None
 
     def next_question(self, tick: int) -> int | None:
         """The first tick after `tick` at which the source of a stream is asked; None if never.
@@ -161,10 +149,8 @@ class ReferenceFeed:
         """Each field at many times: one row each, or a single one where all are the same."""
         streaming = isinstance(self._ref, Stream)
         source = self._current if streaming else self._ref
-        if isinstance(source, Sample):
-            table = sample_rows(_Constant(source), times[:1], self._kind, self._arm.n)
-        else:
-            table = sample_rows(source, times - self._since if streaming else times, self._kind, self._arm.n)
+        since = times - self._since if streaming else times
+        table = sample_rows(source, since[:1] if isinstance(source, Sample) else since, self._kind, self._arm.n)
         return table if self._fade is None else self._fade.applied(table, times)
 
     def _answer(self, stream: Stream, x: Any) -> Sample | Chunk:
@@ -177,16 +163,6 @@ class ReferenceFeed:
                 name="source",
             )
         return answer
-
-
-@dataclass(frozen=True)
-class _Constant:
-    """A sample as a trajectory."""
-
-    sample: Sample
-
-    def at(self, t: float) -> Sample:  # noqa: ARG002
-        return self.sample
 
 
 # -------------------------------------------------------------------- from one motion to another

@@ -9,11 +9,11 @@ from typing import Any, ClassVar, Final, Self
 
 import numpy as np
 
-from taut.base.checks import finite_array, finite_scalar, one_of, read_only, vector
-from taut.base.errors import RangeError, ShapeError, UsageError
+from taut.base.checks import finite_scalar, one_of, read_only, vector
+from taut.base.errors import ShapeError, UsageError
 from taut.base.fields import Field, Part, Plain
 from taut.base.types import Array, ArrayLike, Float64Array, Rotation, Wrench
-from taut.control.trajectories.reference import Hold, JointMotion, Rows, Sample, Shapes, Trajectory
+from taut.control.trajectories.reference import Hold, JointMotion, Rows, Sample, Shapes, Trajectory, rows_of
 from taut.control.trajectories.task_reference import FRAMES, Axes, TaskMotion
 from taut.control.trajectories.timing import Motion
 from taut.maths.snapshot import Snapshot
@@ -175,44 +175,41 @@ OF_TASK, OF_JOINTS = hybrid_kind(TaskMotion), hybrid_kind(JointMotion)  # so tha
 class Pressing(Motion[HybridMotion]):
     """A motion with forces as one trajectory; made by `taut.pressing`."""
 
-    of: Part[Any] = Part(Sample, Trajectory)
-    press: Plain[float | Callable[[float], float]] = Plain()
-    lam: Field = Field(unit=UNIT, shape=MAX_MULTIPLIERS)
-    F_app: Field = Field(unit=UNIT, shape=6)
-    given: Field = Field(shape=1)
+    motion: Part[Any] = Part(Sample, Trajectory)
+    press: Plain[float | Callable[[float], float]] = Plain(default=0.0)
+    lam: Field = Field(unit=UNIT, shape="k", optional=True)
+    F_app: Field = Field(unit=UNIT, shape=6, optional=True)
 
-    @property
-    def motion(self) -> Sample | Trajectory:
-        """The motion without the forces."""
-        motion: Sample | Trajectory = self.of
-        return motion
+    def check(self) -> None:
+        """Forces are stated in one way."""
+        if isinstance(self.motion, (HybridMotion, Pressing)):
+            self.refuse("motion", "must be a motion alone, and this one has forces already; give it once")
+        if sum((self.presses, self.lam is not None, self.F_app is not None)) > 1:
+            self.refuse("press", "is in place of lam and F_app; give one of the three")
+        if self.lam is not None and len(self.lam) > MAX_MULTIPLIERS:
+            self.refuse("lam", f"must have at most {MAX_MULTIPLIERS} rows; got {len(self.lam)}", ShapeError)
+        if not callable(self.press):
+            finite_scalar("press", self.press, unit="N", minimum=0.0)
 
     @property
     def presses(self) -> bool:
         """Whether it asks for a press, if only later."""
-        return callable(self.press) or self.press > 0.0
+        return callable(self.press) or self.press != 0.0
 
     @property
     def duration(self) -> float | None:
         """[s] of the motion, where it has one."""
-        return getattr(self.of, "duration", None)
+        return getattr(self.motion, "duration", None)
 
     def rows(self, times: Float64Array) -> HybridMotion:
-        motion = _motion_rows(self.of, times)
-        given = [self.press(float(t)) if callable(self.press) else self.press for t in times]
-        press = np.array([[_checked_press(value, float(t))] for value, t in zip(given, times, strict=True)])
-        others = (np.tile(values, (len(times), 1)) for values in (self.lam, self.F_app, self.given))
-        return hybrid_kind(type(motion))(motion, press, *others)
-
-
-def _motion_rows(motion: Any, times: Float64Array) -> Sample:
-    """Samples of a motion at many times; one by one where it does not give them at once."""
-    if getattr(motion, "rows", None) is not None:
-        rows: Sample = motion.rows(times)
-        return rows
-    samples = [motion if isinstance(motion, Sample) else motion.at(float(t)) for t in times]
-    kind = type(samples[0])
-    return kind.of({name: np.stack([getattr(sample, name) for sample in samples]) for name in kind.fields(1)})
+        motion, k = rows_of(self.motion, times), len(times)
+        asked = [self.press(float(t)) if callable(self.press) else self.press for t in times]
+        press = np.array([[finite_scalar("press", value, unit="N", minimum=0.0)] for value in asked])
+        lam, count = np.zeros((k, MAX_MULTIPLIERS)), np.zeros((k, 1))
+        if self.lam is not None:
+            lam[:, : len(self.lam)], count[:] = self.lam, len(self.lam)
+        F_app = np.zeros((k, 6)) + (0.0 if self.F_app is None else self.F_app)
+        return hybrid_kind(type(motion))(motion, press, lam, F_app, count)
 
 
 def pressing(
@@ -248,48 +245,5 @@ def pressing(
         10.0
     """
     taken = motion.sample if isinstance(motion, Hold) else motion
-    if isinstance(taken, (HybridMotion, Pressing)):
-        raise UsageError(
-            "pressing takes a motion alone, and this one has forces already; give it once", name="motion"
-        )
-    if not isinstance(taken, (Sample, Trajectory)):
-        raise UsageError(
-            "pressing takes a motion such as taut.TaskMotion(pose=...) or taut.trajectories.Line(...); got "
-            + ("a hold without its sample" if isinstance(motion, Hold) else type(motion).__name__),
-            name="motion",
-        )
-    given = [
-        name
-        for name, some in (("press", press != 0.0), ("lam", lam is not None), ("F_app", F_app is not None))
-        if some
-    ]
-    if len(given) > 1:
-        raise UsageError(f"pressing takes one of press, lam and F_app; got {' and '.join(given)}", name=given[1])
-    full, count = np.zeros(MAX_MULTIPLIERS), 0
-    if lam is not None:
-        rows = finite_array("lam", lam, unit=UNIT)
-        if rows.ndim != 1 or not 1 <= len(rows) <= MAX_MULTIPLIERS:
-            raise ShapeError(
-                f"lam must be (k,), one for each row of the constraint; got shape {rows.shape}", name="lam"
-            )
-        full[: len(rows)], count = rows, len(rows)
-    wrench = np.zeros(6) if F_app is None else vector("F_app", F_app, 6, unit=UNIT)
-    force = press if callable(press) else _checked_press(press)
-    if isinstance(taken, Sample) and not callable(force):
-        kind = hybrid_kind(type(taken))
-        return kind(taken, read_only([force]), read_only(full), read_only(wrench), read_only([float(count)]))
-    return Pressing(of=taken, press=force, lam=full, F_app=wrench, given=[float(count)])
-
-
-def _checked_press(value: object, t: float | None = None) -> float:
-    force = finite_scalar("press", value, unit="N")
-    if force < 0.0:
-        when = "" if t is None else f" at t = {t:g} s"
-        raise RangeError(
-            f"press must be >= 0 [N], the force into the surface; got {force:g}{when}; a contact cannot pull, and "
-            "for a constraint that holds both ways give lam=",
-            name="press",
-            value=force,
-            rule=">= 0",
-        )
-    return force
+    made = Pressing(motion=taken, press=press, lam=lam, F_app=F_app)
+    return made.at(0.0) if isinstance(taken, Sample) and not callable(press) else made

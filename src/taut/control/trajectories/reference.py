@@ -31,6 +31,7 @@ __all__ = [
     "Trajectory",
     "as_reference",
     "hold",
+    "rows_of",
     "sample_rows",
     "stream",
 ]
@@ -239,48 +240,63 @@ def as_reference(ref: object) -> Reference:
     )
 
 
-def sample_rows(trajectory: Trajectory, times: Float64Array, kind: type[Sample], n: int) -> dict[str, Float64Array]:
-    """A trajectory at many times: each field as an array (k, size), checked.
+def rows_of(motion: Sample | Trajectory, times: Float64Array, kind: type[Sample] = Sample) -> Sample:
+    """Samples of a kind at many times, as arrays (k, ...); one by one where a trajectory does not give them at once.
+
+    Raises:
+        UsageError: It gives another kind of sample.
+        ShapeError: Its samples differ in size.
+    """
+    at_once = getattr(motion, "rows", None)
+    samples = [motion if isinstance(motion, Sample) else motion.at(float(t)) for t in times] if not at_once else []
+    for sample in [at_once(times)] if at_once else samples:
+        if not isinstance(sample, kind):
+            got = sample.described() if isinstance(sample, Sample) else type(sample).__name__
+            raise UsageError(f"the law follows {kind.described()}; the reference gives {got}", name="ref")
+        if at_once:
+            return sample
+    made = type(samples[0])
+    try:
+        return made.of({name: np.stack([getattr(sample, name) for sample in samples]) for name in made.fields(1)})
+    except ValueError as cause:
+        raise ShapeError("the samples of the reference differ in size", name="ref") from cause
+
+
+def sample_rows(
+    motion: Sample | Trajectory, times: Float64Array, kind: type[Sample], n: int
+) -> dict[str, Float64Array]:
+    """A reference at many times: each field as an array (k, size), checked.
 
     Raises:
         UsageError: It gives another kind of sample than the law follows.
         ShapeError: It is for another number of joints.
         RangeError: It gives NaN or infinite numbers; the message names time and field.
     """
-    rows = getattr(trajectory, "rows", None)
-    if rows is not None:
-        sample = rows(times)
-        _check_kind(sample, kind)
-        table = {name: np.asarray(getattr(sample, name), dtype=np.float64) for name in kind.fields(n)}
-    else:
-        samples = [trajectory.at(float(t)) for t in times]
-        for sample in samples:
-            _check_kind(sample, kind)
-            for name, shape in kind.fields(n).items():
-                _check_shape(name, np.shape(getattr(sample, name)), shape)
-        table = {name: np.stack([getattr(s, name) for s in samples]) for name in kind.fields(n)}
+    rows, table = rows_of(motion, times, kind), {}
     for name, shape in kind.fields(n).items():
-        if len(times) == 1 and table[name].ndim == len(shape):
-            table[name] = table[name][np.newaxis]
-        _check_shape(name, table[name].shape[1:], shape)
-        if len(table[name]) != len(times):
+        table[name] = values = np.asarray(getattr(rows, name), dtype=np.float64)
+        if len(times) == 1 and values.ndim == len(shape):
+            table[name] = values = values[np.newaxis]
+        if values.shape[1:] != shape:
             raise ShapeError(
-                f"rows(times) must give one row per time; it gives {len(table[name])} of ref.{name} for {len(times)} "
-                "times",
+                f"ref.{name} must have shape {shape}; the reference gives {values.shape[1:]}", name=f"ref.{name}"
+            )
+        if len(values) != len(times):
+            raise ShapeError(
+                f"rows(times) must give one row per time; it gives {len(values)} for {len(times)} times",
                 name=f"ref.{name}",
             )
-        bad = ~np.isfinite(table[name])
+        bad = ~np.isfinite(values)
         if bad.any():
             row, *entry = np.argwhere(bad)[0]
             raise RangeError(
                 f"{entry_names(f'ref.{name}', entry)} must be finite; the reference gives "
-                f"{float(table[name][row, *entry])!r} at t = {times[row]:g} s",
+                f"{float(values[row, *entry])!r} at t = {times[row]:g} s",
                 name=f"ref.{name}",
                 rule="finite",
             )
-    for name, shape in kind.fields(n).items():
         if shape == (3, 3) and (name == "R" or name.endswith("_R")):
-            _check_rotations(name, table[name], times)
+            _check_rotations(name, values, times)
     return table
 
 
@@ -296,14 +312,3 @@ def _check_rotations(name: str, R: Float64Array, times: Float64Array) -> None:
             value=float(error[row]),
             rule="orthonormal",
         )
-
-
-def _check_shape(name: str, got: tuple[int, ...], shape: tuple[int, ...]) -> None:
-    if got != shape:
-        raise ShapeError(f"ref.{name} must have shape {shape}; the reference gives {got}", name=f"ref.{name}")
-
-
-def _check_kind(sample: object, kind: type[Sample]) -> None:
-    if not isinstance(sample, kind):
-        got = sample.described() if isinstance(sample, Sample) else type(sample).__name__
-        raise UsageError(f"the law follows {kind.described()}; the reference gives {got}", name="ref")

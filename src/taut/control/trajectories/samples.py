@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-from array import array
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
+from io import StringIO
 from typing import Any, Final
 
 import numpy as np
@@ -93,7 +93,7 @@ class Samples(Motion[JointMotion]):
         Raises:
             FileError: No such file, no header, a column or a number that does not fit.
         """
-        header, table = read_rows(path, "t, q1, q2, ...", _joint_columns)
+        header, table = read_rows(path, _joint_columns)
         n = sum(word.startswith("q") for word in header)
         letters = dict.fromkeys(word[0] for word in header[1:])
         parts = {letter: table[:, 1 + k * n : 1 + (k + 1) * n] for k, letter in enumerate(letters)}
@@ -178,7 +178,7 @@ class TaskSamples(Motion[TaskMotion]):
         Raises:
             FileError: No such file, no header, a column or a number that does not fit, a row that is no pose.
         """
-        header, table = read_rows(path, "t, x, y, z, qx, qy, qz, qw", _task_columns)
+        header, table = read_rows(path, _task_columns)
         order = next(word for word, names in ROTATION_COLUMNS.items() if tuple(header[4:]) == names)
         poses = []
         for number, row in enumerate(table, start=1):
@@ -314,13 +314,12 @@ def _through_poses(t: Float64Array, poses: Sequence[Pose]) -> list[TaskMotion]:
 
 
 def read_rows(
-    path: str | os.PathLike[str], example: str, columns: Callable[[Sequence[str]], Sequence[str]]
+    path: str | os.PathLike[str], columns: Callable[[Sequence[str]], Sequence[str]]
 ) -> tuple[list[str], Float64Array]:
     """Header and numbers (rows, columns) of a CSV file whose first column is t.
 
     Args:
         path: The file.
-        example: The columns, as a message names them.
         columns: From the header, what it should be.
 
     Raises:
@@ -335,29 +334,19 @@ def read_rows(
             name=name,
         )
     with file.open(encoding="utf-8-sig", errors="replace") as lines:
-        header = [word.strip() for word in lines.readline().split(",")]
-        if header[0] != "t":
-            raise FileError(
-                f"{file}: the first line must name the columns {example}; got {_quoted(header)}", name=name
-            )
-        expected = list(columns(header))
-        if header != expected:
-            raise FileError(f"{file}: the columns must be {_quoted(expected)}; got {_quoted(header)}", name=name)
-        numbers = array("d")  # a list of lists would be five times as large
-        for number, line in enumerate(lines, start=2):
-            if not line.strip():
-                continue
-            try:
-                row = [float(word) for word in line.split(",")]
-            except ValueError as cause:
-                text = f"{file}, line {number}: not a number: {_quoted([str(cause)])}"
-                raise FileError(text, name=name) from cause
-            if len(row) != len(header):
-                raise FileError(f"{file}, line {number}: {len(header)} numbers are needed; got {len(row)}", name=name)
-            numbers.extend(row)
-    if not numbers:
+        header, numbers = [word.strip() for word in lines.readline().split(",")], lines.read()
+    expected = list(columns(header))
+    if header != expected:
+        raise FileError(f"{file}: the columns must be {_quoted(expected)}; got {_quoted(header)}", name=name)
+    if not numbers.strip():
         raise FileError(f"{file}: there are no samples below the header", name=name)
-    return header, np.array(numbers).reshape(-1, len(header))
+    try:
+        table = np.loadtxt(StringIO(numbers), delimiter=",", ndmin=2, comments=None)
+    except ValueError as cause:
+        raise FileError(f"{file}: below the header, {_quoted([str(cause)])}", name=name) from cause
+    if table.shape[1] != len(header):
+        raise FileError(f"{file}: {len(header)} numbers are needed in a row; got {table.shape[1]}", name=name)
+    return header, table
 
 
 def _quoted(words: Sequence[str]) -> str:

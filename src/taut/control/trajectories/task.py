@@ -1,4 +1,4 @@
-"""Trajectories of the tool: line, screw, circle, and a motion at a constant velocity.
+"""Trajectories of the tool: line, circle, and a motion at a constant velocity.
 
 Twists and accelerations are the exact rates of the pose, in world axes.
 """
@@ -16,17 +16,15 @@ from taut.base.types import Float64Array, Rotation, Vector3
 from taut.control.trajectories.reference import Rows
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.control.trajectories.timing import Motion, ScalingKind, Size, Timing
-from taut.maths.spatial import exp_rows, left_jacobian_inverse, rotation_log, to_body_rates
+from taut.maths.spatial import exp_rows, rotation_log
 from taut.trace.pose import Pose
 
-__all__ = ["Circle", "Line", "Screw", "Steady"]
+__all__ = ["Circle", "Line", "Steady"]
 
 HALF_TURN_TOLERANCE: Final = 1e-9  # [rad] a rotation this close to pi has two ways
 NO_COMPONENT: Final = 1e-6  # a component of a unit vector this small counts as none
 DEGREES: Final = 30.0  # [rad] from which on a round number is one of degrees
 IN_PLANE: Final = 1e-6  # [m] how far from the circle's plane its centre may be
-MIN_SINE: Final = 1e-9  # of an angle below which three points are on one line
-DURATION_ROUNDING: Final = 1e-9  # relative, of a duration that is the shortest one
 
 
 class TaskPath(Motion[TaskMotion]):
@@ -54,20 +52,11 @@ class TaskPath(Motion[TaskMotion]):
         """The path at s (k, 1): p, R, and its derivatives by s in world axes: way, bend, turn, each (k, 3)."""
 
     def _timed(self, size: Size) -> Timing:
-        if (self.velocity is None) != (self.acceleration is None):
-            missing = "velocity" if self.velocity is None else "acceleration"
-            self.refuse("", f"needs {missing} too, as (linear, angular) [{self.declared[missing].unit}]")
-        if self.velocity is None:
-            if self.duration is None:
-                self.refuse("", "needs duration [s], or velocity and acceleration, each (linear, angular)")
+        if self.duration is not None and self.velocity is self.acceleration is None:
             return Timing.lasting(self.scaling, self.duration, max(size.length, size.turn, size.bend))
-        fastest = Timing.fastest(self.scaling, size, self.velocity, self.acceleration)
-        if self.duration is None:
-            return fastest
-        if self.duration < fastest.duration * (1.0 - DURATION_ROUNDING):
-            rule = f"must be >= {fastest.duration:.6g} [s], which velocity and acceleration allow"
-            self.refuse("duration", f"{rule}; got {self.duration:g}", RangeError)
-        return fastest.stretched(self.duration)
+        if self.duration is not None or self.velocity is None or self.acceleration is None:
+            self.refuse("", "needs duration [s], or velocity and acceleration, each (linear, angular)")
+        return Timing.fastest(self.scaling, size, self.velocity, self.acceleration)
 
     def rows(self, times: Float64Array) -> TaskMotion:
         s, rate, second = (x[:, np.newaxis] for x in self.__dict__["_timing"].at(times))
@@ -89,7 +78,7 @@ class Line(TaskPath):
     Args:
         T0: First pose.
         T1: Last pose; it may be the first one.
-        duration: [s]; what the limits need if left out. Afterwards: how long it takes.
+        duration: [s], in place of the limits. Afterwards: how long it takes.
         velocity: (linear, angular) largest speeds [m/s, rad/s].
         acceleration: (linear, angular) largest accelerations [m/s^2, rad/s^2].
         scaling: "quintic", which is minimum jerk; "cubic", whose acceleration jumps at both ends; or "trapezoidal",
@@ -97,8 +86,8 @@ class Line(TaskPath):
             given.
 
     Raises:
-        UsageError: No Pose, neither a duration nor both limits, another scaling.
-        ShapeError, RangeError: Limits that are no pair or not above zero; a duration shorter than they allow.
+        UsageError: No Pose, not a duration or both limits, another scaling.
+        ShapeError, RangeError: Limits that are no pair or not above zero.
 
     Example:
         >>> line = Line(T0=Pose([0.4, 0.0, 0.3]), T1=Pose([0.4, 0.2, 0.3]), duration=2.0)
@@ -119,99 +108,37 @@ class Line(TaskPath):
         return {"p": p, "R": R, "way": way, "bend": np.zeros_like(p), "turn": R0 @ turn}
 
 
-class Screw(TaskPath):
-    """A screw motion: the tool keeps one body twist from T0 to T1, but for its speed.
-
-    T = T_0 exp(s log(T_0^-1 T_1)), with s(t) from 0 to 1: the tool turns about an axis in space and slides along it,
-    and its origin follows a helix. Without rotation it is a straight line. Of two ways by exactly pi it
-    goes that of `Line`.
-
-    Args:
-        T0: First pose.
-        T1: Last pose; it may be the first one.
-        duration: [s]; what the limits need if left out. Afterwards: how long it takes.
-        velocity: (linear, angular) largest speeds of the tool's origin and of its rotation [m/s, rad/s].
-        acceleration: (linear, angular) largest accelerations, of the origin across its way included [m/s^2, rad/s^2].
-        scaling: "quintic", "cubic" or "trapezoidal", as of `Line`.
-
-    Raises:
-        UsageError: No Pose, neither a duration nor both limits, another scaling.
-        ShapeError, RangeError: Limits that are no pair or not above zero; a duration shorter than they allow.
-
-    Example:
-        >>> screw = Screw(T0=Pose([1.0, 0.0, 0.0]), T1=Pose([0.0, 1.0, 0.5], rpy=[0, 0, np.pi / 2]), duration=2.0)
-        >>> screw.at(1.0).p.round(4).tolist()  # on a quarter of a helix about the z axis
-        [0.7071, 0.7071, 0.25]
-
-    References:
-        Lynch and Park, Modern Robotics (2017), section 9.2.1 (straight-line paths in SE(3)).
-    """
-
-    T1: Part[Pose] = Part(Pose)
-
-    def prepared(self) -> Size:
-        w = _rotation_between(self.T0.R, self.T1.R)
-        v = left_jacobian_inverse(w) @ (self.T0.R.T @ (self.T1.p - self.T0.p))
-        self.__dict__.update(_turn=w, _slide=v)
-        return Size(length=_norm(v), bend=_norm(np.cross(w, v)), turn=_norm(w))
-
-    def along(self, s: Float64Array) -> Rows:
-        w, v, R0 = self.__dict__["_turn"], self.__dict__["_slide"], self.T0.R
-        R = R0 @ exp_rows(s * w)
-        # The left Jacobian of a vector is the right one of its opposite.
-        moved, _ = to_body_rates(-s * w, np.broadcast_to(v, (len(s), 3)), np.zeros((len(s), 3)))
-        return {
-            "p": self.T0.p + (s * moved) @ R0.T,
-            "R": R,
-            "way": R @ v,
-            "bend": R @ np.cross(w, v),
-            "turn": R0 @ w,
-        }
-
-
 class Circle(TaskPath):
-    """A circle, or an arc of one, from where the tool is at the start: about an axis, or through two points more.
+    """A circle about an axis, or an arc of one, from where the tool is at the start.
 
     Args:
         T0: First pose; its origin is on the circle.
         centre: (3,) [m].
         axis: (3,) normal of the circle's plane, of any length; the tool goes about it by the right-hand rule.
         angle: [rad] how far; a whole turn by default, negative for the other way round, more for more turns.
-        via: (3,) a point of the arc that it goes through [m], in place of centre, axis and angle, which follow.
-        end: (3,) the point where that arc ends [m].
         orientation: "keep" the first orientation, or "turn" with the circle.
-        duration: [s]; what the limits need if left out. Afterwards: how long it takes.
+        duration: [s], in place of the limits. Afterwards: how long it takes.
         velocity: (linear, angular) largest speeds [m/s, rad/s].
         acceleration: (linear, angular) largest accelerations, towards the centre included [m/s^2, rad/s^2].
         scaling: "quintic", "cubic" or "trapezoidal", as of `Line`.
 
     Raises:
-        UsageError: No Pose, neither a duration nor both limits, another word.
+        UsageError: No Pose, not a duration or both limits, another word.
         ShapeError: A wrong number of entries.
-        RangeError: No axis, a centre that is T0 itself or off the plane, a duration shorter than the limits allow.
+        RangeError: No axis, a centre that is T0 itself or off the plane.
 
     Example:
         >>> ring = Circle(T0=Pose([0.5, 0.0, 0.3]), centre=[0.4, 0.0, 0.3], axis=[0, 0, 1], duration=4.0)
         >>> ring.at(2.0).p.round(6).tolist(), round(ring.radius, 6)
         ([0.3, 0.0, 0.3], 0.1)
-        >>> arc = Circle(T0=Pose([0.5, 0.0, 0.3]), via=[0.4, 0.1, 0.3], end=[0.3, 0.0, 0.3], duration=1.0)
-        >>> round(arc.angle, 9) == round(np.pi, 9)
-        True
     """
 
-    centre: Field = Field(unit="m", shape=3, optional=True)
-    axis: Field = Field(shape=3, optional=True)
+    centre: Field = Field(unit="m", shape=3)
+    axis: Field = Field(shape=3)
     angle: Field = Field(2.0 * np.pi, unit="rad", run_time=False)
-    via: Field = Field(unit="m", shape=3, optional=True)
-    end: Field = Field(unit="m", shape=3, optional=True)
     orientation: Choice[Literal["keep", "turn"]] = Choice("keep", "turn")
 
     def prepared(self) -> Size:
-        given = [name for name in ("centre", "axis", "via", "end") if getattr(self, name) is not None]
-        if given == ["via", "end"] and "angle" not in self.specified:
-            self._through_points()
-        elif given != ["centre", "axis"]:
-            self.refuse("", "takes centre and axis, with an angle where it is no whole turn; or via and end")
         angle, axis = self.angle, self.axis
         if abs(angle) >= DEGREES and abs(angle) % 5.0 == 0.0:
             rule = f"must be in radians; got {angle:g}; if it is in degrees, np.radians({angle:g}) converts it"
@@ -232,18 +159,6 @@ class Circle(TaskPath):
         self.__dict__.update(centre=centre, axis=axis, _spoke=spoke)
         length = abs(angle) * _norm(spoke)
         return Size(length=length, bend=abs(angle) * length, turn=abs(angle) if self.orientation == "turn" else 0.0)
-
-    def _through_points(self) -> None:
-        """Centre, axis and angle of the arc from T0 through `via` to `end`, in their place."""
-        b, c = self.via - self.T0.p, self.end - self.T0.p
-        normal = np.cross(b, c)
-        if _norm(normal) <= MIN_SINE * _norm(b) * _norm(c):
-            rule = "must make a circle with T0 and end: three different points that are not on one line"
-            self.refuse("via", f"{rule}; for a straight line take taut.trajectories.Line", RangeError)
-        spoke = np.cross((c @ c) * b - (b @ b) * c, normal) / (2.0 * (normal @ normal))  # from the centre to T0
-        axis = normal / _norm(normal)
-        angle = float(np.arctan2((c + spoke) @ np.cross(axis, spoke), (c + spoke) @ spoke)) % (2.0 * np.pi)
-        self.__dict__.update(centre=self.T0.p - spoke, axis=axis, angle=angle, via=None, end=None)
 
     @property
     def radius(self) -> float:

@@ -110,19 +110,6 @@ class Timing:
             by_acceleration = (1.0 + GRID_ERROR) * max(linear / acceleration[0], angular / acceleration[1])
         return cls(kind=kind, duration=max(by_speed, math.sqrt(by_acceleration)), distance=distance)
 
-    def stretched(self, duration: float) -> Timing:
-        """The same motion in another time [s]."""
-        if self.duration == 0.0:
-            return Timing.lasting(self.kind, duration, self.distance)
-        slower = self.duration / duration
-        return Timing(
-            kind=self.kind,
-            duration=duration,
-            rate=slower * self.rate,
-            acceleration=slower * slower * self.acceleration,
-            distance=self.distance,
-        )
-
     @classmethod
     def lasting(cls, kind: ScalingKind, duration: float, distance: float) -> Timing:
         """A motion in a given time [s]; of a trapezoid a third each for ramp, cruise and ramp."""

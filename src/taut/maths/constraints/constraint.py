@@ -7,26 +7,29 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.base.errors import UsageError
-from taut.base.types import ArrayLike, Float64Array, Twist, Vector
-from taut.maths.constraints import functions
-from taut.maths.constraints.functions import is_timed, of_moments, of_poses, of_velocity, rows_of, sides
-from taut.maths.constraints.rows import ConstraintRows, OfJoints, OfJointVelocity, OfPoses, OfVelocity, Piece, joined
+from taut.base.checks import finite_array, positive_scalar, read_only
+from taut.base.errors import RangeError, ShapeError, UsageError
+from taut.base.types import Array, ArrayLike, Float64Array
+from taut.maths.constraints.rows import ConstraintRows, Piece, Surface, joined, of_joints, of_poses
 from taut.maths.snapshot import Snapshot
+from taut.maths.spatial import rotation_log
 from taut.trace import math as tm
 from taut.trace.pose import Pose
 
 __all__ = ["Constraint"]
 
+NO_LENGTH: Final = 1e-9  # of a direction
+MIN_SQUARE: Final = 1e-24  # [m^2] keeps a root from zero, where it has no slope
+
 
 @dataclass(frozen=True, kw_only=True, init=False, eq=False)
 class Constraint:
-    """What holds the tool: phi(T) = 0, a function of its pose; natural constraints of section 10.4.1.
+    """Constraint of the tool: phi(T) = 0, a function of its pose; natural constraints of section 10.4.1.
 
     Law:          phi(T, t) = 0;  A(T) V + d phi/dt = 0;  A V-dot + A-dot V + ... = 0            eqs. 10.39, 10.41
                   F_app = A^T lam is what the arm can apply against it: k forces, and n - k motions are free
@@ -69,7 +72,7 @@ class Constraint:
 
     @classmethod
     def of(cls, pieces: Sequence[Piece]) -> Self:
-        """That of several functions at once; of constraints one writes `one + other`."""
+        """A constraint of several functions at once; of constraints one writes `one + other`."""
         made = object.__new__(cls)
         object.__setattr__(made, "pieces", tuple(pieces))
         return made
@@ -81,22 +84,22 @@ class Constraint:
 
     @property
     def one_sided(self) -> tuple[bool, ...]:
-        """(k,) whether each row is phi >= 0."""
+        """(k,) true for rows phi >= 0."""
         return tuple(side for piece in self.pieces for side in piece.one_sided)
 
     @property
     def moments(self) -> tuple[bool, ...]:
-        """(k,) whether each row holds rotations only, so that its multiplier is a moment."""
-        return tuple(moment for piece in self.pieces for moment in of_moments(piece))
+        """(k,) true for rows that hold rotations only, whose multipliers are moments."""
+        return tuple(moment for piece in self.pieces for moment in piece.moments)
 
     @property
     def surface(self) -> bool:
-        """Whether the first row can be pressed against: it is one-sided, or one function of poses.
+        """The first row can be pressed against: it is one-sided, or one function of poses.
 
         A function of poses alone is positive on its free side.
         """
         first = self.pieces[0]
-        return self.one_sided[0] or (isinstance(first, OfPoses) and first.count == 1)
+        return self.one_sided[0] or (bool(first.frames) and first.count == 1 and not first.pfaffian)
 
     @property
     def frame(self) -> tuple[str | None] | None:
@@ -143,36 +146,15 @@ class Constraint:
             )
 
     def of_pose(self, T: Pose, t: float = 0.0) -> Float64Array:
-        """(k,) phi of a pose of the one frame that it is a function of; zero for constraints of velocities.
-
-        Raises:
-            UsageError: It is one of joints or of several frames.
-        """
-        if self.frame is None:
-            raise UsageError("a constraint of joints or of several frames has no phi of one pose", name="constraint")
-        return np.asarray(self.phi_of(T, t), dtype=np.float64)
-
-    def phi_of(self, T: Pose, t: Any) -> Vector:
-        """The same of symbols, for laws."""
-        return joined(p.phi([T], t) if isinstance(p, OfPoses) else np.zeros(p.count) for p in self.pieces)
-
-    def slip_of(self, T: Pose, V: Twist) -> Vector:
-        """(k,) A V of the rows of velocities at a pose of the one frame, 0 of the others; of symbols too."""
-        return joined(
-            p.of_twist(T, 0.0)[0] @ V if isinstance(p, OfVelocity) else np.zeros(p.count) for p in self.pieces
-        )
+        """(k,) phi of a pose of the one frame that it is a function of; zero for constraints of velocities."""
+        assert self.frame is not None
+        return np.concatenate([np.asarray(piece.phi([T], t), dtype=np.float64) for piece in self.pieces])
 
     def of_twist(self, T: Pose, t: float = 0.0) -> tuple[Float64Array, Float64Array]:
-        """A (k, 6) per world-aligned twist of the one frame that it is a function of, at a pose; and dphi/dt (k,).
-
-        Raises:
-            UsageError: It is one of joints or of several frames.
-        """
-        if self.frame is None:
-            raise UsageError("a constraint of joints or of several frames has no A of one twist", name="constraint")
-        rows = [p.of_twist(T, t) for p in self.pieces if isinstance(p, (OfPoses, OfVelocity))]
-        A = np.concatenate([np.asarray(A, dtype=np.float64) for A, _ in rows])
-        return A, np.concatenate([np.asarray(phi_t, dtype=np.float64) for _, phi_t in rows])
+        """A (k, 6) per world-aligned twist of the one frame that it is a function of, at a pose; and dphi/dt (k,)."""
+        assert self.frame is not None
+        A = [np.asarray(piece.slope([T], t), dtype=np.float64) for piece in self.pieces]
+        return np.concatenate(A), np.concatenate([np.asarray(p.phi_t([T], t), dtype=np.float64) for p in self.pieces])
 
     def __add__(self, other: Constraint) -> Constraint:
         if not isinstance(other, Constraint):
@@ -192,9 +174,7 @@ class Constraint:
             rows: How many.
             one_sided: As for a constraint of the pose.
         """
-        timed = is_timed("function", function, 1)
-        count = rows_of(rows)
-        return cls.of([OfJoints(function=function, timed=timed, count=count, one_sided=sides(one_sided, count))])
+        return cls.of([of_joints(function, rows, one_sided)])
 
     @classmethod
     def pfaffian_of_joints(cls, function: Callable[..., Any], *, rows: int = 1) -> Self:
@@ -210,8 +190,7 @@ class Constraint:
             >>> geared.at(taut.snapshot(taut.load_arm("planar2"), [0.1, 0.2])).A_q.tolist()
             [[1.0, -2.0]]
         """
-        is_timed("function", function, 1, may_be=False)
-        return cls.of([OfJointVelocity(function=function, count=rows_of(rows))])
+        return cls.of([of_joints(function, rows, pfaffian=True)])
 
     @classmethod
     def pfaffian(cls, function: Callable[[Pose], Any], *, frame: str | None = None) -> Self:
@@ -221,7 +200,7 @@ class Constraint:
             function: Takes the Pose of the tool and gives A, (6,) or (k, 6), per twist in world axes at its origin.
             frame: The frame; the arm's tool if left out.
         """
-        return cls.of([of_velocity(function, frame)])
+        return cls.of([of_poses(function, (frame,), pfaffian=True)])
 
     @classmethod
     def knife_edge(cls, *, sideways: ArrayLike, frame: str | None = None) -> Self:
@@ -233,7 +212,7 @@ class Constraint:
             sideways: (3,) the wheel's axle, or the normal of the blade, in the tool's axes.
             frame: The frame; the arm's tool if left out.
         """
-        side = functions.unit("sideways", sideways)
+        side = _unit("sideways", sideways)
         return cls.pfaffian(lambda T: tm.array([*(T.R @ side), 0.0, 0.0, 0.0]), frame=frame)
 
     @classmethod
@@ -261,8 +240,27 @@ class Constraint:
             period: Of that [s].
             frame: The frame; the arm's tool if left out.
         """
-        phi, surface = functions.plane(point, normal, face, velocity, sway, period)
-        return cls.of([of_poses(phi, (frame,), one_sided if face is None else (one_sided, False, False), surface)])
+        p, n = _three("point", point, "m"), _unit("normal", normal)
+        speed, half = float(n @ _three("velocity", velocity, "m/s")), 0.5 * float(n @ _three("sway", sway, "m"))
+        omega = 2.0 * np.pi / positive_scalar("period", period, unit="s")
+        flat = None if face is None else _unit("face", face)
+        e1, e2 = _across(n)
+
+        def displacement(t: Any) -> Any:
+            return speed * t + half * (1.0 - tm.cos(omega * t))
+
+        def phi(T: Pose, t: Any) -> Array:
+            rows = [n @ (T.p - p) - displacement(t)]
+            if flat is not None:
+                looks = -(T.R @ flat)
+                # The rates of these rows at phi = 0 are the two rotations that tilt the face.
+                rows += [-(e2 @ looks), e1 @ looks]
+            return tm.array(rows)
+
+        moves = bool(speed or half)
+        surface = Surface(kind="plane", point=p, axis=n, displacement=displacement if moves else None)
+        each = one_sided if face is None else (one_sided, False, False)
+        return cls.of([of_poses(phi if moves else lambda T: phi(T, 0.0), (frame,), each, surface=surface)])
 
     @classmethod
     def point(
@@ -283,8 +281,10 @@ class Constraint:
             one_sided: Whether the surface only pushes.
             frame: The frame; the arm's tool if left out.
         """
-        phi, surface = functions.point(point, normal)
-        return cls.of([of_poses(phi, (frame,), (one_sided, False, False), surface)])
+        c, n = _three("point", point, "m"), _unit("normal", normal)
+        axes, surface = np.array([n, *_across(n)]), Surface(kind="plane", point=c, axis=n)
+        sides = (one_sided, False, False)
+        return cls.of([of_poses(lambda T: tm.array(list(axes @ (T.p - c))), (frame,), sides, surface=surface)])
 
     @classmethod
     def sphere(
@@ -297,8 +297,9 @@ class Constraint:
         frame: str | None = None,
     ) -> Self:
         """The tool's origin on a sphere: outside of it, or in its hollow."""
-        phi, surface = functions.sphere(center, radius, inside=inside)
-        return cls.of([of_poses(phi, (frame,), one_sided, surface)])
+        c, r = _three("center", center, "m"), positive_scalar("radius", radius, unit="m")
+        sign, surface = -1.0 if inside else 1.0, Surface(kind="sphere", point=c, radius=r, inside=inside)
+        return cls.of([of_poses(lambda T: sign * (_size(T.p - c) - r), (frame,), one_sided, surface=surface)])
 
     @classmethod
     def cylinder(
@@ -312,13 +313,20 @@ class Constraint:
         frame: str | None = None,
     ) -> Self:
         """The tool's origin on a cylinder about an axis through a point: outside of it, or in its hollow."""
-        phi, surface = functions.cylinder(point, axis, radius, inside=inside)
-        return cls.of([of_poses(phi, (frame,), one_sided, surface)])
+        c, u, r = _three("point", point, "m"), _unit("axis", axis), positive_scalar("radius", radius, unit="m")
+        sign, surface = -1.0 if inside else 1.0, Surface(kind="cylinder", point=c, axis=u, radius=r, inside=inside)
+
+        def phi(T: Pose) -> Any:
+            d = T.p - c
+            return sign * (_size(d - (u @ d) * u) - r)
+
+        return cls.of([of_poses(phi, (frame,), one_sided, surface=surface)])
 
     @classmethod
     def line(cls, *, point: ArrayLike, axis: ArrayLike, frame: str | None = None) -> Self:
         """The tool's origin on a straight line through a point, along an axis, its rotation free: two rows."""
-        return cls.of([of_poses(functions.line(point, axis), (frame,), False)])
+        c, (e1, e2) = _three("point", point, "m"), _across(_unit("axis", axis))
+        return cls.of([of_poses(lambda T: tm.array([e1 @ (T.p - c), e2 @ (T.p - c)]), (frame,))])
 
     @classmethod
     def hinge(cls, *, point: ArrayLike, axis: ArrayLike, T: Pose, frame: str | None = None) -> Self:
@@ -330,7 +338,17 @@ class Constraint:
             T: A pose of the tool that it can be in.
             frame: The frame; the arm's tool if left out.
         """
-        return cls.of([of_poses(functions.hinge(point, axis, T), (frame,), False)])
+        if not isinstance(T, Pose):  # callers without a type checker
+            raise UsageError(f"T must be a taut.Pose, one that the hinge allows; got {type(T).__name__}", name="T")
+        c, u = _three("point", point, "m"), _unit("axis", axis)
+        own, (e1, e2) = T.inverse(), _across(u)
+        c_E, u_E = own.R @ c + own.p, own.R @ u
+
+        def phi(now: Pose) -> Array:
+            turned = now.R @ u_E
+            return tm.array([*(now.R @ c_E + now.p - c), e1 @ turned, e2 @ turned])
+
+        return cls.of([of_poses(phi, (frame,))])
 
     @classmethod
     def grasp(cls, first: str, second: str, *, T: Pose | None = None) -> Self:
@@ -344,7 +362,17 @@ class Constraint:
             second: Another, on another branch.
             T: Pose of the second in the first; the two coincide if left out.
         """
-        return cls.of([of_poses(functions.grasp(T), (first, second), False)])
+        if not isinstance(T, Pose | None):  # callers without a type checker
+            raise UsageError(
+                f"T must be a taut.Pose, of the second frame in the first; got {type(T).__name__}", name="T"
+            )
+        own = Pose() if T is None else T
+
+        def phi(a: Pose, b: Pose) -> Array:
+            seen = a.R.T @ b.R
+            return tm.array([*(a.R.T @ (b.p - a.p) - own.p), *rotation_log(seen @ own.R.T)])
+
+        return cls.of([of_poses(phi, (first, second))])
 
     @classmethod
     def pin(
@@ -357,7 +385,39 @@ class Constraint:
             second: Another, on another branch.
             directions: (k, 3) in which they coincide, in world axes; all three if left out, two for a planar chain.
         """
-        return cls.of([of_poses(functions.pin(directions), (first, second), False)])
+        rows = finite_array("directions", directions)
+        if rows.ndim != 2 or rows.shape[1] != 3:
+            raise ShapeError(f"directions must be (k, 3); got shape {rows.shape}", name="directions")
+        return cls.of([of_poses(lambda a, b: tm.array(list(rows @ (b.p - a.p))), (first, second))])
 
     def __repr__(self) -> str:
         return f"Constraint({self.count} {'row' if self.count == 1 else 'rows'})"
+
+
+def _three(name: str, value: ArrayLike, unit: str = "") -> Float64Array:
+    return finite_array(name, value, shape=(3,), unit=unit)
+
+
+def _unit(name: str, value: ArrayLike) -> Float64Array:
+    """(3,) a direction, of length 1.
+
+    Raises:
+        RangeError: It has no length.
+    """
+    vector = _three(name, value)
+    length = float(np.linalg.norm(vector))
+    if length < NO_LENGTH:
+        raise RangeError(f"{name} must have a length, as [0, 0, 1]; got {vector.tolist()}", name=name)
+    return read_only(vector / length)
+
+
+def _size(d: Array) -> Any:
+    return tm.sqrt(d @ d + MIN_SQUARE)
+
+
+def _across(u: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Two directions that make a right-handed frame with u as its third: x and y where u is z."""
+    start = np.eye(3)[int(np.argmin(np.abs(u)))] if abs(u[2]) < 1.0 - 1e-12 else np.array([1.0, 0.0, 0.0])
+    e1 = start - (u @ start) * u
+    e1 = e1 / np.linalg.norm(e1)
+    return e1, np.cross(u, e1)

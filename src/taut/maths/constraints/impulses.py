@@ -17,7 +17,7 @@ SLIDING_ROUNDS: Final = 3  # of the direction of sliding, which depends on the n
 CONTACT_NEWTON_STEPS: Final = 3  # of Newton's method for all contacts at once
 SLACK: Final = 1e-11  # of the diagonal, so that contacts that share a load need not be independent
 JAMMED: Final = 1e-3  # least share of a normal mobility that friction leaves; below it rigid bodies jam
-NOTHING: Final = 1e-30
+MIN_SLIDING: Final = 1e-30  # of squares of velocities: keeps quotients finite at rest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,7 +189,7 @@ def _sliding(W: Matrix, z: Sequence[Any], c: Any, speed: Any) -> tuple[tuple[Any
     s, and exactly so where W is the same in all directions.
     """
     size = tm.sqrt(z[0] * z[0] + z[1] * z[1])
-    least = 1e-12 * size + NOTHING
+    least = 1e-12 * size + MIN_SLIDING
     s = tm.maximum(size - c * (W[0, 0] + W[1, 1]) if speed is None else speed, least)
 
     def solved(b: Sequence[Any]) -> tuple[Any, Any]:
@@ -201,9 +201,9 @@ def _sliding(W: Matrix, z: Sequence[Any], c: Any, speed: Any) -> tuple[tuple[Any
     slower = solved(d)
     square = d[0] * d[0] + d[1] * d[1]
     fall = d[0] * slower[0] + d[1] * slower[1]
-    s = tm.maximum(s + (tm.sqrt(square) - 1.0) * square / (fall + NOTHING), least)
+    s = tm.maximum(s + (tm.sqrt(square) - 1.0) * square / (fall + MIN_SLIDING), least)
     d = solved(z)
-    size = 1.0 / tm.sqrt(d[0] * d[0] + d[1] * d[1] + NOTHING)
+    size = 1.0 / tm.sqrt(d[0] * d[0] + d[1] * d[1] + MIN_SLIDING)
     return (d[0] * size, d[1] * size), s
 
 
@@ -218,7 +218,7 @@ def _turn(W: Matrix, r: Vector, touch: Touch, p: list[Any], most: Any) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class _Mode:
-    """How a contact behaves at some impulses, and what Newton's method needs of it.
+    """Behaviour of a contact at some impulses, and what Newton's method needs of it.
 
     With z = p_t - step u_t its friction is z where |z| is within the cone, and else shortened to its border:
     p_t = share z = most d.
@@ -277,7 +277,7 @@ def _modes(
                 signed = choose(p[n] < 0.0, -friction, friction)
             step = 2.0 / _sum(0.0, ((_firm_entry(W, i), 1.0) for i in touch.tangents))
             z = [p[i] - step * u[i] for i in touch.tangents]
-            size = tm.sqrt(z[0] * z[0] + z[1] * z[1] + NOTHING)
+            size = tm.sqrt(z[0] * z[0] + z[1] * z[1] + MIN_SLIDING)
             share = tm.maximum(signed * p[n], 0.0) / size
             sticks = both(on, share >= 1.0)
             missed += [p[i] - choose(on, tm.minimum(share, 1.0) * z[k], 0.0) for k, i in enumerate(touch.tangents)]
@@ -360,7 +360,7 @@ def _sum(start: Any, products: Any) -> Any:
 
 
 def both(a: Any, b: Any) -> Any:
-    """Whether both hold; either may be known when traced."""
+    """Both hold; either may be known when traced."""
     if isinstance(a, bool):
         return b if a else False
     if isinstance(b, bool):
@@ -369,7 +369,7 @@ def both(a: Any, b: Any) -> Any:
 
 
 def opposite(a: Any) -> Any:
-    """Whether it does not hold."""
+    """It does not hold."""
     return not a if isinstance(a, bool) else ~a
 
 

@@ -1,40 +1,35 @@
-"""The rows of a constraint at one state, and what they come from: functions of poses, of joints, of velocities."""
+"""The rows of a constraint at one state, and the functions of poses and joints that they come from."""
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from dataclasses import dataclass, field, replace
+from typing import Any, Final, Literal
 
 import numpy as np
 
-from taut.base.errors import ShapeError
-from taut.base.types import Array, Matrix, Twist, Vector
+from taut.base.errors import RangeError, ShapeError, TautError, UsageError, count_of, raised_location
+from taut.base.types import Array, Float64Array, Matrix, Vector
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import moved
 from taut.trace import math as tm
 from taut.trace.linalg import LTDL, factor_spd
 from taut.trace.pose import Pose
 
-if TYPE_CHECKING:
-    from taut.maths.constraints.functions import Surface
-
-__all__ = [
-    "MIN_INDEPENDENT_PART",
-    "ConstraintRows",
-    "OfJointVelocity",
-    "OfJoints",
-    "OfPoses",
-    "OfVelocity",
-    "Piece",
-    "each_moved",
-    "joined",
-]
-
+__all__ = ["MIN_INDEPENDENT_PART", "ConstraintRows", "Piece", "Surface", "joined", "of_joints", "of_poses"]
 
 MIN_INDEPENDENT_PART: Final = (
     1e-7  # of a row's square, what it has that later rows have not: below it, it is left out
 )
+MAX_ROWS: Final = 6  # of one function of poses
+NO_FORCE: Final = 1e-9  # of a gradient: below it that is rounding
+SOMEWHERE: Final = (  # where functions are tried
+    Pose([0.4, -0.3, 0.5], rpy=[0.3, -0.4, 0.5]),
+    Pose([-0.7, 0.2, 0.9], rpy=[-1.2, 0.6, 2.0]),
+    Pose([0.1, 0.8, -0.2], rpy=[2.1, 0.2, -0.8]),
+)
+TRIED_AT: Final = 0.3  # [s]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,277 +51,277 @@ class ConstraintRows:
 
     @property
     def factors(self) -> LTDL:
-        """Of A A^T, without rows that depend on later ones."""
+        """Factors of A A^T, without rows that depend on later ones."""
         assert self.A is not None
         return factor_spd(self.A @ self.A.T, MIN_INDEPENDENT_PART)
 
-    @property
-    def rate(self) -> Callable[[Vector], Vector]:
-        """d phi / dt of joint speeds."""
-        return lambda v: self.A_q @ v + self.phi_t
-
-
-class Piece(Protocol):
-    """One function of a constraint."""
-
-    @property
-    def count(self) -> int:
-        """Number of rows."""
-        ...
-
-    @property
-    def one_sided(self) -> tuple[bool, ...]:
-        """Of each row."""
-        ...
-
-    @property
-    def frames(self) -> tuple[str | None, ...]:
-        """What it is a function of; none for a function of joints."""
-        ...
-
-    def at(self, x: Snapshot) -> ConstraintRows:
-        """Its rows at a state."""
-        ...
+    def rate(self, v: Vector) -> Vector:
+        """(k,) d phi / dt of joint speeds."""
+        out: Vector = self.A_q @ v + self.phi_t
+        return out
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class OfPoses:
-    """phi of the poses of frames, and of time."""
+class Surface:
+    """The surface on which the first row of a ready-made constraint is zero, for films."""
+
+    kind: Literal["plane", "sphere", "cylinder"]
+    point: Float64Array  # (3,) [m] of the plane, at time 0; the centre; a point of the axis
+    axis: Float64Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))  # (3,) normal or axis
+    radius: float = 0.0  # [m]
+    inside: bool = False  # whether the tool is in its hollow
+    displacement: Callable[[float], float] | None = None  # [m] of the plane along its normal, by time
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Piece:
+    """One function of a constraint: phi of the poses of frames, or of the joints, and of time.
+
+    A Pfaffian one gives A itself, per twist of the one frame or per joint speed, and has no phi.
+    """
 
     function: Callable[..., Any]
-    frames: tuple[str | None, ...]
+    frames: tuple[str | None, ...]  # none for a function of joints
+    pfaffian: bool
     timed: bool
     count: int
     one_sided: tuple[bool, ...]
+    moments: tuple[bool, ...]  # (k,) whether a row holds rotations only; one of joints counts as a force
     surface: Surface | None = None  # that of the first row, where it is declared
 
-    def phi(self, poses: Sequence[Pose], t: Any) -> Vector:
-        """(k,)."""
-        value = self.function(*poses, t) if self.timed else self.function(*poses)
-        out: Vector = tm.array([value]) if np.ndim(value) == 0 else tm.array(list(value))
-        if out.shape != (self.count,):
+    def value(self, place: Sequence[Any], t: Any) -> Array:
+        """Phi (k,), or A of a Pfaffian one, at the poses of its frames, or at the joints.
+
+        Raises:
+            ShapeError: The function gives something else.
+        """
+        given = self.function(*place, t) if self.timed else self.function(*place)
+        try:
+            if given is None or isinstance(given, (str, dict, set)):
+                raise TypeError
+            out: Array = tm.array(list(given)) if np.ndim(given) else tm.array([given])
+        except (TypeError, ValueError):
             raise ShapeError(
-                f"a constraint function must give as many numbers in every pose; got {self.count} and {len(out)}",
+                f"the function of a constraint must give numbers; got {type(given).__name__}", name="function"
+            ) from None
+        shape: tuple[int, ...] = (self.count,)
+        if self.pfaffian:
+            shape, out = (self.count, 6 if self.frames else len(place[0])), out if out.ndim == 2 else tm.array([out])
+        if out.shape != shape:
+            hint = "" if self.frames or len(out) == self.count else f"; say rows={len(out)}"
+            raise ShapeError(
+                f"the function of a constraint of {count_of(self.count, 'row')} must give numbers of shape {shape} "
+                f"everywhere; got {out.shape}{hint}",
                 name="function",
             )
         return out
 
+    def slope(self, place: Sequence[Any], t: Any) -> Matrix:
+        """A, per twists of all its frames (k, 6 m), or per joint speed (k, n)."""
+        if self.pfaffian:
+            return self.value(place, t)
+        zero = np.zeros(6 * len(self.frames) if self.frames else len(place[0]))
+        out: Matrix = tm.jacobian(lambda step: self.value(self._moved(place, step), t), zero)
+        return out
+
+    def phi(self, place: Sequence[Any], t: Any) -> Vector:
+        """(k,) zero for a Pfaffian one."""
+        return np.zeros(self.count) if self.pfaffian else self.value(place, t)
+
+    def phi_t(self, place: Sequence[Any], t: Any) -> Vector:
+        """(k,) d phi / dt while nothing moves."""
+        if not self.timed:
+            return np.zeros(self.count)
+        out: Vector = tm.jacobian(lambda s: self.value(place, s[0]), tm.array([t]))[:, 0]
+        return out
+
     def at(self, x: Snapshot) -> ConstraintRows:
         """Its rows at a state."""
-        poses, t, m = [x.T(frame) for frame in self.frames], x.t, len(self.frames)
-        A = self.slope(poses, t)
-        twists = tm.array([entry for frame in self.frames for entry in x.twist(frame)])
+        t = x.t
+        place: list[Any] = [x.T(frame) for frame in self.frames] or [x.q]
+        motion = tm.array([entry for frame in self.frames for entry in x.twist(frame)]) if self.frames else x.v
+        A = self.slope(place, t)
 
-        def along(times: Array) -> Vector:
-            rate = 1.0 if self.timed else 0.0
+        def rate(times: Array) -> Vector:
+            """(k,) of phi after a time, along the motion."""
+            later = self._moved(place, times[0] * motion)
+            if self.pfaffian:
+                out: Vector = self.value(later, t) @ motion
+                return out
 
             def again(more: Array) -> Vector:
-                there = each_moved(each_moved(poses, times[0] * twists), more[0] * twists)
-                return self.phi(there, t + rate * (times[0] + more[0]))
+                return self.value(
+                    self._moved(later, more[0] * motion), t + (times[0] + more[0] if self.timed else 0.0)
+                )
 
-            out: Vector = tm.jacobian(again, np.zeros(1))[:, 0]
-            return out
+            found: Vector = tm.jacobian(again, np.zeros(1))[:, 0]
+            return found
 
-        curvature = tm.jacobian(along, np.zeros(1))[:, 0]
-        A_q, falling = _through(A, [x.J(frame) for frame in self.frames], [x.Jdot_v(frame) for frame in self.frames])
+        curvature = tm.jacobian(rate, np.zeros(1))[:, 0]
+        A_q: Any = 0.0 if self.frames else A
+        falling: Any = 0.0 if self.frames else np.zeros(self.count)
+        for i, frame in enumerate(self.frames):
+            part = A[:, 6 * i : 6 * i + 6]
+            A_q, falling = A_q + part @ x.J(frame), falling + part @ x.Jdot_v(frame)
         return ConstraintRows(
-            phi=self.phi(poses, t),
-            A=A if m == 1 else None,
+            phi=self.phi(place, t),
+            A=A if len(self.frames) == 1 else None,
             A_q=A_q,
-            phi_t=self._phi_t(poses, t),
+            phi_t=self.phi_t(place, t),
             bias=curvature + falling,
             curvature=curvature,
             one_sided=self.one_sided,
         )
 
-    def slope(self, poses: Sequence[Pose], t: Any) -> Matrix:
-        """(k, 6 m) A of the twists of all frames."""
-        zero = np.zeros(6 * len(self.frames))
-        out: Matrix = tm.jacobian(lambda step: self.phi(each_moved(poses, step), t), zero)
-        return out
-
-    def _phi_t(self, poses: Sequence[Pose], t: Any) -> Vector:
-        out: Vector = np.zeros(self.count)
-        if self.timed:
-            out = tm.jacobian(lambda s: self.phi(poses, s[0]), tm.array([t]))[:, 0]
-        return out
-
-    def of_twist(self, T: Pose, t: Any) -> tuple[Matrix, Vector]:
-        """A and dphi/dt at a pose of its one frame."""
-        return self.slope([T], t), self._phi_t([T], t)
-
-
-def each_moved(poses: Sequence[Pose], steps: Array) -> list[Pose]:
-    """Poses after a small step of a world-aligned twist each, (6 m,), to first order."""
-    return [moved(T, steps[6 * i : 6 * i + 6]) for i, T in enumerate(poses)]
-
-
-def _through(A: Matrix, Js: Sequence[Matrix], rates: Sequence[Twist]) -> tuple[Matrix, Vector]:
-    """A J and A J-dot v, summed over the frames."""
-    A_q: Any = 0.0
-    falling: Any = 0.0
-    for i, (J, rate) in enumerate(zip(Js, rates, strict=True)):
-        part = A[:, 6 * i : 6 * i + 6]
-        A_q, falling = A_q + part @ J, falling + part @ rate
-    return A_q, falling
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class OfJoints:
-    """phi of the joints, and of time."""
-
-    function: Callable[..., Any]
-    timed: bool
-    count: int
-    one_sided: tuple[bool, ...]
-
-    @property
-    def frames(self) -> tuple[str | None, ...]:
-        return ()
-
-    def phi(self, q: Vector, t: Any) -> Vector:
-        value = self.function(q, t) if self.timed else self.function(q)
-        given = _numbers("the function of a Constraint.of_joints", value)
-        out: Vector = tm.array([given[()]]) if given.ndim == 0 else given
-        if out.ndim != 1:
-            raise ShapeError(
-                f"the function of a Constraint.of_joints must give a number or (k,) numbers; got shape {out.shape}",
-                name="function",
-            )
-        if out.shape != (self.count,):
-            raise ShapeError(
-                f"the function of a Constraint.of_joints gives {len(out)} numbers, and it was made with "
-                f"rows={self.count}; say rows={len(out)}",
-                name="rows",
-            )
-        return out
-
-    def at(self, x: Snapshot) -> ConstraintRows:
-        q, v, t = x.q, x.v, x.t
-        rate = 1.0 if self.timed else 0.0
-
-        def along(times: Array) -> Vector:
-            out: Vector = tm.jacobian(lambda s: self.phi(q + s[0] * v, t + rate * s[0]), tm.array([times[0]]))[:, 0]
-            return out
-
-        curvature = tm.jacobian(along, np.zeros(1))[:, 0]
-        phi_t: Vector = np.zeros(self.count)
-        if self.timed:
-            phi_t = tm.jacobian(lambda s: self.phi(q, s[0]), tm.array([t]))[:, 0]
-        return ConstraintRows(
-            phi=self.phi(q, t),
-            A=None,
-            A_q=tm.jacobian(lambda y: self.phi(y, t), q),
-            phi_t=phi_t,
-            bias=curvature,
-            curvature=curvature,
-            one_sided=self.one_sided,
-        )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class OfVelocity:
-    """A(T) V = 0 alone."""
-
-    function: Callable[[Pose], Any]
-    frames: tuple[str | None, ...]
-    count: int
-
-    @property
-    def one_sided(self) -> tuple[bool, ...]:
-        return (False,) * self.count
-
-    def _A(self, T: Pose) -> Matrix:
-        value = self.function(T)
-        rows = [list(value)] if np.ndim(value) == 1 else [list(row) for row in value]
-        out: Matrix = tm.array(rows)
-        if out.shape != (self.count, 6):
-            raise ShapeError(
-                "the function of a Constraint.pfaffian must give A of one shape in every pose; got "
-                f"{(self.count, 6)} and {out.shape}",
-                name="function",
-            )
-        return out
-
-    def slope(self, poses: Sequence[Pose], t: Any) -> Matrix:  # noqa: ARG002
-        """(k, 6) A of the one frame."""
-        return self._A(*poses)
-
-    def of_twist(self, T: Pose, t: Any) -> tuple[Matrix, Vector]:  # noqa: ARG002
-        return self._A(T), np.zeros(self.count)
-
-    def at(self, x: Snapshot) -> ConstraintRows:
-        (frame,) = self.frames
-        T, V = x.T(frame), x.twist(frame)
-        A = self._A(T)
-        curvature = tm.jacobian(lambda s: self._A(moved(T, s[0] * V)) @ V, np.zeros(1))[:, 0]
-        zero = np.zeros(self.count)
-        return ConstraintRows(
-            phi=zero,
-            A=A,
-            A_q=A @ x.J(frame),
-            phi_t=zero,
-            bias=curvature + A @ x.Jdot_v(frame),
-            curvature=curvature,
-            one_sided=self.one_sided,
-        )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class OfJointVelocity:
-    """A(q) v = 0 alone."""
-
-    function: Callable[[Vector], Any]
-    count: int
-
-    @property
-    def one_sided(self) -> tuple[bool, ...]:
-        return (False,) * self.count
-
-    @property
-    def frames(self) -> tuple[str | None, ...]:
-        return ()
-
-    def _A(self, q: Vector) -> Matrix:
-        A = _numbers("the function of a Constraint.pfaffian_of_joints", self.function(q))
-        out: Matrix = tm.array([A]) if A.ndim == 1 else A
-        if out.shape != (self.count, len(q)):
-            raise ShapeError(
-                "the function of a Constraint.pfaffian_of_joints must give A per joint speed, of shape "
-                f"{(self.count, len(q))} with rows={self.count}; got {A.shape}",
-                name="function",
-            )
-        return out
-
-    def at(self, x: Snapshot) -> ConstraintRows:
-        q, v = x.q, x.v
-        curvature = tm.jacobian(lambda s: self._A(q + s[0] * v) @ v, np.zeros(1))[:, 0]
-        zero = np.zeros(self.count)
-        return ConstraintRows(
-            phi=zero,
-            A=None,
-            A_q=self._A(q),
-            phi_t=zero,
-            bias=curvature,
-            curvature=curvature,
-            one_sided=self.one_sided,
-        )
-
-
-def _numbers(who: str, value: Any) -> Array:
-    """What a function gives, as an array of numbers or symbols.
-
-    Raises:
-        ShapeError: It is something else.
-    """
-    try:
-        if value is None or isinstance(value, (str, dict, set)):
-            raise TypeError
-        return tm.array(list(value)) if np.ndim(value) else tm.array(value)
-    except (TypeError, ValueError):
-        raise ShapeError(f"{who} must give numbers; got {type(value).__name__}", name="function") from None
+    def _moved(self, place: Sequence[Any], step: Array) -> list[Any]:
+        """Poses after a small world-aligned twist each, (6 m,), to first order; joints after a step."""
+        if not self.frames:
+            return [place[0] + step]
+        return [moved(T, step[6 * i : 6 * i + 6]) for i, T in enumerate(place)]
 
 
 def joined(parts: Iterable[Vector]) -> Vector:
     """The entries of several vectors, one after the other."""
     return tm.array([entry for part in parts for entry in part])
+
+
+# -------------------------------------------------------------------- a user's function, tried and refused in words
+
+
+def of_poses(
+    function: Callable[..., Any],
+    frames: Sequence[str | None],
+    one_sided: bool | Sequence[bool] = False,
+    *,
+    surface: Surface | None = None,
+    pfaffian: bool = False,
+) -> Piece:
+    """One function of the poses of frames.
+
+    Raises:
+        UsageError: No function, other arguments, one that is constant.
+        ShapeError: One that gives something else than a number or up to 6 of them, or than A.
+    """
+    if isinstance(frames, str) or not frames or not all(f is None or isinstance(f, str) for f in frames):
+        raise UsageError(
+            f"frames must be names of frames, such as frames=('left_hand', 'right_hand'); got {frames!r}",
+            name="frames",
+        )
+    timed, m = _is_timed(function, len(frames), may_be=not pfaffian), len(frames)
+    places = [[SOMEWHERE[(k + i) % len(SOMEWHERE)] for i in range(m)] for k in range(len(SOMEWHERE))]
+    shape, *_ = [_shape(function, (*place, TRIED_AT) if timed else place) for place in places]
+    row: tuple[int, ...] = (6,) if pfaffian else ()
+    count = 1 if shape == row or not shape else shape[0]
+    if shape not in (row, (count, *row)) or not 1 <= count <= MAX_ROWS:
+        what = "A, (6,) or (k, 6) per twist" if pfaffian else f"a number or up to {MAX_ROWS} of them, (k,)"
+        raise ShapeError(f"a constraint function must give {what}; got shape {shape}", name="function")
+    piece = Piece(
+        function=function, frames=tuple(frames), pfaffian=pfaffian, timed=timed, count=count,
+        one_sided=_sides(one_sided, count), moments=(), surface=surface,
+    )  # fmt: skip
+    slopes = np.array([np.asarray(piece.slope(place, TRIED_AT), dtype=np.float64) for place in places])
+    slopes = np.nan_to_num(slopes, nan=1.0).reshape(len(places), count, m, 6)
+    for k, changes in enumerate(np.any(slopes, axis=(0, 2, 3))):
+        if not changes:
+            which = "" if count == 1 else f" in its row {k}"
+            raise UsageError(
+                f"the function of a Constraint.pfaffian gives A = 0{which}, which forbids nothing"
+                if pfaffian
+                else f"a constraint function must change with the pose, and this one is constant{which}: write it of "
+                "T.p and T.R, with taut.math",
+                name="function",
+            )
+    pulls = np.any(np.abs(slopes[..., :3]) > NO_FORCE, axis=(0, 2, 3))
+    return replace(piece, moments=tuple(not pull for pull in pulls))
+
+
+def of_joints(
+    function: Callable[..., Any], rows: int, one_sided: bool | Sequence[bool] = False, *, pfaffian: bool = False
+) -> Piece:
+    """One function of the joints.
+
+    Raises:
+        UsageError: No function, other arguments.
+        RangeError: No number of rows.
+    """
+    timed = _is_timed(function, 1, may_be=not pfaffian)
+    if isinstance(rows, bool) or not isinstance(rows, int) or rows < 1:
+        raise RangeError(f"rows must be a whole number >= 1; got {rows!r}", name="rows", rule=">= 1")
+    return Piece(
+        function=function, frames=(), pfaffian=pfaffian, timed=timed, count=rows, one_sided=_sides(one_sided, rows),
+        moments=(False,) * rows,
+    )  # fmt: skip
+
+
+def _shape(function: Callable[..., Any], arguments: Sequence[Any]) -> tuple[int, ...]:
+    """The shape of what a user's function gives."""
+    try:
+        value = function(*arguments)
+    except TautError:
+        raise
+    except Exception as cause:
+        raise UsageError(
+            f"a constraint function must work in every pose, and this one raises {type(cause).__name__}: {cause} at "
+            f"{raised_location(cause)}",
+            name="function",
+        ) from cause
+    try:
+        given = np.asarray(value)
+        if value is None:
+            raise TypeError
+        np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ShapeError(
+            f"a constraint function must give a number or (k,) numbers; got {type(value).__name__}", name="function"
+        ) from None
+    if given.dtype == np.bool_:
+        raise UsageError(
+            "a constraint function must give phi, a number that is zero on the constraint, and this one is a "
+            "condition, True or False: for T.p[2] > 0.4 write lambda T: T.p[2] - 0.4, and one_sided=True",
+            name="function",
+        )
+    return given.shape
+
+
+def _is_timed(function: object, places: int, *, may_be: bool) -> bool:
+    """A function of so many poses, or of joints, takes the time as well.
+
+    Raises:
+        UsageError: It is no function, or takes another number of arguments.
+    """
+    if not callable(function):  # callers without a type checker
+        raise UsageError(
+            "function of a Constraint must be a function, such as lambda T: T.p[2] - 0.1; got "
+            f"{type(function).__name__}",
+            name="function",
+        )
+    try:
+        parameters = inspect.signature(function).parameters.values()
+    except ValueError:  # of some functions in C
+        raise UsageError(
+            "function of this Constraint does not tell its arguments; write it as lambda T: ..., with taut.math",
+            name="function",
+        ) from None
+    takes = sum(p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD) and p.default is p.empty for p in parameters)
+    if takes != places and not (may_be and takes == places + 1):
+        more = ", and one more for the time" if may_be else ""
+        raise UsageError(
+            f"function of this Constraint must take {count_of(places, 'argument')}{more}; it takes {takes}",
+            name="function",
+        )
+    return takes > places
+
+
+def _sides(one_sided: bool | Sequence[bool], count: int) -> tuple[bool, ...]:
+    """(count,) true for rows at which the environment can only push.
+
+    Raises:
+        ShapeError: Not one for all rows, or one for each.
+    """
+    each = tuple(one_sided) if isinstance(one_sided, (list, tuple)) else (one_sided,) * count
+    if len(each) != count or not all(isinstance(side, bool) for side in each):
+        raise ShapeError(
+            f"one_sided must be True or False, or one for each of the {count} rows; got {one_sided!r}",
+            name="one_sided",
+        )
+    return tuple(bool(side) for side in each)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from taut.arm.description import Arm, CommandKind, Friction, Payload
-from taut.base.checks import one_of, positive_scalar
+from taut.base.checks import positive_scalar, read_only
 from taut.base.errors import UsageError
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
@@ -23,19 +23,7 @@ from taut.plant.motion import WORK_OF_IT
 from taut.plant.parts import PlantParts
 from taut.plant.sensors import Sensors
 from taut.runtime.robots.mujoco.attached import AttachedPlant, attached
-from taut.runtime.robots.mujoco.model import (
-    INTEGRATORS,
-    LOOKS,
-    TOUCHES,
-    Integrator,
-    Looks,
-    ModelOptions,
-    Settings,
-    SpringTip,
-    Touch,
-    built,
-    put_timestep,
-)
+from taut.runtime.robots.mujoco.model import SpringTip, ToolShape, built, put_parameters, put_timestep
 from taut.runtime.robots.mujoco.rig import PRESSED, Normals, PlantInMujoco, index, whole_steps
 from taut.runtime.robots.mujoco.scene import SceneView, read_scene
 from taut.runtime.robots.mujoco.stages import Compensation, EnvironmentStage, JointStage, LinkTorque, SensorStage
@@ -47,7 +35,6 @@ if TYPE_CHECKING:
 __all__ = ["MujocoPlant"]
 
 MAX_DEFAULT_TIMESTEP: Final = 1e-3  # [s] of a time step that nobody asked for
-PAYLOAD: Final = ("payload.mass", "payload.com", "payload.inertia")  # what a sensor that weighs asks for
 
 
 class MujocoPlant(PlantInMujoco):
@@ -55,9 +42,9 @@ class MujocoPlant(PlantInMujoco):
 
     Model:
         (M + rotors) a + C v + g + b v + friction = tau + J^T F_ext + joint limits
-        Integrator "discrete" is semi-implicit Euler, v+ = v + dt a with b v and dry friction taken at v+, and
-        q+ = q + dt v+: the scheme of RigidPlant, which it follows to rounding where nothing touches the arm. Dry
-        friction really sticks.
+        by MuJoCo's integrator "discrete", which is semi-implicit Euler, v+ = v + dt a with b v and dry friction taken
+        at v+, and q+ = q + dt v+: the scheme of RigidPlant, which it follows to rounding where nothing touches the
+        arm. Dry friction really sticks.
 
     A tick, as in RigidPlant: q, v, the joint torques and the wrench of the last step are measured at t_k; the command
     that follows from them is held for a whole number of MuJoCo's time steps, which end at t_k+1.
@@ -73,9 +60,8 @@ class MujocoPlant(PlantInMujoco):
         F_ext is the wrench of everything outside the arm on the body that carries the tool, force first, in world
         axes at the tool's origin: contacts, welds, data.xfrc_applied, `environment`. The weight and inertia of tool
         and payload are no part of it, so that a payload that hangs there does not show, and a wall pushes back with
-        the sign of the wall on the arm; a `taut.sensors.WrenchSensor(tool=...)` reads them too. What touches other
-        links does
-        not show. It is that of the last time step.
+        the sign of the wall on the arm; a `taut.sensors.WrenchSensor(tool=...)` reads them too. It is
+        that of the last time step.
 
     Args:
         arm: The true arm; make it differ from the controller's and there is a modelling error.
@@ -87,7 +73,6 @@ class MujocoPlant(PlantInMujoco):
         friction: "arm" for the arm's own viscous and dry friction, None for none.
         limits: "arm" for the arm's own position limits, None for none.
         timestep: [s] of MuJoCo, a whole part of the control period; by default the largest one up to 1 ms.
-        integrator: MuJoCo's "discrete", "euler", "implicitfast", "implicit" or "rk4". The last is for smooth forces.
         takes: The command: "torque", "velocity" or "position". The last two are drives with
             `actuation=Actuation(bandwidth=...)` that aim at the motion of RigidPlant's stiff ones. They get there by
             the torques of an inner loop in each time step, ten times as fast as the drive, which knows arm and
@@ -96,20 +81,16 @@ class MujocoPlant(PlantInMujoco):
             warning when it first happens.
         adds: What the plant adds to a torque command itself: "gravity", "coriolis", and "friction", which cancels the
             arm's own, so that none is left.
-        touch: What of the arm can touch the scene: "tool" for a sphere at the tool's origin, "links" for capsules
-            of 50 mm radius along the links too, None for nothing. The arm never touches itself; friction is that of
-            what it touches.
-        tool_radius: [m] of the sphere.
+        tool_radius: [m] of the sphere at the tool's origin, which touches the scene with the friction of what it
+            touches. Nothing else of the arm touches anything.
         tool_length: [m] of a cylinder of that radius in the sphere's place, such as a peg: its axis is the tool's z
             axis, and its end, which is flat, is at the tool's origin. It has no mass; that is the payload's.
         tip: A taut.environments.SpringTip that gives way and carries the sphere or cylinder; rigid if left out.
-        looks: What a viewer shows: "plain" shapes, or the arm's "meshes", which take longer to load.
         actuation: The drives, as of RigidPlant: delay, amplifier, motor, gear; ideal if left out.
         sensors: What is measured, and how well; ideal sensors if left out.
         environment: What acts at the tool besides the scene: a taut.environments.Push, a taut.environments.Hand,
-            ..., as of RigidPlant. It acts through data.qfrc_applied, which is
-            then the plant's; F_ext is that of both together, and the run's column
-            work.environment [J] is what the environment did until the tick.
+            ..., as of RigidPlant. It acts through data.qfrc_applied, which is then the plant's; F_ext is that of both
+            together, and the run's column work.environment [J] is what the environment did until the tick.
 
     Columns of a run:
         F_ext (6,); with a scene contact.normal_force (3,), what of it is along the true normals of the contacts;
@@ -140,24 +121,20 @@ class MujocoPlant(PlantInMujoco):
         friction: Literal["arm"] | None = "arm",
         limits: Literal["arm"] | None = "arm",
         timestep: float | None = None,
-        integrator: Integrator = "discrete",
         takes: CommandKind = "torque",
         adds: Adds | Iterable[str] | Mapping[str, Payload | None] = (),
-        touch: Touch | None = "tool",
         tool_radius: float = 0.01,
         tool_length: float | None = None,
         tip: SpringTip | None = None,
-        looks: Looks = "plain",
         actuation: Actuation | None = None,
         sensors: Sensors | None = None,
         environment: Environment | None = None,
     ) -> None:
-        adds = Adds.of(adds)
+        what = adds = Adds.of(adds)
         self.given = {name: value for name, value in locals().items() if name not in ("self", "arm", "__class__")}
         for name, value in (("friction", friction), ("limits", limits)):
             if value not in ("arm", None):
                 raise UsageError(f"{name} must be 'arm' or None; got {value!r}", name=name)
-        what = adds
         if tip is not None and not isinstance(tip, SpringTip):
             raise UsageError(f"tip must be taut.environments.SpringTip(...); got {type(tip).__name__}", name="tip")
         drives, seen = actuation or Actuation(), sensors or Sensors()
@@ -170,26 +147,20 @@ class MujocoPlant(PlantInMujoco):
             actuation=drives,
             sensors=seen,
             environment=environment,
-            smooth=integrator == "rk4",
             scene=True,
         )
         train = numbers.drivetrain
         left = train.friction
-        options = ModelOptions(
-            drivetrain=train,
-            limits=limits,
-            integrator=one_of("integrator", integrator, INTEGRATORS),
-            touch=None if touch is None else one_of("touch", touch, TOUCHES),
-            tool_radius=positive_scalar("tool_radius", tool_radius, unit="m"),
-            tool_length=None if tool_length is None else positive_scalar("tool_length", tool_length, unit="m"),
-            scene_at=_place(scene_at, scene is not None),
-            looks=one_of("looks", looks, LOOKS),
+        tool = ToolShape(
+            radius=positive_scalar("tool_radius", tool_radius, unit="m"),
+            length=None if tool_length is None else positive_scalar("tool_length", tool_length, unit="m"),
             tip=tip,
         )
         self._timestep = None if timestep is None else positive_scalar("timestep", timestep, unit="s")
-        rig = built(arm, None if scene is None else read_scene(scene), options, what)
+        place, around = _place(scene_at, scene is not None), None if scene is None else read_scene(scene)
+        rig = built(numbers, tool, around, place, limits=limits is not None)
         super().__init__(rig, numbers.name, None if scene is None else SceneView(rig))
-        self._settings = Settings(rig, numbers)
+        self._parts, self._values = numbers, {path: read_only(value) for path, value in numbers.values.items()}
         self.friction, self.takes, self.actuation, self.sensors = friction, takes, drives, seen
         self.measures, self.distorts = seen.measures(touched=True), seen.distorts(touched=True)
         self._stage = None
@@ -207,7 +178,7 @@ class MujocoPlant(PlantInMujoco):
         self._ctrl = rig.data.ctrl
         motors = (rig.model.actuator(name).id for name in arm.joint_names)
         self._motors = index([int(rig.model.actuator_ctrladr[motor]) for motor in motors])
-        self._normals = None if scene is None or touch is None else Normals(rig)
+        self._normals = None if scene is None else Normals(rig)
 
     @staticmethod
     def attach(
@@ -263,7 +234,7 @@ class MujocoPlant(PlantInMujoco):
     @property
     def parameters(self) -> Mapping[str, Float64Array]:
         """Run-time parameters by path."""
-        return self._settings.values
+        return self._values
 
     def checked_parameter(self, path: str, value: ArrayLike) -> Float64Array:
         """A new value of a parameter, checked and in its shape.
@@ -272,7 +243,7 @@ class MujocoPlant(PlantInMujoco):
             UnknownNameError: There is no such parameter.
             ShapeError, RangeError: A value that it cannot have.
         """
-        return self._settings.checked(path, value)
+        return read_only(self._parts.checked(path, value))
 
     def check_together(self, values: Mapping[str, ArrayLike]) -> None:
         """Refuse values by path that do not go together, each of which is right by itself.
@@ -280,21 +251,17 @@ class MujocoPlant(PlantInMujoco):
         Raises:
             RangeError: Less friction at rest than in motion.
         """
-        self._settings.check_together(values)
-
-    def set_parameter(self, path: str, value: ArrayLike) -> None:
-        """Give a parameter a new value, which acts from the next step."""
-        self.set_parameters({path: value})
+        self._parts.check_together(values)
 
     def set_parameters(self, values: Mapping[str, ArrayLike]) -> None:
         """Give parameters new values at once, which act from the next step."""
         checked = {path: self.checked_parameter(path, value) for path, value in values.items()}
         self.check_together({**self.parameters, **checked})
-        for path, value in checked.items():
-            self._settings.put(path, value)
+        self._values = {**self._values, **checked}
+        put_parameters(self._rig, self._parts, self._values)
         for stage in (self._stage, self._touching, self._readings):
             if stage is not None:
-                stage.take(self._settings.values)
+                stage.take(self._values)
 
     # ---------------------------------------------------------------- a run
 
@@ -314,7 +281,7 @@ class MujocoPlant(PlantInMujoco):
         self._put_state(q, v)
         self._line = None
         taps = self.actuation.taps(dt)
-        values = self._settings.values
+        values = self._values
         payload = PayloadValues.of(subtree(values, "plant.payload"))
         model = model_of(rig.arm)
         weight = dyn.gravity_torque(model, q, payload)
@@ -350,7 +317,7 @@ class MujocoPlant(PlantInMujoco):
         if self.sensors.needs_acceleration:
             true["a"] = self._a
         if self.sensors.weighs:
-            true |= dict(zip(PAYLOAD, self._settings.load, strict=True))
+            true |= {f"payload.{name}": x for name, x in subtree(self._values, "plant.payload").items()}
         memory = {} if self._stage is None else self._stage.memory
         return true | {name: memory[name] for name in ("q_motor", "v_motor") if name in memory}
 
@@ -415,7 +382,7 @@ class MujocoPlant(PlantInMujoco):
         q, v = self.state()
         added: Any = 0.0
         if self._compensation is not None:
-            added = self._compensation.torque(q, v, self._settings.load)
+            added = self._compensation.torque(q, v, self._values)
         touching = 0.0 if self._touching is None else self._touching.before(q, v)
         self._rig.data.qfrc_applied[self._rig.v] = added + touching
         return added

@@ -62,7 +62,6 @@ class Rig:
     tool_body: int  # the body whose frame p_tool is given in
     p_tool: Float64Array  # (3,) [m] origin of the tool
     adds: Adds
-    own_geoms: int = 0  # of the world's geoms, how many are the arm's, which come first
 
 
 def index(numbers: list[int]) -> Index:
@@ -136,25 +135,18 @@ class Health:
         return None if self._counts.tobytes() == self._seen else self._in_words()
 
     def _in_words(self) -> tuple[str, int | None]:
-        for values, what, per in ((self._acceleration, "acceleration", "s^2"), (self._velocity, "velocity", "s")):
+        for values, what in ((self._acceleration, "acceleration"), (self._velocity, "velocity")):
             size = np.where(np.isfinite(values), np.abs(values), np.inf)
             dof = int(np.argmax(size))
             if size[dof] >= MUJOCO_MAX:
                 joint = self._joint_of.get(dof)
-                of = self._owner(dof) if joint is None else "its"
-                unit = "" if joint is None else f" {self._rig.arm.units[joint]}/{per}"
-                reached = f"reached {values[dof]:.3g}{unit}" if np.isfinite(values[dof]) else "is no longer finite"
-                return f"{of} {what} {reached}; {WAY_OUT}", joint
+                of = "its" if joint is not None else "a body of the scene, not of the arm, went wrong: its"
+                return f"{of} {what} was {values[dof]:.3g}; {WAY_OUT}", joint
         new = [kind for kind, n, before in zip(self._kinds, self._counts, self._before, strict=True) if n > before]
         if not new:
             return "somebody put MuJoCo's data back to its start while the run was going on", None
         joint = self._commanded() if "mjWARN_BADCTRL" in new else None
         return "; ".join(SAID.get(kind, kind) for kind in new), joint
-
-    def _owner(self, dof: int) -> str:
-        model = self._rig.model
-        name = model.joint(int(model.dof_jntid[dof])).name or model.body(int(model.dof_bodyid[dof])).name
-        return f"'{name}' is not of the arm, and its" if name else "a body of the scene went wrong: its"
 
     def _commanded(self) -> int | None:
         """The joint of the arm whose motor had the command that MuJoCo did not take."""

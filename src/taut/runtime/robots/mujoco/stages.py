@@ -388,9 +388,9 @@ class Compensation:
         if native_code.available():
             self._call = native(self._torque, q=n, v=n, mass=(), com=3, inertia=6)
 
-    def torque(self, q: Float64Array, v: Float64Array, payload: tuple[Float64Array, ...]) -> Float64Array:
-        """(n,) at a state, for a payload of (mass, com, inertia)."""
-        total: Float64Array = self._call(q, v, *payload)
+    def torque(self, q: Float64Array, v: Float64Array, parameters: Values) -> Float64Array:
+        """(n,) at a state."""
+        total: Float64Array = self._call(q, v, *subtree(parameters, "plant.payload").values())
         return total
 
     def _torque(self, q: Array, v: Array, mass: Any, com: Array, inertia: Array) -> Array:

@@ -1,1 +1,0 @@
-"""Natural and artificial constraints, and which forces a contact admits."""
