@@ -381,7 +381,7 @@ def _require_slow_torque_loop(names: Sequence[str], p: Values, share: Float64Arr
     steps.require(
         kp[i] / largest[i] + ROUNDING,
         "torque_loop",
-        f"actuation.torque_loop of joint '{names[i]}' has kp = {kp[i]:.3g}, which must be below {largest[i]:.3g}, since "
-        "the loop reads the torque of the step before",
+        f"actuation.torque_loop of joint '{names[i]}' has kp = {kp[i]:.3g}, and must be below {largest[i]:.3g}, "
+        "since the loop reads the torque of the step before",
         "the loop a lower kp, or the drive a bandwidth",
     )
