@@ -155,7 +155,7 @@ def test_the_page_prints_the_table_of_thresholds() -> None:
     ]
     for name, each in of:
         assert f"| {name} | {each.name} | {each.value:g} {each.unit} | {each.reason} |" in page
-    assert len(of) <= 26
+    assert len(of) <= 25
     assert len({each.name for _, each in of}) == len(of)
 
 

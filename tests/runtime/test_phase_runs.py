@@ -448,7 +448,7 @@ def test_switching_leaves_no_torque_jump_above_the_rate_limit_and_no_integrator(
     rng = np.random.default_rng(0)
     jump = rest = 0.0
     switches = 0
-    for _ in range(share(1000)):
+    for _ in range(share(share(1000))):
         q0, t = here + rng.uniform(-0.2, 0.2, 3), float(rng.uniform(0.02, 0.3))
         run = taut.run(loop, q0=q0, v0=rng.uniform(-0.5, 0.5, 3), events=[taut.Event.push(t=t)])
         assert [window.name for window in run.phases] == ["wait", "yield_", "away", "wait"]
