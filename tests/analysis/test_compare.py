@@ -9,7 +9,7 @@ import pytest
 
 import taut
 from taut.base.errors import RangeError, ScenarioError, UnknownNameError, UsageError
-from taut.scenarios.laws import law_of_text
+from taut.scenarios.sections import law_of_text
 
 
 class NoCoriolis(taut.Law):

@@ -17,9 +17,8 @@ from taut.base.errors import RangeError, ShapeError, UsageError, unknown_name
 from taut.base.fields import Choice, Declared, Part, Plain
 from taut.base.paths import flatten, subtree
 from taut.base.types import ArrayLike, Float64Array
-from taut.maths.adds import Adds
 from taut.maths.dynamics import jacobian, mass_matrix
-from taut.maths.model import PayloadValues, model_of
+from taut.maths.model import Adds, PayloadValues, model_of
 from taut.plant.actuation import Actuation
 from taut.plant.contact import Contacts
 from taut.plant.drivetrain import Drivetrain, FrictionLaw, require_rotors

@@ -15,8 +15,8 @@ from taut.control.law import Law
 from taut.control.trajectories.reference import as_reference
 from taut.loop import Loop
 from taut.record.run import Run
-from taut.scenarios.laws import law_of_text
 from taut.scenarios.scenario import Scenario, load_scenario
+from taut.scenarios.sections import law_of_text
 
 __all__ = ["USUAL", "compare", "grade"]
 

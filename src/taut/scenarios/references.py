@@ -25,8 +25,8 @@ from taut.control.trajectories.samples import Chunk
 from taut.control.trajectories.task_reference import Axes, TaskMotion
 from taut.maths.snapshot import Snapshot, snapshot
 from taut.maths.spatial import rotation_exp
-from taut.scenarios.laws import read_law
 from taut.scenarios.reading import Table, arguments, read
+from taut.scenarios.sections import read_law
 from taut.trace.pose import Pose
 from taut.trajectories import (
     Circle,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from taut.arm.description import Arm
 from taut.base.errors import MatchError
 from taut.base.types import Float64Array
-from taut.maths.adds import Adds
+from taut.maths.model import Adds
 from taut.record.info import POSES, Around
 from taut.runtime.host import PlantBase
 

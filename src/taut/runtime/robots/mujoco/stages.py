@@ -18,8 +18,8 @@ from taut.codegen.kernel import native
 from taut.codegen.loop import StepLoop
 from taut.codegen.program import Block
 from taut.maths import dynamics as dyn
-from taut.maths.adds import Adds, compensation
-from taut.maths.model import Model, PayloadValues, model_of
+from taut.maths.dynamics import compensation
+from taut.maths.model import Adds, Model, PayloadValues, model_of
 from taut.plant.actuation import aim
 from taut.plant.environments.environment import touch
 from taut.plant.parts import PlantParts
