@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -143,7 +144,7 @@ def reached(
         )
     if isinstance(wanted, JointMotion):
         off = tm.abs(x.difference(wanted.q))
-        return _largest(off) <= given["q"]
+        return reduce(tm.maximum, off) <= given["q"]
     T = x.T(x.tool if tool is None and isinstance(x, GuardView) else tool)
     near: Any = np.bool_(True)
     if "position" in given:
@@ -176,7 +177,7 @@ def settled(
     near = reached(x, x.ref, q=q, position=position, rotation=rotation)
     if v is None:
         return near
-    return (_largest(tm.abs(x.v)) <= finite_scalar("v", v, unit="rad/s | m/s")) & near
+    return (reduce(tm.maximum, tm.abs(x.v)) <= finite_scalar("v", v, unit="rad/s | m/s")) & near
 
 
 def moved(x: GuardView, distance: float, tool: str | None = None) -> Any:
@@ -203,13 +204,6 @@ def _wanted(target: Any) -> tuple[Any, set[str]]:
         f"a guard can tell whether a taut.Pose, TaskMotion or JointMotion is reached; got {type(target).__name__}",
         name="target",
     )
-
-
-def _largest(values: Any) -> Any:
-    out = values[0]
-    for i in range(1, len(values)):
-        out = tm.maximum(out, values[i])
-    return out
 
 
 # -------------------------------------------------------------------- guards that count
