@@ -228,7 +228,7 @@ CASES: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (
         lambda: task(integral=taut.laws.Integral(anti_windup="back-calculation", tracking=1e5), ki=1.0),
         taut.errors.RangeError,
-        "tracking must be <= the rate, 1000 [1/s], or the integral oscillates; got 100000",
+        "tracking must be <= 1000 [1/s], or the integral oscillates; got 100000",
     ),
     (
         lambda: step(taut.JointMotion(q=PANDA.home)),

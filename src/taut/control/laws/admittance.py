@@ -8,12 +8,12 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from taut.base.errors import RangeError, UsageError
+from taut.base.errors import UsageError
 from taut.base.fields import Choice
 from taut.base.types import Float64Array, Matrix, Rotation, Twist, Vector, Vector3, Wrench
 from taut.control.closed_loop import ApparentImpedance, ClosedLoop
 from taut.control.command import Command, Terms, Torque
-from taut.control.gains import Gain, GainValue, MemoryView
+from taut.control.gains import Gain, GainValue, MemoryView, require_at_most
 from taut.control.law import Law, call
 from taut.control.laws.task_error import FRAMES, GainFrame, pulled
 from taut.control.laws.task_space import (
@@ -376,14 +376,8 @@ def _check_own(D: Float64Array, B: Float64Array, K: Float64Array, rate: float) -
     L = np.linalg.cholesky(D)
     inverse = np.linalg.inv(L)
     most = float(np.linalg.eigvalsh(inverse @ (0.5 * dt * B + 0.25 * dt * dt * K) @ inverse.T)[-1])
-    if most > 1.0 + 1e-9:
-        raise RangeError(
-            f"D is too small for {rate:g} Hz: it must be >= B dt / 2 + K dt^2 / 4 in every direction, or the virtual "
-            f"mass turns round within a tick; make it {most:.3g} times larger, B and K smaller, or the rate higher",
-            name="D",
-            value=most,
-            rule=">= B dt / 2 + K dt^2 / 4",
-        )
+    name, why = f"(B dt / 2 + K dt^2 / 4) / D at {rate:g} Hz", "or the virtual mass turns round within a tick"
+    require_at_most(name, most, 1.0 + 1e-9, "1", f"{why}: make D larger, B and K smaller, or the rate higher")
 
 
 def _check_measured(D: Float64Array, B: Float64Array, K: Float64Array, rate: float) -> None:
@@ -393,11 +387,5 @@ def _check_measured(D: Float64Array, B: Float64Array, K: Float64Array, rate: flo
     drift = np.block([[np.eye(6), dt * np.eye(6)], [np.zeros((6, 6)), np.eye(6)]])
     feedback = np.linalg.solve(D, np.hstack([K, B]))
     radius = float(np.abs(np.linalg.eigvals(drift - hold @ feedback)).max())
-    if radius > 1.0 + 1e-6:
-        raise RangeError(
-            f"with model='measured' the loop sampled at {rate:g} Hz grows by the factor {radius:.6g} in a tick; B "
-            "must be above K dt / 2 and well below 2 D / dt: change B, or take model='own'",
-            name="B",
-            value=radius,
-            rule="<= 1",
-        )
+    name, why = f"the growth in a tick of model='measured' at {rate:g} Hz", "or the loop is unstable"
+    require_at_most(name, radius, 1.0 + 1e-6, "1", f"{why}: B must be above K dt / 2 and well below 2 D / dt")

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
 import numpy as np
 
 from taut.base.checks import positive_scalar, vector
-from taut.base.errors import RangeError
 from taut.base.fields import Choice, Part
 from taut.base.types import ArrayLike, Matrix, Rotation, Vector, Wrench
 from taut.control.closed_loop import ClosedLoop, PlacedGains
 from taut.control.command import Command, Terms, Torque
-from taut.control.gains import Gain, GainValue, Integral, MemoryView
+from taut.control.gains import Gain, GainValue, Integral, MemoryView, require_at_most
 from taut.control.law import Law
 from taut.control.laws.null_space import Posture, check_null, with_null_space
 from taut.control.laws.task_space import bounded_inertia, check_sensor, task_gain, tool_loop, wrench_at
@@ -301,15 +300,13 @@ def check_force_pole(kfp: Matrix, kfi: Matrix, rate: float) -> None:
     """
     gains = [np.asarray(gain, dtype=np.float64) for gain in (kfp, kfi)]
     fastest = np.linalg.solve(np.eye(len(gains[0])) + gains[0], gains[1])
-    pole = float(np.max(np.abs(np.linalg.eigvals(fastest))))
-    if pole >= 2.0 * rate:
-        raise RangeError(
-            f"kfi / (1 + kfp) must be below twice the rate, {2.0 * rate:g} [1/s], or the force oscillates on any "
-            f"contact; got {pole:g}; a pole of 1 to 20 1/s is usual",
-            name="kfi",
-            value=pole,
-            rule="kfi / (1 + kfp) < 2 rate",
-        )
+    require_at_most(
+        "kfi / (1 + kfp)",
+        np.abs(np.linalg.eigvals(fastest)),
+        2.0 * rate,
+        "1/s",
+        "twice the rate, or the force oscillates on any contact; a pole of 1 to 20 1/s is usual",
+    )
 
 
 # -------------------------------------------------------------------- multipliers, and whether they are there

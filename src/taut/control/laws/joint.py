@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from taut.base.errors import MatchError, RangeError
+from taut.base.errors import MatchError
 from taut.base.fields import Choice, Part
 from taut.base.types import Array, Vector
 from taut.control.command import Command, Terms, Torque, Velocity
 from taut.control.gains import Gain, Integral, MemoryView
 from taut.control.law import Law, call
+from taut.control.sensing import check_frequencies
 from taut.control.trajectories.reference import JointMotion, Sample
 from taut.maths.friction import FrictionValues, dry_limit
 from taut.maths.snapshot import Snapshot
@@ -41,7 +42,6 @@ __all__ = [
 
 RAISED: Final = ("kp", "kd")
 INTEGRAL: Final = "e_int"
-TRACKING: Final = "tracking"  # how fast limits drive an integral back [1/s]
 SPREAD: Final = 3.0  # widths over which an excess that falls at once is given: tanh is near 1 there, and s is too
 
 
@@ -302,14 +302,7 @@ class Dither(Law):
     frequency: Gain = Gain(unit="Hz", accepts=("scalar",), above=0.0)
 
     def check_rate(self, rate: float) -> None:
-        largest = float(np.max(self.frequency.as_array()))
-        if largest >= rate / 2.0:
-            raise RangeError(
-                f"frequency of a Dither must be below {rate / 2.0:g} [Hz], half the rate of {rate:g} Hz; got "
-                f"{largest:g}; lower it, or compile with a higher rate",
-                name="frequency",
-                value=largest,
-            )
+        check_frequencies(self, "Dither", rate)
 
     def command(self, x: Snapshot, ref: JointMotion) -> Command:  # noqa: ARG002
         cycles = np.ones(x.n) * (self.frequency.as_array() * x.t)
@@ -349,19 +342,6 @@ class RaisedGains(Law):
                 f"'ref' is for a law of JointMotion, and {inner} follows a {follows.__name__}; use 'meas'",
             )
         self.__dict__["reference"] = follows
-
-    def check_rate(self, rate: float) -> None:
-        """The integral is driven back faster too, and not faster than the rate [Hz]."""
-        factor = float(np.max(self.factor.as_array()))
-        rates = [gain for path, gain in self.inner.parameters().items() if path.rpartition(".")[2] == TRACKING]
-        largest = max((float(np.max(gain)) for gain in rates), default=0.0)
-        if factor * largest > rate:
-            raise RangeError(
-                f"tracking of a law whose gains are raised must be at most the rate over the factor, "
-                f"{rate / factor:g} [1/s], or its integral would oscillate near rest; got {largest:g}",
-                name="inner.tracking",
-                value=largest,
-            )
 
     def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
         v = ref.v if self.at == "ref" else x.v
