@@ -447,7 +447,7 @@ def squared(T: Pose) -> Any:
             "constraint must have up to 12 rows; it has 14",
         ),
         (
-            lambda: taut.compile(HybridMotionForce(constraint=FLOOR, motion=motion(), kfp=0.5, kfi=3000.0), ARM),
+            lambda: taut.compile(HybridMotionForce(constraint=FLOOR, motion=motion(), kfp=0.5, kfi=3300.0), ARM),
             taut.errors.RangeError,
             r"kfi / \(1 \+ kfp\) must be <= 2000 \[1/s\], twice the rate",
         ),

@@ -253,7 +253,7 @@ class TestRaisedBackCalculation:
 
 def test_a_frequency_is_checked_when_it_changes_too() -> None:
     ctrl = taut.compile(L.PID(kp=1.0) + L.Dither(amplitude=1.0, frequency=60.0), ARM)
-    with pytest.raises(taut.errors.RangeError, match=r"must be below 500 \[Hz\], half the rate of 1000 Hz; got 700"):
+    with pytest.raises(taut.errors.RangeError, match=r"must be < 500 \[Hz\], half .* 1000 Hz; got 700"):
         ctrl.parameters["law.Dither.frequency"] = 700.0
     assert ctrl.parameters["law.Dither.frequency"] == 60.0
     event = taut.Event(t=0.1, set={"law.Dither.frequency": 700.0})

@@ -206,7 +206,7 @@ CASES: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (
         lambda: task(null=L.Posture(q=[0.0, 0.0])),
         taut.errors.ShapeError,
-        "q must have shape (7,) (7 joints); got shape (2,)",
+        "null.q must be a number or (7,) [rad | m] for 7 joints; got shape (2,)",
     ),
     (lambda: L.Posture(q=[0.0, np.nan]), taut.errors.RangeError, "q[1] must be finite [rad | m]; got nan"),
     (
