@@ -104,11 +104,10 @@ INNER: dict[str, taut.Law] = {
 
 class TestRaisedGains:
     @engines
-    @pytest.mark.parametrize("at", ["meas", "ref"])
     @pytest.mark.parametrize("name", INNER)
-    def test_are_those_of_the_law_times_the_stated_factor(self, name: str, at: str, engine: Any) -> None:
-        law = L.RaisedGains(inner=INNER[name], factor=4.0, width=0.1, at=at)
-        s = raising(V if at == "meas" else REF.v)
+    def test_are_those_of_the_law_times_the_stated_factor(self, name: str, engine: Any) -> None:
+        law = L.RaisedGains(inner=INNER[name], factor=4.0, width=0.1)
+        s = raising(V)
         by_hand = {key: gain.as_array() * s for key, gain in INNER[name].gains().items()}
         wanted = taut.compile(type(INNER[name])(**by_hand), ARM, engine=engine).step(Q, V, REF)
         np.testing.assert_allclose(taut.compile(law, ARM, engine=engine).step(Q, V, REF), wanted, rtol=1e-12)
@@ -219,10 +218,6 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
         lambda: L.RaisedGains(inner=5.0, factor=2.0),  # type: ignore[arg-type]
         "inner must be a Law; got 5.0",
     ),
-    "another place": (
-        lambda: L.RaisedGains(inner=L.PID(kp=1.0), factor=2.0, at="des"),
-        "at must be one of 'meas', 'ref'; got 'des'",
-    ),
 }  # fmt: skip
 
 
@@ -253,7 +248,7 @@ class TestRaisedBackCalculation:
 
 def test_a_frequency_is_checked_when_it_changes_too() -> None:
     ctrl = taut.compile(L.PID(kp=1.0) + L.Dither(amplitude=1.0, frequency=60.0), ARM)
-    with pytest.raises(taut.errors.RangeError, match=r"must be < 500 \[Hz\], half .* 1000 Hz; got 700"):
+    with pytest.raises(taut.errors.RangeError, match="half the controller's rate of 1000 Hz; got 700"):
         ctrl.parameters["law.Dither.frequency"] = 700.0
     assert ctrl.parameters["law.Dither.frequency"] == 60.0
     event = taut.Event(t=0.1, set={"law.Dither.frequency": 700.0})

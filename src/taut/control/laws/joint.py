@@ -314,11 +314,11 @@ class RaisedGains(Law):
     """Larger gains near zero velocity, against sticking: holds a law and raises its gains where the arm rests.
 
     Law:          that of the law it holds, with s kp and s kd in place of kp and kd, and int(s e) in place of int(e)
-                  s = 1 + (factor - 1) exp(-(v* / width)^2), joint by joint, v* the measured or the desired velocity
-    Closed loop:  that of the law it holds where |v*| is some widths; at rest that with kp, kd and ki times the factor
+                  s = 1 + (factor - 1) exp(-(v / width)^2), joint by joint, v the measured velocity
+    Closed loop:  that of the law it holds where |v| is some widths; at rest that with kp, kd and ki times the factor
                   there dry friction leaves an error of up to mu / (factor kp) in place of mu / kp
                   the integral changes faster near rest, and does not jump or breathe with v; neither does the torque
-                  at="meas": v* changes with the motion, and s kp e is a stiffness that falls as the joint moves off
+                  s kp e is a stiffness that falls as the joint moves off
 
     It raises gains named kp and kd, also of the laws in a sum, and what is integrated into a memory named e_int;
     other gains are left as they are. A matrix K becomes S K S with S the root of diag(s).
@@ -330,22 +330,14 @@ class RaisedGains(Law):
     inner: Law
     factor: Gain = Gain(unit="1", accepts=("scalar",), minimum=1.0)
     width: Gain = Gain(0.05, unit="rad/s | m/s", accepts=("scalar",), above=0.0)
-    at: Choice[str] = Choice("meas", "ref")
 
     def check(self) -> None:
-        inner, follows = type(self.inner).__name__, self.inner.reference
         if not _raised(self.inner):
-            self.refuse("inner", f"must have kp or kd, which are raised; {inner} has neither")
-        if self.at == "ref" and follows is not JointMotion:
-            self.refuse(
-                "at",
-                f"'ref' is for a law of JointMotion, and {inner} follows a {follows.__name__}; use 'meas'",
-            )
-        self.__dict__["reference"] = follows
+            self.refuse("inner", f"must have kp or kd, which are raised; {type(self.inner).__name__} has neither")
+        self.__dict__["reference"] = self.inner.reference
 
     def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
-        v = ref.v if self.at == "ref" else x.v
-        ratio = v / self.width.as_array()
+        ratio = x.v / self.width.as_array()
         s = 1.0 + (self.factor.as_array() - 1.0) * tm.exp(-ratio * ratio)
         raised = {path: _scaled(gain, s) for path, gain in _raised(self.inner).items()}
         inner = self.inner.bound({**self.inner.parameters(), **raised})
