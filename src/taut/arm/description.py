@@ -29,7 +29,7 @@ from taut.arm.parts import (
     Visual,
     short_way,
 )
-from taut.base.checks import finite_array, one_of, read_only, vector
+from taut.base.checks import finite_array, read_only, vector
 from taut.base.errors import UsageError, count_of, unknown_name
 from taut.base.types import Array, ArrayLike, Float64Array, Point3, Vector
 from taut.trace.pose import Pose
@@ -229,10 +229,6 @@ class Arm:
         from taut.arm.change import home_replaced
 
         return home_replaced(self, q)
-
-    def with_commands(self, *commands: CommandKind) -> Arm:
-        """A copy that takes other commands in real life: torque, velocity, position."""
-        return dataclasses.replace(self, commands=tuple(one_of("command", c, COMMANDS) for c in commands))
 
     def subset(self, joints: Iterable[str], q: ArrayLike | None = None) -> Arm:
         """A copy in which only these joints move; the others are locked at q (the home pose by default).

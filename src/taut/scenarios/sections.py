@@ -38,8 +38,8 @@ from taut.environments import (
     Spring,
     StiffWall,
 )
-from taut.maths.adds import Adds
 from taut.maths.constraints.constraint import Constraint
+from taut.maths.model import Adds
 from taut.maths.spatial import rotation_exp
 from taut.plant.rigid import RigidPlant
 from taut.runtime.host import PlantBase

@@ -15,8 +15,8 @@ from taut.base.errors import UsageError
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.maths import dynamics as dyn
-from taut.maths.adds import Adds, compensation
-from taut.maths.model import PayloadValues, model_of
+from taut.maths.dynamics import compensation
+from taut.maths.model import Adds, PayloadValues, model_of
 from taut.plant.actuation import Actuation, delayed
 from taut.plant.environments.environment import Environment
 from taut.plant.motion import WORK_OF_IT
