@@ -255,13 +255,7 @@ PERIOD: Final = 0.02  # [s] between two places of a surface that moves
 
 
 def around_info(plant: AnyPlant, q: Float64Array, duration: float) -> Around:
-    """What stands around the arm.
-
-    Args:
-        plant: The plant.
-        q: (n,) positions at the start [rad | m].
-        duration: [s] of the run.
-    """
+    """What stands around the arm."""
     if isinstance(plant, PlantBase):
         return plant.around()
     return _of_model(plant, q, duration) if isinstance(plant, RigidPlant) else Around()

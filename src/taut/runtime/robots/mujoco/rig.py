@@ -70,9 +70,6 @@ class Guard:
     """While it is held MuJoCo writes no warnings out, and never puts a diverged simulation back to its start.
 
     A listener that somebody else has set for the warnings stays.
-
-    Args:
-        option: The options of the model.
     """
 
     def __init__(self, option: mujoco.MjOption) -> None:
@@ -96,11 +93,7 @@ class Guard:
 
 
 class Health:
-    """Watches one simulation.
-
-    Args:
-        rig: The arm in the simulation.
-    """
+    """Watches one simulation."""
 
     def __init__(self, rig: Rig) -> None:
         import mujoco
@@ -215,13 +208,7 @@ def _welded(model: mujoco.MjModel, bodies: set[int]) -> set[int]:
 
 
 class PlantInMujoco(PlantBase):
-    """An arm in a simulation by MuJoCo, ours or the user's.
-
-    Args:
-        rig: The arm in the simulation.
-        name: What messages call it.
-        view: What stands around the arm; None for nothing.
-    """
+    """An arm in a simulation by MuJoCo, ours or the user's."""
 
     def __init__(self, rig: Rig, name: str, view: SceneView | None) -> None:
         import mujoco
