@@ -5,7 +5,6 @@ This is what is fused into native code, swept, linearised and tuned. Every param
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from typing import Any, Final, Literal, Protocol, runtime_checkable
 
@@ -19,9 +18,8 @@ from taut.base.paths import Parameters, subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.control.lawside import LawSide
 from taut.control.trajectories.reference import Hold, Reference, as_reference
-from taut.maths.adds import Adds
 from taut.maths.dynamics import pose
-from taut.maths.model import model_of
+from taut.maths.model import Adds, model_of
 from taut.maths.snapshot import MEASUREMENTS
 from taut.plant.contact import check_force_feedback
 from taut.plant.environments.environment import COMMAND, of_plant
@@ -40,7 +38,7 @@ Values = Mapping[str, Any]
 DT: Final = "dt"
 PROVIDED_BY: Final[Mapping[str, str]] = {
     "v": "; sensing with the velocity 'difference' needs positions only",
-    "F_ext": "; give the plant an environment or a contact, or take one in MuJoCo",
+    "F_ext": "; give the plant an environment or a contact, and a sensor of it, sensors.wrench",
     "tau_meas": "; give the plant a torque sensor, sensors.torque",
     "q_motor": "; give the plant encoders at the motors, sensors.motor",
     "v_motor": "; give the plant tachometers at the motors, sensors.motor_velocity",
@@ -123,19 +121,15 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
             f"plant '{plant.name}' has {count_of(plant.arm.n, 'joint')} and the controller's arm "
             f"'{side.arm.name}' has {side.arm.n}; both must be the same arm, or the same subset of its joints"
         )
-    for i, (ours, theirs) in enumerate(zip(side.arm.units, plant.arm.units, strict=True)):
-        if ours != theirs:
-            raise MatchError(
-                f"joint {i} of plant '{plant.name}' ('{plant.arm.joint_names[i]}') moves in {theirs} and that of the "
-                f"controller's arm '{side.arm.name}' ('{side.arm.joint_names[i]}') in {ours}; the two must be the "
-                "same kind of arm",
-                name=plant.arm.joint_names[i],
-            )
-    names = side.arm.joint_names, plant.arm.joint_names
-    if names[0] != names[1] and sorted(names[0]) == sorted(names[1]):
+    ours, theirs = (list(zip(arm.joint_names, arm.units, strict=True)) for arm in (side.arm, plant.arm))
+    reordered = ours != theirs and sorted(ours) == sorted(theirs)
+    if side.arm.units != plant.arm.units or reordered:
+        theirs_in_words, ours_in_words = (
+            ", ".join(f"{name} [{unit}]" for name, unit in joints) for joints in (theirs, ours)
+        )
         raise MatchError(
-            f"plant '{plant.name}' has its joints in another order than the controller's arm: {', '.join(names[1])} "
-            f"against {', '.join(names[0])}"
+            f"the joints of plant '{plant.name}' are {theirs_in_words}, and those of the controller's arm "
+            f"'{side.arm.name}' are {ours_in_words}; both must be the same arm, with its joints in the same order"
         )
     if probe.kind != plant.takes:
         raise MatchError(
@@ -146,30 +140,14 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
     for name in side.needs:
         if name not in plant.measures:
             raise MatchError(
-                f"{_asking(side, name)} needs {name}, which plant '{plant.name}' does not measure; it measures "
-                f"{', '.join(sorted(plant.measures)) or 'positions only'}" + _provided_by(name, plant),
+                f"{law} needs {name}, which plant '{plant.name}' does not measure; it measures "
+                f"{', '.join(sorted(plant.measures)) or 'positions only'}{PROVIDED_BY.get(name, '')}",
                 name=name,
             )
     _check_tool(side, plant)
     check_force_feedback(side, plant)
     _check_weight(side, plant)
-    _check_adds(law, side.adds, probe.used, plant)
-    _check_start(side, plant)
-
-
-def _provided_by(name: str, plant: AnyPlant) -> str:
-    """What would measure it, to fix that."""
-    if name == "F_ext" and isinstance(plant, HasSensors) and plant.sensors.wrench is None:
-        return "; give the plant a wrench sensor, sensors.wrench"
-    return PROVIDED_BY.get(name, "")
-
-
-def _asking(side: LawSide, name: str) -> str:
-    """What asks for a measurement: of a task, the phase."""
-    if side.task is not None:
-        alone = {phase: dataclasses.replace(side, law=side.task.alone(phase)) for phase in side.task.phases}
-        return next((f"phase '{phase}'" for phase, one in alone.items() if name in one.probe.used), side.title)
-    return side.title
+    _check_adds(side, plant)
 
 
 def require_no_reference(side: LawSide, ref: object) -> None:
@@ -226,20 +204,26 @@ def _check_weight(side: LawSide, plant: AnyPlant) -> None:
     )
 
 
-def _check_adds(law: str, left_out: Adds, used: frozenset[str], plant: AnyPlant) -> None:
-    added = Adds.of(plant.adds)
+def _check_adds(side: LawSide, plant: AnyPlant) -> None:
+    """What a plant adds is left out by the law, and of the torques that limits of rate and speed count from."""
+    added, left_out, used, counted = Adds.of(plant.adds), side.adds, side.probe.used, set[str]()
+    if side.probe.kind == "torque":
+        brakes = "limits.v_gain" in side.parameters
+        counted |= {"gravity"} if brakes or "limits.tau_applied" in side.probe.shapes else set()
+        counted |= {"coriolis"} if brakes else set()
     for what in ("gravity", "coriolis", "friction"):
-        if what not in used or (what in left_out.names) == (what in added.names):
+        if what not in used | counted or (what in left_out.names) == (what in added.names):
             continue
-        if what in added.names:
+        if what in left_out.names:
             raise MatchError(
-                f"plant '{plant.name}' adds {what} itself and the law {law} adds it too; compile with "
-                "adds=plant.adds, use a law that does not add it, or a plant with adds=()",
+                f"the controller was compiled to leave {what} to the plant, and plant '{plant.name}' does not add "
+                "it; compile with adds=plant.adds",
                 name=what,
             )
+        who = f"the law {side.title} adds it too" if what in used else "the controller's limits count on it too"
         raise MatchError(
-            f"the controller was compiled to leave {what} to the plant, and plant '{plant.name}' does not add it; "
-            "compile with adds=plant.adds",
+            f"plant '{plant.name}' adds {what} itself and {who}; compile with adds=plant.adds, use a law that does "
+            "not add it, or a plant with adds=()",
             name=what,
         )
     if left_out.gravity and added.gravity and "gravity" in used and not _same(left_out.load, added.load):
@@ -254,28 +238,6 @@ def _same(a: Payload | None, b: Payload | None) -> bool:
     if a is None or b is None:
         return a is b
     return a.mass == b.mass and np.array_equal(a.com, b.com) and np.array_equal(a.inertia, b.inertia)
-
-
-def _check_start(side: LawSide, plant: AnyPlant) -> None:
-    """Limits of rate and speed count from torques that the model has, less what the plant adds."""
-    if side.probe.kind != "torque":
-        return
-    starts, brakes = "limits.tau_applied" in side.probe.shapes, "limits.v_gain" in side.parameters
-    counted = {"gravity": starts or brakes, "coriolis": brakes}
-    for name, counts in counted.items():
-        ours, theirs = getattr(side.adds, name), getattr(Adds.of(plant.adds), name)
-        if not counts or ours == theirs:
-            continue
-        how = f"adds {name} itself" if theirs else f"does not add {name}"
-        what = (
-            "torque that the controller starts from"
-            if starts and name == "gravity"
-            else "acceleration that the controller's speed limit expects"
-        )
-        raise MatchError(
-            f"plant '{plant.name}' {how}, contrary to the {what}; compile with adds=plant.adds",
-            name=name,
-        )
 
 
 class Loop:

@@ -14,10 +14,10 @@ from typing import Final
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.base.checks import finite_array, finite_scalar, positive_scalar
-from taut.base.errors import ModelError, NumericalError, RangeError, ShapeError, UsageError
+from taut.base.checks import finite_array, finite_scalar, positive_scalar, whole_number
+from taut.base.errors import NumericalError, TautError
 from taut.base.types import ArrayLike, Float64Array, Vector
-from taut.codegen.kernel import NativeFunction, native
+from taut.codegen.kernel import native
 from taut.control.laws.joint import ComputedTorque as ComputedTorqueLaw
 from taut.control.trajectories.reference import JointMotion
 from taut.controller import compile
@@ -26,7 +26,7 @@ from taut.maths.model import model_of
 
 __all__ = ["ComputedTorque", "SimulateControl"]
 
-MOST_STEPS: Final = 100_000  # of intRes
+MAX_STEPS: Final = 100_000  # of intRes
 FAR: Final = 1e9  # [rad | m] where no arm is
 
 
@@ -103,9 +103,8 @@ def ComputedTorque(
     )
     wanted = (("thetalistd", thetalistd), ("dthetalistd", dthetalistd), ("ddthetalistd", ddthetalistd))
     q_des, v_des, a_des = (length * finite_array(name, value, shape=(n,)) for name, value in wanted)
-    Ki = _gain("Ki", Ki)
-    law = ComputedTorqueLaw(kp=_gain("Kp", Kp), kd=_gain("Kd", Kd))  # the integral is given
-    ctrl = compile(law, arm, engine="float")
+    Ki = finite_scalar("Ki", Ki, minimum=0.0)
+    ctrl = compile(ComputedTorqueLaw(kp=Kp, kd=Kd), arm, engine="float")  # the integral is given
     tau: Float64Array = length * ctrl.step(q, v, JointMotion(q=q_des, v=v_des, a=a_des + Ki * e_int))
     return tau
 
@@ -175,21 +174,26 @@ def SimulateControl(
         Chapter, equation 10.21 and figure 10.13.
     """
     arm, length = _arm(Mlist, Glist, Slist, g)
-    model = _model(Mtildelist, Gtildelist, Slist, gtilde)
+    try:
+        model, _ = _arm(Mtildelist, Gtildelist, Slist, gtilde)
+    except TautError as wrong:
+        raise wrong.about("", "the model (with a tilde): ") from wrong
     n = arm.n
     q = length * finite_array("thetalist", thetalist, shape=(n,))
     v = length * finite_array("dthetalist", dthetalist, shape=(n,))
-    wanted = [
-        length * _rows(name, value, n) for name, value in (("thetamatd", thetamatd), ("dthetamatd", dthetamatd))
-    ]
-    wanted.append(length * _rows("ddthetamatd", ddthetamatd, n))
-    F_tip = _rows("Ftipmat", Ftipmat, 6)
-    for name, rows in zip(("dthetamatd", "ddthetamatd", "Ftipmat"), (*wanted[1:], F_tip), strict=True):
-        if len(rows) != len(wanted[0]):
-            raise ShapeError(f"{name} must have {len(wanted[0])} rows, as thetamatd has; got {len(rows)}", name=name)
-    h = positive_scalar("dt", dt, unit="s") / _steps(intRes)
-    law = ComputedTorqueLaw(kp=_gain("Kp", Kp), ki=_gain("Ki", Ki), kd=_gain("Kd", Kd))
-    ctrl, accelerate = compile(law, model, rate=1.0 / dt), _accelerations(arm)
+    N = len(np.atleast_1d(thetamatd))
+    desired = (("thetamatd", thetamatd), ("dthetamatd", dthetamatd), ("ddthetamatd", ddthetamatd))
+    wanted = [length * finite_array(name, value, shape=(N, n)) for name, value in desired]
+    F_tip = finite_array("Ftipmat", Ftipmat, shape=(N, 6))
+    intRes = whole_number("intRes", intRes, minimum=1, maximum=MAX_STEPS)
+    h = positive_scalar("dt", dt, unit="s") / intRes
+    ctrl = compile(ComputedTorqueLaw(kp=Kp, ki=Ki, kd=Kd), model, rate=1.0 / dt)
+    dynamics = model_of(arm)
+
+    def accelerations(q: Vector, v: Vector, tau: Vector, F_app: Vector) -> Vector:
+        return dyn.forward_dynamics(dynamics, q, v, tau - dyn.jacobian(dynamics, q, None, "E").T @ F_app)
+
+    accelerate = native(accelerations, q=n, v=n, tau=n, F_app=6)
     torques, angles = np.empty_like(wanted[0]), np.empty_like(wanted[0])
     for i, (q_des, v_des, a_des) in enumerate(zip(*wanted, strict=True)):
         tau = ctrl.step(q, v, JointMotion(q=q_des, v=v_des, a=a_des))
@@ -205,9 +209,6 @@ def SimulateControl(
     return torques, angles
 
 
-# -------------------------------------------------------------------- what is given
-
-
 def _arm(Mlist: ArrayLike, Glist: ArrayLike, Slist: ArrayLike, g: ArrayLike) -> tuple[Arm, Float64Array]:
     """The arm with screw axes of unit length, and (n,) how long they were."""
     S = finite_array("Slist", Slist)
@@ -218,49 +219,3 @@ def _arm(Mlist: ArrayLike, Glist: ArrayLike, Slist: ArrayLike, g: ArrayLike) -> 
     length = np.where(turns > 0.0, turns, slides)
     length = np.where(length > 0.0, length, 1.0)
     return Arm.from_screws(Mlist, Glist, S / length, gravity), length
-
-
-def _model(Mtildelist: ArrayLike, Gtildelist: ArrayLike, Slist: ArrayLike, gtilde: ArrayLike) -> Arm:
-    """The model, whose errors have the names with a tilde."""
-    gravity = finite_array("gtilde", gtilde, shape=(3,), unit="m/s^2")
-    try:
-        return _arm(Mtildelist, Gtildelist, Slist, gravity)[0]
-    except ModelError as wrong:
-        raise ModelError("Mtildelist and Gtildelist", wrong.problems) from wrong
-    except (ShapeError, RangeError) as wrong:
-        text = str(wrong).replace("Mlist", "Mtildelist").replace("Glist", "Gtildelist")
-        raise type(wrong)(text, name=wrong.name, value=wrong.value, rule=wrong.rule) from wrong
-
-
-def _accelerations(arm: Arm) -> NativeFunction:
-    """Joint accelerations of q, v, tau and the wrench of the tool on its environment, in its own axes."""
-    model = model_of(arm)
-
-    def accelerations(q: Vector, v: Vector, tau: Vector, F_app: Vector) -> Vector:
-        return dyn.forward_dynamics(model, q, v, tau - dyn.jacobian(model, q, None, "E").T @ F_app)
-
-    return native(accelerations, q=arm.n, v=arm.n, tau=arm.n, F_app=6)
-
-
-def _rows(name: str, value: ArrayLike, columns: int) -> Float64Array:
-    rows = finite_array(name, value)
-    if rows.ndim != 2 or rows.shape[1] != columns or not len(rows):
-        raise ShapeError(
-            f"{name} must have shape (N, {columns}), a row for each time; got shape {rows.shape}", name=name
-        )
-    return rows
-
-
-def _gain(name: str, value: float) -> float:
-    gain = finite_scalar(name, value)
-    if gain < 0.0:
-        raise RangeError(f"{name} must be >= 0; got {gain:g}", name=name, value=gain, rule=">= 0")
-    return gain
-
-
-def _steps(intRes: int) -> int:
-    if isinstance(intRes, bool) or not isinstance(intRes, (int, np.integer)):
-        raise UsageError(f"intRes must be a whole number; got {intRes!r}", name="intRes")
-    if not 1 <= intRes <= MOST_STEPS:
-        raise RangeError(f"intRes must be between 1 and {MOST_STEPS}; got {intRes}", name="intRes", value=intRes)
-    return int(intRes)

@@ -128,16 +128,7 @@ def of_scenario(scenario: str) -> dict[tuple[str, str, str], tuple[str, str] | N
     for trial, one in load_scenario(scenario).trials.items():
         if one.spread is not None and len(out) == 2:
             break
-        ctrl = taut.compile(
-            *(one.laws[trial.law], one.arm),
-            rate=one.rate,
-            sensing=one.sensing,
-            limits=one.limits,
-            adds=one.plant.adds,
-        )
-        reference = None if ctrl.side.task is not None else one.reference
-        more = {"q0": one.q0, "v0": one.v0, "seed": one.seed, "events": one.events, "progress": False}
-        diagnosis = taut.doctor(taut.run(ctrl, one.plant, reference, duration=one.duration, **more))
+        diagnosis = taut.doctor(one.experiment.run(one.experiment.controller(one.laws[trial.law])))
         assert not diagnosis.problems, trial
         found = diagnosis.findings
         out[scenario, trial.case, trial.law] = (found[0].name, found[0].term) if found else None
@@ -164,7 +155,7 @@ def test_the_page_prints_the_table_of_thresholds() -> None:
     ]
     for name, each in of:
         assert f"| {name} | {each.name} | {each.value:g} {each.unit} | {each.reason} |" in page
-    assert len(of) <= 26
+    assert len(of) <= 25
     assert len({each.name for _, each in of}) == len(of)
 
 

@@ -12,9 +12,8 @@ from typing import Any
 from mcap.writer import CompressionType, Writer
 
 import taut
-from taut.record.log.layout import Header, TickLayout, columns_of
 from taut.record.log.reading import MAGIC
-from taut.record.log.writing import CHUNK_BYTES, TICKS, Ending, sealed
+from taut.record.log.writing import CHUNK_BYTES, TICKS, Ending, Header, TickLayout, columns_of, sealed
 from taut.record.plain import plain
 
 

@@ -14,7 +14,7 @@ from taut.codegen.engine import Steps
 from taut.codegen.loop import StepLoop
 from taut.codegen.program import Block
 from taut.linear.linearise import rest_of
-from taut.linear.margins import scaled_norm
+from taut.linear.performance import scaled_norm
 from taut.linear.period import loop_map
 from taut.loop import DT
 

@@ -295,46 +295,22 @@ def test_a_constraint_of_joint_speeds_needs_no_phi() -> None:
     assert two.at(x).A_q.tolist() == np.eye(3)[:2].tolist()
 
 
-@pytest.mark.parametrize(
-    ("make", "error", "sentence"),
-    [
-        (lambda: Constraint.of_joints(lambda q: None), taut.errors.ShapeError, "must give numbers; got NoneType"),
-        (lambda: Constraint.of_joints(lambda q: "a"), taut.errors.ShapeError, "must give numbers; got str"),
-        (
-            lambda: Constraint.of_joints(lambda q: np.eye(2)),
-            taut.errors.ShapeError,
-            r"must give numbers of shape \(1,\) everywhere; got \(2, 2\)",
-        ),
-        (
-            lambda: Constraint.of_joints(lambda q: q[0], rows=0),
-            taut.errors.RangeError,
-            "rows must be a whole number >= 1",
-        ),
-        (lambda: Constraint.of_joints(lambda q: q[0], rows=1.5), taut.errors.RangeError, "rows must be .*; got 1.5"),  # type: ignore[arg-type]
-        (lambda: Constraint.of_joints(3), taut.errors.UsageError, "must be a function"),  # type: ignore[arg-type]
-        (
-            lambda: Constraint.pfaffian_of_joints(lambda q, t: q),
-            taut.errors.UsageError,
-            "must take 1 argument; it takes 2",
-        ),
-        (
-            lambda: Constraint.pfaffian_of_joints(lambda q: [1.0]),
-            taut.errors.ShapeError,
-            r"of shape \(1, 2\) everywhere; got \(1, 1\)",
-        ),
-        (
-            lambda: Constraint.pfaffian_of_joints(lambda q: None),
-            taut.errors.ShapeError,
-            "must give numbers; got NoneType",
-        ),
-    ],
-)
-def test_a_wrong_constraint_of_joints_is_one_sentence(
-    make: Callable[[], Constraint], error: type[Exception], sentence: str
-) -> None:
-    x = taut.snapshot(taut.load_arm("planar2"), [0.1, 0.2])
-    with pytest.raises(error, match=sentence):
-        make().at(x)
+WRONG_OF_JOINTS: dict[str, tuple[Callable[[], Constraint], type[Exception]]] = {
+    "nothing": (lambda: Constraint.of_joints(lambda q: None), taut.errors.ShapeError),
+    "a matrix": (lambda: Constraint.of_joints(lambda q: np.eye(2)), taut.errors.ShapeError),
+    "no rows": (lambda: Constraint.of_joints(lambda q: q[0], rows=0), taut.errors.RangeError),
+    "a row and a half": (lambda: Constraint.of_joints(lambda q: q[0], rows=1.5), taut.errors.RangeError),  # type: ignore[arg-type]
+    "no function": (lambda: Constraint.of_joints(3), taut.errors.UsageError),  # type: ignore[arg-type]
+    "a timed A": (lambda: Constraint.pfaffian_of_joints(lambda q, t: q), taut.errors.UsageError),
+    "a short A": (lambda: Constraint.pfaffian_of_joints(lambda q: [1.0]), taut.errors.ShapeError),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_OF_JOINTS)
+def test_a_wrong_constraint_of_joints_is_refused(case: str) -> None:
+    make, error = WRONG_OF_JOINTS[case]
+    with pytest.raises(error):
+        make().at(taut.snapshot(taut.load_arm("planar2"), [0.1, 0.2]))
 
 
 def test_a_closed_chain_is_a_constraint_of_two_frames() -> None:
@@ -390,93 +366,38 @@ def test_onto_finds_the_nearest_state_and_says_when_there_is_none() -> None:
         taut.dynamics.onto(CONSTRAINTS["plane"], "panda", arm.home)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(
-    ("make", "error", "sentence"),
-    [
-        (lambda: Constraint(0.3), taut.errors.UsageError, "must be a function, such as lambda"),  # type: ignore[arg-type]
-        (
-            lambda: Constraint(lambda T: 0.3),
-            taut.errors.UsageError,
-            "must change with the pose, and this one is constant",
-        ),
-        (lambda: Constraint(lambda T: tm.array([T.p[2], 1.0])), taut.errors.UsageError, "constant in its row 1"),
-        (
-            lambda: Constraint(lambda T: T.p[2] > 0.4),
-            taut.errors.UsageError,
-            r"this one is a condition, True or False: for T\.p\[2\] > 0\.4 write lambda T: T\.p\[2\] - 0\.4",
-        ),
-        (
-            lambda: Constraint(lambda T: [T.p[2] > 0.4, T.p[0] > 0.1]),
-            taut.errors.UsageError,
-            "this one is a condition",
-        ),
-        (lambda: Constraint(lambda T: None), taut.errors.ShapeError, "must give a number or .*; got (None|NoneType)"),
-        (lambda: Constraint(lambda T: T), taut.errors.ShapeError, "must give a number or .k,. numbers; got Pose"),
-        (
-            lambda: Constraint(lambda T: T.R),
-            taut.errors.ShapeError,
-            r"must give a number or up to 6 of them, \(k,\); got shape",
-        ),
-        (
-            lambda: Constraint(lambda T, a, b: T.p[2]),
-            taut.errors.UsageError,
-            "must take 1 argument, and one more for the time",
-        ),
-        (
-            lambda: Constraint(lambda T: T.p[2], frames="hand"),
-            taut.errors.UsageError,
-            "frames must be names of frames",
-        ),
-        (
-            lambda: Constraint(lambda T: T.p, one_sided=[True]),
-            taut.errors.ShapeError,
-            "one_sided must be True or False",
-        ),
-        (
-            lambda: Constraint.plane(point=[0, 0, 0], normal=[0, 0, 0]),
-            taut.errors.RangeError,
-            "normal must have a length",
-        ),
-        (lambda: Constraint.sphere(center=[0, 0, 0], radius=-1.0), taut.errors.RangeError, "radius must be > 0"),
-        (lambda: Constraint.hinge(point=[0, 0, 0], axis=U, T=3), taut.errors.UsageError, "T must be a taut.Pose"),  # type: ignore[arg-type]
-        (lambda: Constraint.pfaffian(lambda T: T.p), taut.errors.ShapeError, r"must give A, \(6,\) or \(k, 6\)"),
-        (
-            lambda: Constraint.pfaffian(lambda T: np.zeros(6)),
-            taut.errors.UsageError,
-            "gives A = 0, which forbids nothing",
-        ),
-        (
-            lambda: Constraint.pin("a", "b", directions=[1.0, 0.0]),
-            taut.errors.ShapeError,
-            r"directions must be \(k, 3\)",
-        ),
-        (lambda: Constraint(max), taut.errors.UsageError, "does not tell its arguments; write it as lambda T"),
-        (
-            lambda: Constraint(lambda T: {}["x"]),
-            taut.errors.UsageError,
-            r"raises KeyError: 'x' at .*test_constraint\.py:\d+",
-        ),
-        (
-            lambda: Constraint.pfaffian(lambda T: {}["x"]),
-            taut.errors.UsageError,
-            "in every pose, and this one raises KeyError",
-        ),
-        (
-            lambda: Constraint(lambda T: T.p[2], one_sided=np.True_),
-            taut.errors.ShapeError,
-            "one_sided must be True or False",
-        ),  # type: ignore[arg-type]
-        (
-            lambda: Constraint.grasp("a", "b", T=3),
-            taut.errors.UsageError,
-            "T must be a taut.Pose, of the second frame",
-        ),  # type: ignore[arg-type]
-        (lambda: CONSTRAINTS["plane"] + 3, TypeError, "unsupported operand"),  # type: ignore[operator]
-    ],
-)
-def test_a_wrong_constraint_is_one_sentence(
-    make: Callable[[], Constraint], error: type[Exception], sentence: str
-) -> None:
+WRONG: dict[str, tuple[Callable[[], Constraint], type[Exception], str]] = {
+    "no function": (lambda: Constraint(0.3), taut.errors.UsageError, "must be a function"),  # type: ignore[arg-type]
+    "a constant": (lambda: Constraint(lambda T: 0.3), taut.errors.UsageError, "this one is constant"),
+    "a constant row": (lambda: Constraint(lambda T: [T.p[2], 1.0]), taut.errors.UsageError, "constant in its row 1"),
+    "a condition": (lambda: Constraint(lambda T: T.p[2] > 0.4), taut.errors.UsageError, "this one is a condition"),
+    "nothing": (lambda: Constraint(lambda T: None), taut.errors.ShapeError, "got NoneType"),
+    "a pose": (lambda: Constraint(lambda T: T), taut.errors.ShapeError, "got Pose"),
+    "a matrix": (lambda: Constraint(lambda T: T.R), taut.errors.ShapeError, "up to 6 of them"),
+    "too many arguments": (
+        lambda: Constraint(lambda T, a, b: T.p[2]),
+        taut.errors.UsageError,
+        "must take 1 argument",
+    ),
+    "no names": (lambda: Constraint(lambda T: T.p[2], frames="hand"), taut.errors.UsageError, "names of frames"),
+    "few sides": (lambda: Constraint(lambda T: T.p, one_sided=[True]), taut.errors.ShapeError, "one_sided must be"),
+    "no bool": (lambda: Constraint(lambda T: T.p[2], one_sided=np.True_), taut.errors.ShapeError, "one_sided must"),  # type: ignore[arg-type]
+    "no length": (lambda: Constraint.plane(point=U, normal=[0, 0, 0]), taut.errors.RangeError, "must have a length"),
+    "no radius": (lambda: Constraint.sphere(center=U, radius=-1.0), taut.errors.RangeError, "radius must be > 0"),
+    "no pose": (lambda: Constraint.hinge(point=U, axis=U, T=3), taut.errors.UsageError, "must be a taut.Pose"),  # type: ignore[arg-type]
+    "no A": (lambda: Constraint.pfaffian(lambda T: T.p), taut.errors.ShapeError, r"A, \(6,\) or \(k, 6\)"),
+    "A = 0": (lambda: Constraint.pfaffian(lambda T: np.zeros(6)), taut.errors.UsageError, "which forbids nothing"),
+    "no directions": (lambda: Constraint.pin("a", "b", directions=[1.0, 0.0]), taut.errors.ShapeError, r"\(k, 3\)"),
+    "no signature": (lambda: Constraint(max), taut.errors.UsageError, "does not tell its arguments"),
+    "it raises": (lambda: Constraint(lambda T: {}["x"]), taut.errors.UsageError, r"'x' at .*test_constraint\.py:\d+"),
+    "no grasp": (lambda: Constraint.grasp("a", "b", T=3), taut.errors.UsageError, "T must be a taut.Pose"),  # type: ignore[arg-type]
+    "no sum": (lambda: CONSTRAINTS["plane"] + 3, TypeError, "unsupported operand"),  # type: ignore[operator]
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_constraint_is_one_sentence(case: str) -> None:
+    make, error, sentence = WRONG[case]
     with pytest.raises(error, match=sentence):
         make()
 

@@ -140,8 +140,7 @@ class TestBacklash:
         scenario = load_scenario("backlash_cycle")
         case = scenario.cases["backlash"]
         for label, kp in (("high gain", 100.0), ("low gain", 15.0)):
-            ctrl = taut.compile(case.laws[label], case.arm, rate=case.rate)
-            run = taut.run(ctrl, case.plant, case.reference, duration=case.duration, q0=case.q0)
+            run = case.experiment.run(case.experiment.controller(case.laws[label]))
             np.testing.assert_array_equal(run.q, bounds.hunting(kp).q)
 
 

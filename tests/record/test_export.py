@@ -11,7 +11,7 @@ import pytest
 
 import taut
 from taut.record.log import export
-from taut.record.log.layout import columns_of
+from taut.record.log.writing import columns_of
 
 
 def test_arrays_have_every_number_by_name(noisy_run: taut.Run) -> None:

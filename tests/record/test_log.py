@@ -19,8 +19,7 @@ from mcap_ros2.decoder import DecoderFactory
 import taut
 from taut.record.info import RunInfo
 from taut.record.log import writing as log_module
-from taut.record.log.layout import Header, columns_of
-from taut.record.log.writing import open_log, sealed
+from taut.record.log.writing import Header, columns_of, open_log, sealed
 from taut.record.plain import plain
 
 

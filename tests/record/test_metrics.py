@@ -127,7 +127,6 @@ def test_what_the_limits_cut_is_counted(make_run: Any) -> None:
     cut = np.array([[0.0, -1.0], [0.5, 0.0], [0.0, 0.0], [2.0, 0.0]])
     m = make_run([0.0, 0.1, 0.3, 0.6], np.zeros((4, 2)), terms={"torque_limit": cut}).metrics
     np.testing.assert_allclose(m.saturation_time, [0.2, 0.1])
-    np.testing.assert_allclose(m.limit_excess, [2.0, 1.0])
     assert m.overall["saturation_time"] == pytest.approx(0.3)
 
 
@@ -250,7 +249,6 @@ class TestJointsOfEachUnitHaveNumbersOfTheirOwn:
     def test_a_metric_by_unit_is_overall_where_that_has_a_meaning(self, make_run: Any, panda_run: taut.Run) -> None:
         m = self.run(make_run).metrics
         assert m.by_unit("peak_torque") == {"N m": 4.0, "N": 20.0}
-        assert m.by_unit("limit_excess") == {"N m": 2.0, "N": 1.0}
         assert m.by_unit("saturation_time") == {"s": 1.0}
         assert panda_run.metrics.by_unit("effort") == {"(N m)^2 s": panda_run.metrics.overall["effort"]}
 
@@ -317,12 +315,12 @@ def test_every_metric_has_a_unit_a_meaning_and_a_row_in_its_page() -> None:
 
 
 def test_a_metric_of_a_user_is_one_function(panda_run: taut.Run, make_run: Any, tmp_path: Path) -> None:
-    @taut.analysis.metric(unit="{tau}", per_joint=True, together="sum")
+    @taut.analysis.Metric(unit="{tau}", per_joint=True, together="sum")
     def mean_torque(run: taut.Run) -> Any:
         """Mean magnitude of tau."""
         return np.abs(run.tau).mean(axis=0)
 
-    @taut.analysis.metric(unit="m")
+    @taut.analysis.Metric(unit="m")
     def tool_travel(run: taut.Run) -> float | None:
         """Length of the path of the tool's origin."""
         if run.info.tool is None:
@@ -344,7 +342,7 @@ def test_a_metric_of_a_user_is_one_function(panda_run: taut.Run, make_run: Any, 
 def test_a_metric_that_cannot_be_is_refused(make_run: Any) -> None:
     for taken in ("rms_error", "overall"):
         with pytest.raises(UsageError, match=f"a run has '{taken}' already"):
-            taut.analysis.metric(unit="m", name=taken)(lambda _: 0.0)
+            taut.analysis.Metric(unit="m", name=taken)(lambda _: 0.0)
     one = Metric(name="two", unit="m", doc="", compute=lambda _: np.zeros(2))
     with pytest.raises(ShapeError, match=r"metric 'two' must give one number of a run; got shape \(2,\)"):
         one.of(make_run([0.0, 1.0], [0.0, 1.0]))

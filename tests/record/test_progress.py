@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 from pathlib import Path
 from typing import Any
@@ -100,17 +101,8 @@ def test_writing_a_long_run_shows_progress_block_by_block(
 def test_a_film_shows_progress_picture_by_picture(
     make_run: Any, tmp_path: Path, counted: list[Counting], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class Blank:
-        def __enter__(self) -> Any:
-            return self
-
-        def __exit__(self, *_: object) -> None:
-            pass
-
-        def pictures(self) -> Any:
-            return (np.zeros((32, 32, 3), dtype=np.uint8) for _ in range(10))
-
-    monkeypatch.setattr(render, "opened", lambda *_: Blank())
+    blank = (np.zeros((32, 32, 3), dtype=np.uint8) for _ in range(10))
+    monkeypatch.setattr(render, "opened", lambda *_: contextlib.nullcontext(blank))
     arm = taut.load_arm("one_joint")
     run = make_run(np.arange(100) * 0.01, np.zeros((100, 1)), arm=arm, joint_names=arm.joint_names)
     run.video(tmp_path / "run.gif", fps=10, size=(32, 32), progress=True)

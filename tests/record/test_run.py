@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import taut
-from taut.record.log.layout import columns_of
+from taut.record.log.writing import columns_of
 
 
 def test_a_run_says_what_it_is(noisy_run: taut.Run) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
 import stat
@@ -48,21 +49,11 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> list[render.Frames]:
     """A renderer that draws nothing, for what does not depend on the pictures; the list has what it is to draw."""
     asked: list[render.Frames] = []
 
-    class Blank:
-        def __enter__(self) -> Any:
-            return self
-
-        def __exit__(self, *_: object) -> None:
-            pass
-
-        def pictures(self) -> Any:
-            width, height = asked[-1].size
-            for k in range(len(asked[-1].qpos)):
-                yield np.full((height, width, 3), k % 256, dtype=np.uint8)
-
-    def opened(_folder: Path, _model: Any, frames: render.Frames) -> Blank:
+    @contextlib.contextmanager
+    def opened(_folder: Path, _model: Any, frames: render.Frames) -> Any:
         asked.append(frames)
-        return Blank()
+        width, height = frames.size
+        yield (np.full((height, width, 3), k % 256, dtype=np.uint8) for k in range(len(frames.qpos)))
 
     monkeypatch.setattr(render, "opened", opened)
     return asked
@@ -180,18 +171,11 @@ def test_a_users_choice_of_backend_is_the_only_one(monkeypatch: pytest.MonkeyPat
 def test_a_renderer_that_dies_leaves_no_half_film(
     moving: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class Dying:
-        def __enter__(self) -> Any:
-            return self
+    def dying() -> Any:
+        yield np.zeros((32, 32, 3), dtype=np.uint8)
+        raise render.NoRendererError("killed")
 
-        def __exit__(self, *_: object) -> None:
-            pass
-
-        def pictures(self) -> Any:
-            yield np.zeros((32, 32, 3), dtype=np.uint8)
-            raise render.NoRendererError("killed")
-
-    monkeypatch.setattr(render, "opened", lambda *_: Dying())
+    monkeypatch.setattr(render, "opened", lambda *_: contextlib.nullcontext(dying()))
     with pytest.raises(taut.errors.FileError, match=r"video '.*run.gif' broke off: killed; try again"):
         moving(taut.load_arm("one_joint")).video(tmp_path / "run.gif", size=(32, 32))
     assert not list(tmp_path.iterdir())
@@ -343,11 +327,11 @@ def test_every_wrong_request_gets_one_sentence(moving: Any, tmp_path: Path) -> N
          "against joint1"),
         (run, {"arm": "panda"}, "arm must be an Arm from taut.load_arm; got str"),
         (run, {"camera": (10.0,)}, "camera must have shape (2,) [deg]; got shape (1,)"),
-        (run, {"fps": 0}, "fps must be a whole number from 1 to 50 for .gif; got 0"),
-        (run, {"fps": 60}, "fps must be a whole number from 1 to 50 for .gif; got 60"),
-        (run, {"fps": 29.97}, "fps must be a whole number from 1 to 50 for .gif; got 29.97"),
-        (run, {"size": 640}, "size must be width and height in pixels, whole numbers from 16 to 4096; got 640"),
-        (run, {"size": (640, 8)}, "whole numbers from 16 to 4096; got (640, 8)"),
+        (run, {"fps": 0}, "fps must be a whole number from 1 to 50; got 0"),
+        (run, {"fps": 60}, "fps must be a whole number from 1 to 50; got 60"),
+        (run, {"fps": 29.97}, "fps must be a whole number from 1 to 50; got 29.97"),
+        (run, {"size": 640}, "size must be width and height in pixels, from 16 to 4096; got 640"),
+        (run, {"size": (640, 8)}, "from 16 to 4096; got (640, 8)"),
         (run, {"speed": 0.0}, "speed must be > 0; got 0.0"),
     ]  # fmt: skip
     for one, request, sentence in wrong:

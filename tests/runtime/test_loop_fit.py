@@ -46,14 +46,15 @@ CASES: list[tuple[Callable[[], tuple[taut.Controller, Any]], type[taut.TautError
     (
         lambda: (compiled(arm=taut.load_arm("planar3")), plant(taut.load_arm("gantry3"))),
         taut.errors.MatchError,
-        "joint 0 of plant 'RigidPlant(gantry3)' ('x') moves in m and that of the controller's arm 'planar3' "
-        "('joint1') in rad; the two must be the same kind of arm",
+        "the joints of plant 'RigidPlant(gantry3)' are x [m], y [m], z [m], and those of the controller's arm "
+        "'planar3' are joint1 [rad], joint2 [rad], joint3 [rad]; both must be the same arm, with its joints in the "
+        "same order",
     ),
     (
         lambda: (compiled(), plant(swapped())),
         taut.errors.MatchError,
-        "plant 'RigidPlant(planar2)' has its joints in another order than the controller's arm: joint2, joint1 against "
-        "joint1, joint2",
+        "the joints of plant 'RigidPlant(planar2)' are joint2 [rad], joint1 [rad], and those of the controller's arm "
+        "'planar2' are joint1 [rad], joint2 [rad]; both must be the same arm, with its joints in the same order",
     ),
     (
         lambda: (compiled(), plant(takes="velocity", actuation=DRIVES)),
@@ -71,7 +72,7 @@ CASES: list[tuple[Callable[[], tuple[taut.Controller, Any]], type[taut.TautError
         lambda: (compiled(Pushed(kp=1.0)), plant()),
         taut.errors.MatchError,
         "Pushed needs F_ext, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; "
-        "give the plant an environment or a contact, or take one in MuJoCo",
+        "give the plant an environment or a contact, and a sensor of it, sensors.wrench",
     ),
     (
         lambda: (compiled(), HandPlant(measures="")),
@@ -118,14 +119,14 @@ CASES: list[tuple[Callable[[], tuple[taut.Controller, Any]], type[taut.TautError
     (
         lambda: (compiled(PID, limits=RATE), plant(adds=("gravity",))),
         taut.errors.MatchError,
-        "plant 'RigidPlant(planar2)' adds gravity itself, contrary to the torque that the controller starts "
-        "from; compile with adds=plant.adds",
+        "plant 'RigidPlant(planar2)' adds gravity itself and the controller's limits count on it too; compile with "
+        "adds=plant.adds, use a law that does not add it, or a plant with adds=()",
     ),
     (
         lambda: (compiled(PID, limits=RATE, adds=("gravity",)), plant()),
         taut.errors.MatchError,
-        "plant 'RigidPlant(planar2)' does not add gravity, contrary to the torque that the controller starts "
-        "from; compile with adds=plant.adds",
+        "the controller was compiled to leave gravity to the plant, and plant 'RigidPlant(planar2)' does not add it; "
+        "compile with adds=plant.adds",
     ),
 ]
 
@@ -220,7 +221,7 @@ class TestRunTakes:
             ),
             (
                 lambda: taut.run(compiled(), duration=1.0),
-                "run needs a plant: taut.run(ctrl, taut.RigidPlant(arm), ref, duration=5.0)",
+                "run needs a plant: taut.run(ctrl, taut.RigidPlant(arm), ref, duration=5.0), or a taut.PlantBase; got none",
             ),
             (
                 lambda: taut.run(compiled(), plant()),
@@ -228,7 +229,7 @@ class TestRunTakes:
             ),
             (
                 lambda: taut.run(compiled(), ARM, duration=1.0),  # type: ignore[arg-type]
-                "run takes a plant such as taut.RigidPlant(arm), or a taut.PlantBase; got Arm",
+                "run needs a plant: taut.run(ctrl, taut.RigidPlant(arm), ref, duration=5.0), or a taut.PlantBase; got Arm",
             ),
             (lambda: taut.run(compiled(), plant(), duration=-1.0), "duration must be > 0 [s]; got -1.0"),
             (

@@ -181,7 +181,7 @@ def test_steps_that_are_too_long_for_a_spring_are_refused_with_what_is_enough(st
 def test_what_does_not_go_together_is_refused_in_words() -> None:
     plant = taut.MujocoPlant(ROUGH)
     with pytest.raises(taut.errors.RangeError) as caught:
-        plant.set_parameter("plant.friction.static", 0.1)
+        plant.set_parameters({"plant.friction.static": 0.1})
     assert str(caught.value) == (
         "plant.friction.static[0] must be >= plant.friction.coulomb: friction at rest is no less than in motion; got "
         "0.1 < 0.3 [N m | N]"

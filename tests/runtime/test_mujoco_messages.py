@@ -113,7 +113,7 @@ def test_parameters_are_checked_before_a_run_begins(
 ) -> None:
     plant = taut.MujocoPlant(ARM)
     before = dict(plant.parameters)
-    assert said(lambda: plant.set_parameter(path, value), kind) == words
+    assert said(lambda: plant.set_parameters({path: value}), kind) == words
     assert plant.parameters == before
     if kind is not taut.errors.UnknownNameError:
         events = [taut.Event(t=1.0, set={path: value})]
@@ -179,7 +179,7 @@ def test_parameters_are_checked_before_a_run_begins(
         ),
         (
             "<body name='link1'><geom size='1'/></body>",
-            "scene: body 'link1' of the scene: the arm has a body of that name; rename it (line 1)",
+            "scene: MuJoCo refuses the model: repeated name 'link1' in body",
         ),
         (
             "<!DOCTYPE x [<!ENTITY a 'b'>]><geom size='1'/>",

@@ -247,8 +247,8 @@ LACKS: list[tuple[taut.Law, taut.sensors.Sensors, str]] = [
     (Motors(), taut.sensors.Sensors(), "Motors needs q_motor, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; give the plant encoders at the motors, sensors.motor"),
     (Motors(), taut.sensors.Sensors(motor=taut.sensors.Encoder()), "Motors needs v_motor, which plant 'RigidPlant(planar2)' does not measure; it measures q_motor, tau_meas, v; give the plant tachometers at the motors, sensors.motor_velocity"),
     (Tip(), taut.sensors.Sensors(), "Tip needs a_tip, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; give the plant an accelerometer, sensors.tip"),
-    (Forces(), taut.sensors.Sensors(), "Forces needs F_ext, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; give the plant an environment or a contact, or take one in MuJoCo"),
-    (Forces(), taut.sensors.Sensors(wrench=None), "Forces needs F_ext, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; give the plant a wrench sensor, sensors.wrench"),
+    (Forces(), taut.sensors.Sensors(), "Forces needs F_ext, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; give the plant an environment or a contact, and a sensor of it, sensors.wrench"),
+    (Forces(), taut.sensors.Sensors(wrench=None), "Forces needs F_ext, which plant 'RigidPlant(planar2)' does not measure; it measures tau_meas, v; give the plant an environment or a contact, and a sensor of it, sensors.wrench"),
 ]  # fmt: skip
 
 

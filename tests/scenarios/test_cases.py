@@ -75,7 +75,7 @@ def run_json(tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str], stat
 
 def test_friction_of_the_plant_takes_the_place_of_that_of_the_arm(tmp_path: Path) -> None:
     scenario = load_scenario(write(tmp_path, GOOD + FRICTION))
-    true = scenario.plant.arm.friction
+    true = scenario.experiment.plant.arm.friction
     assert np.asarray(true.coulomb).tolist() == [0.3, 0.0]
     assert np.asarray(true.static).tolist() == [0.5, 0.0]
     assert np.asarray(true.viscous).tolist() == [0.1, 0.2]
@@ -85,15 +85,15 @@ def test_friction_of_the_plant_takes_the_place_of_that_of_the_arm(tmp_path: Path
 def test_the_controllers_arm_keeps_the_friction_that_it_believes(tmp_path: Path) -> None:
     text = GOOD.replace('model = "planar2"', 'model = "planar2"\nfriction = { coulomb = 0.7 }') + FRICTION
     scenario = load_scenario(write(tmp_path, text))
-    assert np.asarray(scenario.arm.friction.coulomb).tolist() == [0.7, 0.7]
-    assert np.asarray(scenario.plant.arm.friction.coulomb).tolist() == [0.3, 0.0]
+    assert np.asarray(scenario.experiment.arm.friction.coulomb).tolist() == [0.7, 0.7]
+    assert np.asarray(scenario.experiment.plant.arm.friction.coulomb).tolist() == [0.3, 0.0]
 
 
 def test_an_arm_may_be_believed_without_friction(tmp_path: Path) -> None:
     text = GOOD.replace('model = "planar2"', 'model = "one_joint"\nfriction = "none"').replace("[8, 4]", "8")
     scenario = load_scenario(write(tmp_path, text.replace("amplitude = [0.2, 0.2]", "amplitude = [0.2]")))
     assert float(np.asarray(taut.load_arm("one_joint").friction.viscous)[0]) > 0.0
-    assert not np.any(scenario.arm.friction.viscous)
+    assert not np.any(scenario.experiment.arm.friction.viscous)
 
 
 def test_gears_and_rotors_reach_both_arms(tmp_path: Path) -> None:
@@ -102,10 +102,10 @@ def test_gears_and_rotors_reach_both_arms(tmp_path: Path) -> None:
         'model = "planar2"\ngears = { ratio = { joint1 = 100.0 }, motor_inertia = { joint1 = 1e-5 } }',
     ).replace('kind = "rigid"', 'kind = "rigid"\njoint_values = { gear = 50.0, rotor_inertia = [0.2, 0.1] }')
     scenario = load_scenario(write(tmp_path, text))
-    assert scenario.arm.gear.tolist() == [100.0, 1.0]
-    assert scenario.arm.rotor_inertia == pytest.approx([0.1, 0.0])
-    assert scenario.plant.arm.gear.tolist() == [50.0, 50.0]
-    assert scenario.plant.arm.rotor_inertia.tolist() == [0.2, 0.1]
+    assert scenario.experiment.arm.gear.tolist() == [100.0, 1.0]
+    assert scenario.experiment.arm.rotor_inertia == pytest.approx([0.1, 0.0])
+    assert scenario.experiment.plant.arm.gear.tolist() == [50.0, 50.0]
+    assert scenario.experiment.plant.arm.rotor_inertia.tolist() == [0.2, 0.1]
 
 
 @pytest.mark.parametrize("kind", ["rigid", "mujoco"])
@@ -113,7 +113,7 @@ def test_drives_reach_the_plant_with_all_their_parts(kind: str, tmp_path: Path) 
     text = (
         GOOD.replace('kind = "rigid"', f'kind = "{kind}"\ngears = {{ ratio = 100, motor_inertia = 1e-5 }}') + DRIVES
     )
-    plant = load_scenario(write(tmp_path, text)).plant
+    plant = load_scenario(write(tmp_path, text)).experiment.plant
     values = plant.parameters
     assert values["actuation.motor.torque_constant"] == 0.05
     assert values["actuation.ripple.periods"] == 7.0
@@ -125,14 +125,14 @@ def test_drives_reach_the_plant_with_all_their_parts(kind: str, tmp_path: Path) 
 
 def test_a_motor_without_electrical_numbers_is_a_curve(tmp_path: Path) -> None:
     text = GOOD + "[plant.actuation.motor]\npeak = 3.0\n"
-    plant = load_scenario(write(tmp_path, text)).plant
+    plant = load_scenario(write(tmp_path, text)).experiment.plant
     assert isinstance(plant, taut.RigidPlant)
     assert isinstance(plant.actuation.motor, taut.drives.Motor)
 
 
 def test_sweeps_substeps_and_energy_reach_the_plant(tmp_path: Path) -> None:
     text = GOOD.replace('kind = "rigid"', 'kind = "rigid"\nsweeps = 7\nsubsteps = 2\nenergy = true')
-    plant = load_scenario(write(tmp_path, text)).plant
+    plant = load_scenario(write(tmp_path, text)).experiment.plant
     assert isinstance(plant, taut.RigidPlant)
     assert (plant.sweeps, plant.substeps, plant.energy) == (7, 2, True)
 
@@ -157,12 +157,12 @@ def test_a_case_is_the_scenario_with_some_keys_replaced(tmp_path: Path) -> None:
     scenario = load_scenario(write(tmp_path, text))
     assert list(scenario.cases) == ["direct drive", "G = 100", "slow"]
     direct, geared, slow = scenario.cases.values()
-    assert direct.plant.arm.rotor_inertia.tolist() == [0.0, 0.0]
-    assert geared.plant.arm.rotor_inertia.tolist() == pytest.approx([0.1, 0.1])
-    assert np.asarray(geared.plant.arm.friction.viscous).tolist() == [0.4, 0.4]
-    assert np.asarray(geared.plant.arm.friction.coulomb).tolist() == [0.3, 0.0]
-    assert (direct.rate, slow.rate) == (500.0, 100.0)
-    assert not np.any(geared.arm.rotor_inertia)
+    assert direct.experiment.plant.arm.rotor_inertia.tolist() == [0.0, 0.0]
+    assert geared.experiment.plant.arm.rotor_inertia.tolist() == pytest.approx([0.1, 0.1])
+    assert np.asarray(geared.experiment.plant.arm.friction.viscous).tolist() == [0.4, 0.4]
+    assert np.asarray(geared.experiment.plant.arm.friction.coulomb).tolist() == [0.3, 0.0]
+    assert (direct.experiment.rate, slow.experiment.rate) == (500.0, 100.0)
+    assert not np.any(geared.experiment.arm.rotor_inertia)
 
 
 def test_a_case_that_changes_nothing_runs_as_the_scenario_does(

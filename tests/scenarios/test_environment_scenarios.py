@@ -28,7 +28,7 @@ kind = "hold"
 [run]
 duration = 0.6
 [outputs]
-csv = "run.csv"
+log = "run.mcap"
 """
 
 
@@ -65,7 +65,7 @@ def written(folder: Path, kind: str, more: str) -> str:
 )
 def test_each_kind_reaches_both_plants(text: str, made: Any, kind: str, tmp_path: Path) -> None:
     scenario = load_scenario(written(tmp_path, kind, f"[plant.environment]\n{text}\n"))
-    plant: Any = scenario.plant
+    plant: Any = scenario.experiment.plant
     if kind == "rigid":
         assert type(plant.environment) is made
     numbers = [path for path in plant.parameters if path.startswith("environment.")]
@@ -103,7 +103,7 @@ t = 0.4
 push = { of = "environment.poke", peak = [0, 20, 0], duration = 0.1 }
 """
     assert main(["run", written(tmp_path, kind, events), "--out", "out"]) == 0
-    file = tmp_path / "out" / "run.csv"
+    file = taut.load_run(tmp_path / "out" / "run.mcap").to_csv(tmp_path / "run.csv")
     names = file.read_text().splitlines()[0].split(",")
     table = dict(zip(names, np.loadtxt(file, delimiter=",", skiprows=1).T, strict=True))
     force = [table[f"extra.F_ext.{i} [N]"] for i in range(3)]

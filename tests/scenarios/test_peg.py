@@ -19,7 +19,7 @@ from taut.scenarios.scenario import Outputs, Scenario, built_in_scenarios, load_
 
 HOLE = built_in_scenarios()["peg"].with_name("peg_hole.xml")
 PEG = {"tool_radius": 0.01, "tool_length": 0.06}
-NOTHING: dict[str, Any] = {"plot": None, "video": None, "log": None, "csv": None}
+NOTHING: dict[str, Any] = {"plot": None, "video": None, "log": None}
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +61,7 @@ def test_the_radial_clearance_of_the_hole_is_nowhere_more_than_0_2_mm() -> None:
 
 
 def test_a_peg_that_is_pressed_with_30_newtons_sinks_in_by_less_than_a_micrometre(peg: Scenario) -> None:
-    arm = peg.arm
+    arm = peg.experiment.arm
     T = taut.snapshot(arm, arm.home).T()
     beside = taut.Pose(T.p + np.array([0.015, 0.0, -1e-4]))  # over the steel, half of the peg over the hole
     plant = taut.MujocoPlant(arm, scene=HOLE, scene_at=beside, **PEG)
@@ -160,9 +160,9 @@ def test_each_run_has_its_scene_elsewhere_and_is_a_run_of_its_own(
     scenario = load_scenario(file)
     assert list(scenario.cases) == ["run 1", "run 2", "run 3"]
     for k, one in enumerate(scenario.cases.values(), start=1):
-        plant: Any = one.plant
+        plant: Any = one.experiment.plant
         geom = int(np.flatnonzero((plant.model.geom_size == [0.05, 1.0, 1.0]).all(axis=1))[0])
-        plant.reset(one.arm.home, np.zeros(2), 1e-3)
+        plant.reset(one.experiment.arm.home, np.zeros(2), 1e-3)
         import mujoco
 
         mujoco.mj_forward(plant.model, plant.data)
@@ -190,8 +190,8 @@ def test_a_figure_that_one_run_misses_is_missed_and_the_run_is_named(
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("runs = 3", "runs = 1", "[spread] runs must be a whole number >= 2 and <= 1000; got 1"),
-        ("runs = 3", "runs = 3.5", "[spread] runs must be a whole number >= 2 and <= 1000; got 3.5"),
+        ("runs = 3", "runs = 1", "[spread] runs must be a whole number from 2 to 1000; got 1"),
+        ("runs = 3", "runs = 3.5", "[spread] runs must be a whole number from 2 to 1000; got 3.5"),
         ("runs = 3", "", "[spread] needs the key 'runs'"),
         ("seed = 4", "seed = -1", "[spread] seed must be a whole number >= 0; got -1"),
         ("shift = 0.002", "shift = -0.1", "[spread] shift must be >= 0 [m]; got -0.1"),
@@ -220,4 +220,4 @@ def test_chance_that_is_none_is_refused(
 def test_the_tool_of_a_scenario_may_stand_off_a_frame(peg: Scenario) -> None:
     arm = taut.load_arm("panda")
     moved = taut.snapshot(arm, arm.home).T() @ taut.Pose([0.0, 0.0, 0.05])
-    np.testing.assert_allclose(taut.snapshot(peg.arm, arm.home).T().p, moved.p, atol=1e-12)
+    np.testing.assert_allclose(taut.snapshot(peg.experiment.arm, arm.home).T().p, moved.p, atol=1e-12)

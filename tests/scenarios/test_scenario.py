@@ -12,10 +12,9 @@ from story_names import STORIES
 
 import taut
 from taut.cli.main import main
-from taut.scenarios.laws import read_control
-from taut.scenarios.plants import read_plant
 from taut.scenarios.reading import read_toml
 from taut.scenarios.scenario import built_in_scenarios, load_scenario
+from taut.scenarios.sections import read_control, read_plant
 
 GOOD = """
 title = "a test"
@@ -115,7 +114,7 @@ class Endless(taut.Law):
     def test_it_exits_with_one_and_says_how_it_ended_and_what_was_not_made(
         self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
-        outputs = 'plot = "x.png"\nvideo = "x.gif"\nlog = "x.mcap"\ncsv = "x.csv"'
+        outputs = 'plot = "x.png"\nvideo = "x.gif"\nlog = "x.mcap"'
         assert main(self.scenario(tmp_path, outputs)) == 1
         said = capsys.readouterr()
         assert said.err == ""
@@ -124,7 +123,7 @@ class Endless(taut.Law):
         assert "no plot: there is nothing to plot: no law got through its first tick" in said.out
         assert "no video: there is nothing to film: the law did not get through its first tick" in said.out
         assert "missed: PD: peak_error has no meaning in this run" in said.out
-        assert {path.name for path in (tmp_path / "out").iterdir()} == {"x.mcap", "x.csv", "case.json"}
+        assert {path.name for path in (tmp_path / "out").iterdir()} == {"x.mcap", "case.json"}
 
     def test_it_says_the_same_as_json(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert main([*self.scenario(tmp_path, 'plot = "x.png"'), "--json"]) == 1
@@ -154,11 +153,11 @@ class Endless(taut.Law):
 class TestFilesAreWholeOrNotThere:
     def run(self, tmp_path: Path, *flags: str) -> int:
         (tmp_path / "case.toml").write_text(
-            GOOD.replace('plot = "x.png"', 'plot = "x.png"\nlog = "x.mcap"\ncsv = "x.csv"\nvideo = "x.gif"')
+            GOOD.replace('plot = "x.png"', 'plot = "x.png"\nlog = "x.mcap"\nvideo = "x.gif"')
         )
         return main(["run", str(tmp_path / "case.toml"), "--out", str(tmp_path / "out"), *flags])
 
-    @pytest.mark.parametrize("name", ["x.png", "x.gif", "x.mcap", "x.csv", "case.json"])
+    @pytest.mark.parametrize("name", ["x.png", "x.gif", "x.mcap", "case.json"])
     def test_a_name_that_a_folder_has_is_refused_before_the_run(
         self, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
@@ -185,7 +184,7 @@ class TestFilesAreWholeOrNotThere:
         assert "File name too long" in capsys.readouterr().err
 
     @WITHOUT_OPENGL
-    @pytest.mark.parametrize(("kind", "name"), [("plot", "x.png"), ("log", "x.mcap"), ("csv", "x.csv")])
+    @pytest.mark.parametrize(("kind", "name"), [("plot", "x.png"), ("log", "x.mcap")])
     def test_a_full_disk_leaves_what_was_there_and_the_result_is_told(
         self,
         kind: str,
@@ -207,12 +206,10 @@ class TestFilesAreWholeOrNotThere:
         assert self.run(tmp_path) == 1
         said = capsys.readouterr()
         file = tmp_path / "out" / name
-        assert (
-            f"no {kind}: {kind if kind != 'csv' else 'table'} '{file}' cannot be written: No space left" in said.out
-        )
+        assert f"no {kind}: {kind} '{file}' cannot be written: No space left" in said.out
         assert "completed" in said.out
         assert file.read_text() == "before"
-        names = {"x.png", "x.gif", "x.mcap", "x.csv", "case.json"}
+        names = {"x.png", "x.gif", "x.mcap", "case.json"}
         assert {path.name for path in (tmp_path / "out").iterdir()} == names
 
     def test_without_outputs_the_command_says_where_the_metrics_went(
@@ -296,7 +293,7 @@ class TestFilesLieBesideTheScenario:
             ("here/models", "../case.toml"),
         ):
             monkeypatch.chdir(tmp_path / folder)
-            assert load_scenario(name).arm.name == "mixed"
+            assert load_scenario(name).experiment.arm.name == "mixed"
         assert main(["run", "../case.toml", "--out", "o"]) == 0
         assert (tmp_path / "here" / "models" / "o" / "case.json").is_file()
 
@@ -305,12 +302,12 @@ class TestFilesLieBesideTheScenario:
         (tmp_path / "here").mkdir()
         file = tmp_path / "here" / "case.toml"
         file.write_text(changed('"planar2"', f"'{tmp_path / 'mixed.urdf'}'").replace("peak_error", "energy"))
-        assert load_scenario(str(file)).arm.name == "mixed"
+        assert load_scenario(str(file)).experiment.arm.name == "mixed"
 
     def test_the_name_of_an_arm_is_no_file(self, tmp_path: Path) -> None:
         (tmp_path / "planar2").mkdir()
         (tmp_path / "case.toml").write_text(GOOD)
-        assert load_scenario(str(tmp_path / "case.toml")).arm.name == "planar2"
+        assert load_scenario(str(tmp_path / "case.toml")).experiment.arm.name == "planar2"
 
 
 class TestNamesThatMeanSomethingElsewhere:
@@ -353,7 +350,7 @@ class TestFromHome:
         file = tmp_path / "case.toml"
         file.write_text(changed(old, f"[reference]\n{text}\n"))
         scenario = load_scenario(str(file))
-        return scenario.reference, scenario.plant.arm.home
+        return scenario.experiment.reference, scenario.experiment.plant.arm.home
 
     def test_a_set_point(self, tmp_path: Path) -> None:
         reference, home = self.reference(
@@ -388,7 +385,7 @@ def test_a_link_with_other_numbers_keeps_what_else_is_said_of_the_arm(tmp_path: 
         '[arm]\nmodel = "one_joint"\nlink = { r = 0.05 }\nhome = [0.3]\ngravity = [0, 0, -1.6]\nT_WB = { p = [0, 0, 2] }\n'
         '[laws.PD]\nlaw = "PID"\nkp = 1\n[plant]\n[run]\nduration = 0.1\n'
     )
-    arm = load_scenario(str(file)).arm
+    arm = load_scenario(str(file)).experiment.arm
     assert arm.bodies[0].com.tolist() == [0.05, 0.0, 0.0]
     assert arm.home.tolist() == [0.3]
     assert arm.gravity.tolist() == [0.0, 0.0, -1.6]
@@ -404,15 +401,15 @@ def test_the_state_events_and_changes_of_the_true_arm_reach_the_run(tmp_path: Pa
         + '[[event]]\nt = 0.1\nset = { "plant.payload.mass" = 0.5 }\n'
     )
     scenario = load_scenario(str(file))
-    plant = scenario.plant
+    plant = scenario.experiment.plant
     assert isinstance(plant, taut.RigidPlant)
     assert plant.arm.payload.mass == 2.0
     assert plant.friction is None
     assert plant.substeps == 2
-    assert scenario.arm.payload.mass == 0.0
-    np.testing.assert_array_equal(scenario.q0, [0.1, 0.2])
-    assert scenario.seed == 5
-    assert scenario.events[0].set == {"plant.payload.mass": 0.5}
+    assert scenario.experiment.arm.payload.mass == 0.0
+    np.testing.assert_array_equal(scenario.experiment.q0, [0.1, 0.2])
+    assert scenario.experiment.seed == 5
+    assert scenario.experiment.events[0].set == {"plant.payload.mass": 0.5}
 
 
 SENSED = """
@@ -448,22 +445,22 @@ def test_sensors_and_sensing_reach_the_run(
     file = tmp_path / "case.toml"
     file.write_text(changed("rate = 500", f"rate = 500\n{written}") + SENSED)
     scenario = load_scenario(str(file))
-    assert isinstance(scenario.plant, taut.RigidPlant)
-    sensors = scenario.plant.sensors
+    assert isinstance(scenario.experiment.plant, taut.RigidPlant)
+    sensors = scenario.experiment.plant.sensors
     assert sensors.velocity is None
     assert np.asarray(sensors.position.resolution).tolist() == [0.0, 1e-4]
     assert sensors.position.side == "motor"
     assert sensors.torque is not None
     assert (sensors.torque.side, float(np.asarray(sensors.torque.noise))) == ("motor", 0.1)
-    assert scenario.plant.measures == {"tau_meas", "a_tip"}
-    assert scenario.sensing.notch is not None
-    assert np.asarray(scenario.sensing.notch.frequency).tolist() == [18.0, 0.0]
-    assert type(scenario.sensing.velocity) is type(made)
+    assert scenario.experiment.plant.measures == {"tau_meas", "a_tip"}
+    assert scenario.experiment.sensing.notch is not None
+    assert np.asarray(scenario.experiment.sensing.notch.frequency).tolist() == [18.0, 0.0]
+    assert type(scenario.experiment.sensing.velocity) is type(made)
     wanted = taut.Sensing(velocity=made).parameters()
-    got = scenario.sensing.parameters()
+    got = scenario.experiment.sensing.parameters()
     for path, value in wanted.items():
         np.testing.assert_array_equal(got[path], value)
-    assert getattr(scenario.sensing.velocity, "order", None) == getattr(made, "order", None)
+    assert getattr(scenario.experiment.sensing.velocity, "order", None) == getattr(made, "order", None)
     assert main(["run", str(file), "--out", str(tmp_path / "out")]) == 0
     assert "PD" in capsys.readouterr().out
 
@@ -511,7 +508,7 @@ cutoff = 30
 def test_a_low_pass_of_the_measured_velocity_can_be_written_too(tmp_path: Path) -> None:
     file = tmp_path / "case.toml"
     file.write_text(changed("rate = 500", 'rate = 500\nvelocity = { kind = "low-pass", cutoff = [30, 40] }'))
-    velocity = load_scenario(str(file)).sensing.velocity
+    velocity = load_scenario(str(file)).experiment.sensing.velocity
     assert isinstance(velocity, taut.sensors.LowPass)
     assert np.asarray(velocity.cutoff).tolist() == [30.0, 40.0]
 
@@ -560,7 +557,7 @@ def test_limits_in_words_and_in_a_table(tmp_path: Path) -> None:
         changed_text = changed('model = "planar2"', 'model = "panda"').replace("kd = [8, 4]", "kd = 4")
         changed_text = changed_text.replace("q = [0.2, 0.3]", 'q = "home"')
         file.write_text(changed_text.replace("rate = 500", f"limits = {text}"), encoding="utf-8")
-        found = load_scenario(str(file)).limits
+        found = load_scenario(str(file)).experiment.limits
         assert found is not None
         return found
 

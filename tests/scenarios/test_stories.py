@@ -71,7 +71,7 @@ def test_what_friction_makes_of_a_turn_falls_with_the_inertia_and_grows_with_the
     """A step d against I (s + w)^3 / s makes e = d t^2 / (2 I) exp(-w t), whose peak is 2 d / (I w^2) exp(-2)."""
     metrics, omega = told("panda_geared"), 10.0
     for case, ratio in (("direct", 1.0), ("G = 100", 100.0)):
-        arm = load_scenario("panda_geared").cases[case].arm
+        arm = load_scenario("panda_geared").cases[case].experiment.arm
         inertia = float(arm.rotor_inertia[0] / taut.drives.rotor_share(arm)[0])
         wanted = 2.0 * (2.0 * 0.02 * ratio) / (inertia * omega**2) * np.exp(-2.0)
         assert metrics[(case, "feedforward + PID")]["reversal_error"] == pytest.approx(wanted, rel=0.03)
@@ -86,11 +86,11 @@ def test_a_geared_joint_hardly_feels_a_payload(told: Any) -> None:
 
 def test_the_gains_of_the_geared_case_are_those_of_the_same_poles() -> None:
     for case in load_scenario("panda_geared").cases.values():
-        inertia = float(case.arm.rotor_inertia[0] / taut.drives.rotor_share(case.arm)[0])
+        inertia = float(case.experiment.arm.rotor_inertia[0] / taut.drives.rotor_share(case.experiment.arm)[0])
         law: Any = case.laws["feedforward + PID"]
         gains = {
             key: float(np.ravel(value)[0])
-            for key, value in taut.compile(law, case.arm).parameters.items()
+            for key, value in taut.compile(law, case.experiment.arm).parameters.items()
             if "PID.k" in key
         }
         wanted = {"kp": 300.0 * inertia, "kd": 30.0 * inertia, "ki": 1000.0 * inertia}

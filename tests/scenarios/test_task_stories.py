@@ -113,7 +113,7 @@ def test_deflections_are_as_one_to_the_stiffness(told: Any) -> None:
 
 @pytest.mark.xdist_group("cabinet_door")
 def test_the_real_door_is_open_by_60_degrees_and_a_motion_alone_would_jam_it(told: Any) -> None:
-    plant = told("cabinet_door").scenario.plant
+    plant = told("cabinet_door").scenario.experiment.plant
     assert np.rad2deg(abs(plant.data.joint("door").qpos[0])) > 60.0
     story = load_scenario("cabinet_door")
     ctrl = taut.compile(taut.laws.TaskComputedTorque(kp=900.0, kd=60.0), story.arm, rate=250.0)
@@ -125,7 +125,7 @@ def test_the_real_door_is_open_by_60_degrees_and_a_motion_alone_would_jam_it(tol
 @pytest.mark.xdist_group("two_arms_bar")
 def test_the_bar_itself_is_turned_and_squeezed_along_its_axis(told: Any) -> None:
     result = told("two_arms_bar")
-    run, data = result.runs[Trial("", "hybrid")], result.scenario.plant.data
+    run, data = result.runs[Trial("", "hybrid")], result.scenario.experiment.plant.data
     turn = np.deg2rad(40.0)
     middle = data.body("bar").xpos + data.body("bar").xmat.reshape(3, 3) @ [0.0, -0.25, 0.0]
     assert np.abs(middle - [0.6, 0.0, 0.1]).max() < 0.002
@@ -136,7 +136,7 @@ def test_the_bar_itself_is_turned_and_squeezed_along_its_axis(told: Any) -> None
 
 @pytest.mark.xdist_group("wheel_tool")
 def test_the_wheel_rolls_along_the_curve_by_friction_alone(told: Any) -> None:
-    data = told("wheel_tool").scenario.plant.data
+    data = told("wheel_tool").scenario.experiment.plant.data
     x = np.linspace(0.0, 0.3, 10_001)
     y = 0.03 * (1.0 - np.cos(2.0 * np.pi * x / 0.3))
     length = np.hypot(np.diff(x), np.diff(y)).sum()

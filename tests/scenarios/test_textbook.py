@@ -142,7 +142,7 @@ class TestSimulateControl:
 class TestWhatIsRefused:
     def test_in_one_sentence(self) -> None:
         cases = [
-            ({"eint": 0.2, "Kp": -1.0}, "Kp must be >= 0; got -1"),
+            ({"eint": 0.2, "Kp": -1.0}, "kp must be >= 0"),
             ({"eint": 0.2, "Ki": np.nan}, "Ki must be finite; got nan"),
             ({"eint": 0.2, "S": SLIST.T}, "Slist must have shape (6, n)"),
         ]
@@ -151,14 +151,14 @@ class TestWhatIsRefused:
                 torque(**given)
             assert text in str(told.value)
         changes = [
-            (3, TIP[:5], "Ftipmat must have 12 rows, as thetamatd has; got 5"),
-            (7, np.zeros((ROWS, 2)), "thetamatd must have shape (N, 3), a row for each time; got shape (12, 2)"),
+            (3, TIP[:5], "Ftipmat must have shape (12, 6); got shape (5, 6)"),
+            (7, np.zeros((ROWS, 2)), "thetamatd must have shape (12, 3); got shape (12, 2)"),
             (16, 0.0, "dt must be > 0 [s]; got 0.0"),
-            (17, 0, "intRes must be between 1 and 100000; got 0"),
-            (17, 2.5, "intRes must be a whole number; got 2.5"),
-            (10, [1.0, 2.0], "gtilde must have shape (3,) [m/s^2]; got shape (2,)"),
-            (11, MLIST[:2], "Mtildelist must have shape (4, 4, 4); got shape (2, 4, 4)"),
-            (12, -GLIST, "Mtildelist and Gtildelist: link 'link1': mass must be finite and >= 0 [kg]; got -3.7"),
+            (17, 0, "intRes must be a whole number from 1 to 100000; got 0"),
+            (17, 2.5, "intRes must be a whole number from 1 to 100000; got 2.5"),
+            (10, [1.0, 2.0], "the model (with a tilde): g must have shape (3,) [m/s^2]; got shape (2,)"),
+            (11, MLIST[:2], "Mlist must have shape (4, 4, 4); got shape (2, 4, 4)"),
+            (12, -GLIST, "link 'link1': mass must be finite and >= 0 [kg]; got -3.7"),
             (13, 1e9, "the arm is gone in row 2 of 12: steps of 0.00606 s are too long for these gains; make intRes"),
         ]
         for place, value, text in changes:

@@ -423,7 +423,7 @@ def _row_space(A: Float64Array) -> Float64Array:
 
 
 def _has_single_axes(rows: Float64Array, frame: Pose, T: Pose) -> bool:
-    """Whether rows constrain axes of a frame one by one."""
+    """The rows constrain axes of a frame one by one."""
     along = _row_space(rows @ np.linalg.inv(_twist_to(frame, T)))
     projector = along.T @ along
     return bool(np.all(np.abs(projector - np.round(projector)) < ROUNDING))

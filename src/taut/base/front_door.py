@@ -19,13 +19,10 @@ from typing import Any, Final
 
 from taut.base.errors import FileError, TautError, UsageError, unknown_name
 
-__all__ = ["checked_arguments", "lazy_names", "public_name"]
+__all__ = ["checked_arguments", "lazy_names"]
 
-ROOMS: Final = ("analysis", "drives", "dynamics", "environments", "guards", "laws", "sensors", "trajectories")
 _IMPORT: Final = re.compile(r"^    from (taut[.\w]*) import (\w+) as \2$", re.MULTILINE)
 _UNCHECKED: Final[dict[str, set[tuple[str, str]]]] = {}  # front doors and names, by the module that defines them
-
-_DOORS: Final[dict[tuple[str, str], str]] = {}  # by the module that defines a name, and the name
 
 
 def lazy_names(module: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
@@ -39,7 +36,6 @@ def lazy_names(module: str, file: str) -> tuple[Callable[[str], Any], Callable[[
     names = sorted(homes)
     for name, home in homes.items():
         _UNCHECKED.setdefault(home, set()).add((module, name))
-        _DOORS.setdefault((home, name), module)
 
     def load(name: str) -> Any:
         if name not in homes:
@@ -54,13 +50,6 @@ def lazy_names(module: str, file: str) -> tuple[Callable[[str], Any], Callable[[
         return value
 
     return load, lambda: names, names
-
-
-def public_name(kind: type) -> str:
-    """The name under which users find a class: "taut.sensors.Encoder"."""
-    for door in ROOMS:
-        importlib.import_module(f"taut.{door}")
-    return f"{_DOORS.get((kind.__module__, kind.__name__), 'taut')}.{kind.__name__}"
 
 
 def _value(home: str, name: str) -> Any:

@@ -46,27 +46,26 @@ def cells(each: Row) -> tuple[str, ...]:
 
 
 def table(pages: Iterable[Page]) -> Table:
-    """All rows, for a terminal: what the chapter states stands below the quantity."""
+    """All rows, for a terminal: what the chapter states stands below the quantity, the sources are in the files."""
     out = Table("id", "quantity", "unit", title="the chapter, computed")
     for head in COLUMNS[3:6]:
         out.add_column(head, justify="right", no_wrap=True)
-    out.add_column(COLUMNS[6])
     for page in pages:
         for k, each in enumerate(page.rows):
-            quantity, unit, states, *others = cells(each)
+            quantity, unit, states, *numbers, _ = cells(each)
             quantity = f"{quantity}\n(chapter: {states})" if states else quantity
-            out.add_row(page.entry.id if not k else "", quantity, unit, *others)
+            out.add_row(page.entry.id if not k else "", quantity, unit, *numbers)
         out.add_section()
     return out
 
 
 def _number(value: float) -> str:
-    """Of at most six digits."""
+    """A number with at most six digits."""
     return f"{value:.6g}" if abs(value) >= 1e-13 or value == 0.0 else "0"
 
 
 def _difference(each: Row) -> str:
-    """How far apart the two are: of the expected number where that says something, and that it is too far."""
+    """The difference, relative to the expected number where that is not zero; (!) where it is too large."""
     apart = each.difference
     if abs(apart) <= 1e-13 * max(abs(each.expected), 1.0):
         text = "none"

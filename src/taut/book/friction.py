@@ -39,7 +39,7 @@ STICKING: Final = "semi-implicit-euler"
 
 
 def torque(panel: str, v: float) -> float:
-    """What each panel says of a joint that moves [N m]."""
+    """Friction of a joint that moves, by the law of a panel [N m]."""
     dry = {"(a) viscous": 0.0}.get(panel, KINETIC)
     if panel == "(f) Stribeck":
         dry = KINETIC + (STATIC - KINETIC) * math.exp(-((v / STRIBECK) ** 2))
@@ -97,14 +97,14 @@ def pushed(push: float, law: Law | None, duration: float = LAST / FREQUENCY) -> 
 
 @cache
 def mean_speed(push: float) -> float:
-    """Of a run with dither, over whole periods [rad/s]."""
+    """Mean speed of a run with dither, over whole periods [rad/s]."""
     run = pushed(push, Dither(amplitude=AMPLITUDE, frequency=FREQUENCY))
     first = round(SETTLED_PERIODS / FREQUENCY * run.rate)
     return float((run.q[-1, 0] - run.q[first, 0]) / (run.t[-1] - run.t[first]))
 
 
 def mean_speed_solved(push: float) -> float:
-    """The same of the equation of motion, whose arcs between rests are known functions of time.
+    """Mean speed by the equation of motion, whose arcs between rests are known functions of time.
 
     While it slides, M v = M v0 + A (cos(w t0) - cos(w t)) / w + (push - s b_kinetic) (t - t0), s the sign of v. At
     rest it stays until the torque is b_static.
@@ -134,14 +134,14 @@ def mean_speed_solved(push: float) -> float:
 
 
 def _first_root(f: Callable[[float], float], t: float, skip: int = 0) -> float:
-    """Where f is no longer negative first in the two periods after t, looked at closely enough to see each change."""
+    """First time in the two periods after t at which f is not negative, on a grid that sees each change of sign."""
     u = [t + 2.0 * k / (400.0 * FREQUENCY) for k in range(401)]
     k = next(k for k in range(1 + skip, len(u)) if f(u[k]) >= 0.0)
     return float(brentq(f, u[k - 1], u[k], xtol=1e-15))
 
 
 def _displacement(t: float, end: float, push: float, s: float) -> float:
-    """How far it slides meanwhile [rad]."""
+    """Displacement while it slides [rad]."""
     h = end - t
     shaken = AMPLITUDE / OMEGA * (math.cos(OMEGA * t) * h - (math.sin(OMEGA * end) - math.sin(OMEGA * t)) / OMEGA)
     return (shaken + 0.5 * (push - s * KINETIC) * h * h) / M
@@ -182,7 +182,7 @@ def sec_10_2_1_4() -> Shown:
 
 
 def moves(e: float, factor: float) -> bool:
-    """Whether a joint at rest with an error breaks away, under PD control with its gains raised near rest."""
+    """A joint at rest with an error breaks away, under PD control with its gains raised near rest."""
     ctrl = controller(RaisedGains(inner=PID(kp=GAIN, kd=1.0), factor=factor, width=0.05), dry())
     run = on_link(ctrl, JointMotion(q=[e]), plant=dry(), duration=0.05, integrator=STICKING)
     return bool(np.abs(run.q[:, 0]).max() > 1e-9)
@@ -216,7 +216,7 @@ def accelerated(arm: Arm, tau: float, substeps: int = 1) -> Run:
 
 
 def acceleration(ratio: float) -> float:
-    """Of a run of the geared link, under 1 N m of the motor [rad/s^2]."""
+    """Acceleration of a run of the geared link, under 1 N m of the motor [rad/s^2]."""
     run = accelerated(geared(ratio), ratio)
     return float(run.v[-1, 0] / run.t[-1])
 
@@ -260,7 +260,7 @@ def sec_10_2_1_5() -> Shown:
 
 @entry("sec-10.2.1.5", "where friction dominates", part="friction")
 def first_order() -> Shown:
-    """Where friction dominates, the joint is nearer to a viscous system of first order."""
+    """A joint whose friction dominates is nearer to a viscous system of first order."""
     for G, b in ((1.0, 0.1), (100.0, 1000.0)):
         q = accelerated(geared(G, b=b), 1.0, substeps=10).q[-1, 0]
         tau = (I_LINK + G**2 * I_MOTOR) / b

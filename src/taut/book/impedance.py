@@ -89,7 +89,7 @@ VIRTUAL: Final = Impedance(D=(D, ANGULAR[0]), B=(B, ANGULAR[1]), K=(K, ANGULAR[2
 
 
 def still(arm: Arm) -> TaskMotion:
-    """Where the tool is at home."""
+    """The tool at rest at its home."""
     return TaskMotion(pose=snapshot(arm, arm.home).T())
 
 
@@ -110,7 +110,7 @@ def eq_10_46() -> Shown:
 
 
 def along_x(law: Law, ref: Sample) -> ToolImpedance:
-    """How the gantry's tool answers a force along x."""
+    """Impedance of the gantry's tool along x."""
     wrist = Pushed(force=0.0)
     return tool_impedance(looped(law, slides(), ref, rate=FAST, environment=wrist), direction=[1.0, 0.0, 0.0])
 
@@ -218,14 +218,14 @@ class MeasuredInertia(Law):
 
 
 def echoed(factor: float) -> float:
-    """By how much the acceleration changes from one tick to the next, with D a multiple of M."""
+    """Ratio of the acceleration to that of the tick before, with D a multiple of M."""
     arm = link(gravity=False, b=0.0)
     a = np.diff(simulated(MeasuredInertia(D=factor * M), arm, duration=0.02, q0=[0.0], v0=[1e-3]).v[:, 0])
     return float(a[10] / a[9])
 
 
 def accepted(factor: float) -> bool:
-    """Whether a gantry's x axis may show a multiple of its inertia by its own measured acceleration."""
+    """A gantry's x axis may show a multiple of its inertia by its own measured acceleration."""
     arm = slides().subset(["x"])
     mass = float(snapshot(arm, [0.0]).M[0, 0])
     law = Impedance(D=(factor * mass, 1.0), B=(10.0, 1.0), K=(10.0, 1.0), feedback="acceleration")

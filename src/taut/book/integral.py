@@ -196,7 +196,7 @@ SERVO_RATE: Final = 100.0  # [Hz]
 
 
 def amplitude(run: Run, w: float) -> float:
-    """Of the error's part at a frequency, over the last whole turns of a run."""
+    """Amplitude of the error at a frequency, over the last whole periods of a run."""
     turn = 2.0 * math.pi / w
     last = run.between(run.t[-1] - 2.0 * turn, run.t[-1] - 1.0 / run.rate)
     assert last.error is not None

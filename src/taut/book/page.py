@@ -23,7 +23,7 @@ TWO_BY_HAND: Final = "two links, written out"
 ROOTS: Final = "numpy.roots"
 ODE: Final = "SciPy's DOP853 of equation 10.3"
 MUJOCO: Final = "MuJoCo: mj_fullM, qfrc_bias, mj_jacSite"
-"""By which other way a number is expected, where several entries have the same."""
+"""Sources of expected numbers that several entries have."""
 
 
 @dataclass(frozen=True)
@@ -55,11 +55,11 @@ class Row:
 
     @property
     def ok(self) -> bool:
-        """Whether the two are as near as they should be."""
+        """The two are as near as they should be."""
         return abs(self.difference) <= self.within
 
     def json(self, name: str) -> dict[str, Any]:
-        """As plain values, under an id."""
+        """Plain values, under an id."""
         keys = ("quantity", "unit", "computed", "expected", "source")
         return {"id": name, **{key: getattr(self, key) for key in keys}}
 
@@ -137,7 +137,7 @@ def compared(quantity: str, got: Any, wanted: Any, source: str, rel: float = 1e-
 
 @dataclass(frozen=True, kw_only=True)
 class Page:
-    """What an entry comes to: its numbers, its picture if it has one, and notes on what was chosen or is a slip."""
+    """An entry, computed: its numbers, its picture if it has one, and notes on what was chosen or is a slip."""
 
     entry: Entry
     rows: tuple[Row, ...]
@@ -166,7 +166,7 @@ class Entry:
 
     @property
     def name(self) -> str:
-        """Of its picture, without the suffix."""
+        """Name of its picture, without the suffix."""
         return f"{self.id}-{self.part}" if self.part else self.id
 
     def page(self) -> Page:
@@ -239,7 +239,7 @@ def curve(ax: Axes, x: Any, y: Any, label: str = "", k: int | None = None, **opt
 
 
 def legend(ax: Axes, **options: Any) -> None:
-    """What the lines of a panel are."""
+    """A legend of the lines of a panel."""
     ax.legend(**{"fontsize": SMALL, "frameon": False, "labelcolor": INK, **options})
 
 
@@ -292,12 +292,12 @@ LABELS: Final[Mapping[str, str]] = {
     "feedforward": r"$\ddot{\theta}_d$",
     "nonlinear": r"$\hat{h}(\theta, \dot{\theta})$",
 }
-"""How the terms of joint laws are drawn."""
+"""Symbols of the terms of joint laws."""
 SPACING: Final = 0.62  # between blocks that stand above each other
 
 
 def junction(ax: Axes, x: float, y: float) -> None:
-    """Where signals add up."""
+    """A summing junction."""
     ax.plot([x], [y], "o", color=INK, markersize=11.0, markerfacecolor="#FFFFFF", zorder=3)
     words(ax, (x, y - 0.015), "Σ", zorder=4)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -74,7 +74,6 @@ def inverse_kinematics(
     tolerance: tuple[float, float] = (1e-6, 1e-6),
     restarts: int = 50,
     seed: int = 0,
-    respect_limits: bool = True,
 ) -> IkResult:
     """Joint positions that bring a frame of the arm to a pose.
 
@@ -94,7 +93,6 @@ def inverse_kinematics(
         tolerance: How much error may be left [m, rad].
         restarts: How many random starts are tried where q0 does not lead to the target.
         seed: Of the random starts.
-        respect_limits: Whether joints stay within their limits.
 
     Returns:
         The positions, the outcome, what is left of the error. A target that is out of reach is an outcome, no error.
@@ -121,7 +119,7 @@ def inverse_kinematics(
     if not isinstance(pose, Pose):
         raise UsageError(f"pose must be a taut.Pose(p=..., rpy=...); got {type(pose).__name__}", name="pose")
     one_of("directions", directions, DIRECTIONS)
-    search = _search_of(arm, arm.frame(frame).name, directions, bool(respect_limits))
+    search = _search_of(arm, arm.frame(frame).name, directions)
     start = search.checked("q0", arm.home if q0 is None else q0)
     wanted = start if posture is None else search.checked("posture", posture)
     linear, angular = tolerance
@@ -147,13 +145,12 @@ class _Found:
 class _Search:
     """The native steps for one arm, frame and choice of directions."""
 
-    def __init__(self, arm: Arm, frame: str, directions: Directions, respect_limits: bool) -> None:
+    def __init__(self, arm: Arm, frame: str, directions: Directions) -> None:
         self.arm = arm
         self.task: Task = task_of(arm, frame, directions)
         self.turns = TURN * np.array([unit == "rad" for unit in arm.units])  # (n,) what a whole turn is
         n = arm.n
-        self.lower = np.array(arm.lower) if respect_limits else np.full(n, -np.inf)
-        self.upper = np.array(arm.upper) if respect_limits else np.full(n, np.inf)
+        self.lower, self.upper = np.array(arm.lower), np.array(arm.upper)
         model, task, lower, upper = model_of(arm), self.task, self.lower, self.upper
         self.search = native(
             lambda state, target: search_step(model, task, state, target, lower, upper),
@@ -183,7 +180,7 @@ class _Search:
             i = int(np.argmax(beyond))
             raise RangeError(
                 f"{name}[{i}] (joint '{arm.joint_names[i]}') must be between its limits {self.lower[i]:.4g} and "
-                f"{self.upper[i]:.4g} [{arm.units[i]}]; got {q[i]:g}; respect_limits=False searches beyond them",
+                f"{self.upper[i]:.4g} [{arm.units[i]}]; got {q[i]:g}",
                 name=name,
                 joint=arm.joint_names[i],
                 value=float(q[i]),
@@ -216,7 +213,7 @@ class _Search:
                 best = found
             if _solved(found, within):
                 break
-        return _Found(**{**vars(best), "iterations": iterations, "starts": starts})
+        return replace(best, iterations=iterations, starts=starts)
 
     def _from(self, q: Float64Array, target: Float64Array, within: tuple[float, float]) -> _Found:
         n, step = self.arm.n, self.search.call
@@ -306,5 +303,5 @@ def _solved(found: _Found, within: tuple[float, float]) -> bool:
 
 
 @functools.lru_cache(maxsize=32)
-def _search_of(arm: Arm, frame: str, directions: Directions, respect_limits: bool) -> _Search:
-    return _Search(arm, frame, directions, respect_limits)
+def _search_of(arm: Arm, frame: str, directions: Directions) -> _Search:
+    return _Search(arm, frame, directions)

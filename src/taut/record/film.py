@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.base.checks import finite_array, positive_scalar
+from taut.base.checks import finite_array, positive_scalar, whole_number
 from taut.base.errors import FileError, MatchError, MissingExtraError, RangeError, UsageError, warn
 from taut.base.types import Float64Array
 from taut.control.trajectories.task_reference import TaskMotion
@@ -32,13 +32,11 @@ if TYPE_CHECKING:
 
 __all__ = ["film", "poses_of"]
 
-Picture: TypeAlias = np.ndarray[Any, np.dtype[np.uint8]]
 Ticks: TypeAlias = np.ndarray[Any, np.dtype[np.intp]]
 
 SUFFIXES: Final = (".gif", ".mp4")
 FASTEST: Final = {".gif": 50, ".mp4": 240}  # [1/s] a GIF counts in hundredths of a second
 SIZES: Final = (16, 4096)  # [pixel]
-PICTURES_LOOKED_AT: Final = 7  # pictures in which the tool is to be seen
 MAX_POSITION: Final = 1e6  # [rad | m] positions beyond this are not drawn: the run had diverged
 
 
@@ -56,7 +54,7 @@ def film(
     """Write a film of a run; see `Run.video`."""
     target = checked_target("video", path, SUFFIXES)
     size = _checked_size(size, target.suffix.lower())
-    _check_rate(fps, target.suffix.lower())
+    whole_number("fps", fps, minimum=1, maximum=FASTEST[target.suffix.lower()])
     if camera is not None:
         finite_array("camera", camera, shape=(2,), unit="deg")
     ffmpeg = _ffmpeg(target)
@@ -88,24 +86,14 @@ def film(
 
 
 def _checked_size(size: tuple[int, int], suffix: str) -> tuple[int, int]:
-    words = f"size must be width and height in pixels, whole numbers from {SIZES[0]} to {SIZES[1]}"
     try:
-        width, height = size
-    except (TypeError, ValueError):
-        raise UsageError(f"{words}; got {size!r}", name="size", value=size) from None
-    for edge in (width, height):
-        if isinstance(edge, bool) or not isinstance(edge, (int, np.integer)) or not SIZES[0] <= edge <= SIZES[1]:
-            raise RangeError(f"{words}; got {size!r}", name="size", value=size)
-        if suffix == ".mp4" and edge % 2:
-            raise RangeError(f"size must be even numbers for .mp4; got {size!r}", name="size", value=size)
-    return int(width), int(height)
-
-
-def _check_rate(fps: int, suffix: str) -> None:
-    whole = isinstance(fps, (int, np.integer)) and not isinstance(fps, bool)
-    if not whole or not 1 <= fps <= FASTEST[suffix]:
-        words = f"fps must be a whole number from 1 to {FASTEST[suffix]} for {suffix}; got {fps!r}"
-        raise RangeError(words, name="fps", value=fps)
+        width, height = (whole_number("an edge of size", edge, minimum=SIZES[0], maximum=SIZES[1]) for edge in size)
+    except (TypeError, ValueError) as cause:
+        words = f"size must be width and height in pixels, from {SIZES[0]} to {SIZES[1]}; got {size!r}"
+        raise RangeError(words, name="size", value=size) from cause
+    if suffix == ".mp4" and (width % 2 or height % 2):
+        raise RangeError(f"size must be even numbers for .mp4; got {size!r}", name="size", value=size)
+    return width, height
 
 
 def _ffmpeg(target: Path) -> str | None:
@@ -166,23 +154,23 @@ def _wanted(run: Run, arm: Arm, ticks: Ticks) -> Float64Array:
 
 def _pictures(
     stack: ExitStack, run: Run, arm: Arm, ticks: Ticks, camera: tuple[float, float] | None, size: tuple[int, int]
-) -> tuple[Iterator[Picture], str]:
+) -> tuple[Iterator[render.Picture], str]:
     """Rendered pictures, and what there is to say about them.
 
     Raises:
         NoRendererError: None can be drawn here.
     """
     folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="taut-video-"))
-    render.check_mujoco()
+    try:
+        import mujoco  # noqa: F401
+    except Exception as cause:  # with an OpenGL that is broken its bindings raise whatever they like
+        raise render.NoRendererError(str(cause) or type(cause).__name__) from cause
     around, q = run.info.around, run.q[ticks]
     points, moving = scene.points_of(arm, q), poses_of(run, around, ticks)
     view, tool = scene.view_of(arm, points, camera), points[:, -1]
     model, places, problem = scene.scene(arm, view, size, around)
     qpos = np.zeros_like(q)
     qpos[:, places] = q
-    if around and camera is None:
-        some = np.linspace(0, len(q) - 1, min(len(q), PICTURES_LOOKED_AT)).astype(int)
-        view = scene.unhidden(model, view, size, [(qpos[k], moving[k], tool[k]) for k in some])
     frames = render.Frames(
         qpos=qpos,
         moving=moving,
@@ -191,10 +179,10 @@ def _pictures(
         camera=np.array([*view.centre, view.distance(*size), view.azimuth, view.elevation]),
         size=size,
     )
-    renderer = stack.enter_context(render.opened(Path(folder), model, frames))
+    pictures = stack.enter_context(render.opened(Path(folder), model, frames))
     remarks = [f"shows capsules in place of some visuals: {problem}"] if problem else []
     remarks += [f"does not show {' and '.join(around.missing)}"] if around.missing else []
-    return renderer.pictures(), "; it ".join(remarks)
+    return pictures, "; it ".join(remarks)
 
 
 def poses_of(run: Run, found: Around, ticks: Ticks) -> Float64Array:
@@ -210,7 +198,7 @@ def poses_of(run: Run, found: Around, ticks: Ticks) -> Float64Array:
     return np.stack(out, axis=1) if out else np.zeros((len(ticks), 0, 7))
 
 
-def _captioned(pictures: Iterator[Picture], times: Float64Array) -> Iterator[Any]:
+def _captioned(pictures: Iterator[render.Picture], times: Float64Array) -> Iterator[Any]:
     """Pictures of Pillow's, with the time in a corner."""
     from PIL import Image, ImageDraw, ImageFont
 

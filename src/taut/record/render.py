@@ -15,15 +15,14 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Any, Final, Self, TypeAlias
 
 import numpy as np
 
-__all__ = ["TRAIL", "Frames", "NoRendererError", "Renderer", "backends", "check_mujoco", "opened"]
+__all__ = ["TRAIL", "Frames", "NoRendererError", "backends", "opened"]
 
 START_TIMEOUT: Final = 120.0  # [s] until the first picture can be drawn
 READY: Final = b"ready\n"
@@ -34,6 +33,7 @@ OFF: Final = ("off", "disable", "disabled", "false", "0")  # values of MUJOCO_GL
 
 
 Numbers: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
+Picture: TypeAlias = np.ndarray[Any, np.dtype[np.uint8]]
 
 
 class NoRendererError(Exception):
@@ -63,20 +63,9 @@ def backends() -> list[str]:
     return ["egl", "osmesa", *(["glfw"] if screen else [])]
 
 
-def check_mujoco() -> None:
-    """See that MuJoCo can be imported: with an OpenGL that is broken, it may not.
-
-    Raises:
-        NoRendererError: It cannot.
-    """
-    try:
-        import mujoco  # noqa: F401
-    except Exception as cause:  # the bindings of OpenGL raise whatever they like
-        raise NoRendererError(str(cause) or type(cause).__name__) from cause
-
-
-def opened(folder: Path, model: Any, frames: Frames) -> Renderer:
-    """A renderer with the first backend that works.
+@contextmanager
+def opened(folder: Path, model: Any, frames: Frames) -> Iterator[Iterator[Picture]]:
+    """One picture (height, width, 3) per frame, by the first backend that works.
 
     Args:
         folder: An empty folder, for the files that the other process reads.
@@ -84,7 +73,7 @@ def opened(folder: Path, model: Any, frames: Frames) -> Renderer:
         frames: What to draw.
 
     Raises:
-        NoRendererError: None works.
+        NoRendererError: None works, or the process ended before the last picture.
     """
     import mujoco
 
@@ -94,21 +83,19 @@ def opened(folder: Path, model: Any, frames: Frames) -> Renderer:
     for backend in backends():
         if backend in OFF:
             raise NoRendererError(f"MUJOCO_GL is '{backend}'")
-        renderer = Renderer(folder, backend, frames)
-        reason = renderer.start()
-        if reason is None:
-            return renderer
-        renderer.close()
+        with _Renderer(folder, backend) as renderer:
+            reason = renderer.start()
+            if reason is None:
+                yield renderer.pictures(len(frames.qpos), frames.size)
+                return
         reasons.append(f"{backend or 'default'}: {reason}")
     raise NoRendererError("; ".join(reasons))
 
 
-class Renderer:
+class _Renderer:
     """The other process, seen from here. A context manager."""
 
-    def __init__(self, folder: Path, backend: str, frames: Frames) -> None:
-        self.backend = backend or "OpenGL"
-        self._folder, self._frames = folder, frames
+    def __init__(self, folder: Path, backend: str) -> None:
         environment = {name: value for name, value in os.environ.items() if name != "PYOPENGL_PLATFORM"}
         if backend:
             environment["MUJOCO_GL"] = backend
@@ -120,33 +107,26 @@ class Renderer:
             stderr=self._errors,
             env=environment,
         )
+        assert self._process.stdout is not None
+        self._answers = self._process.stdout
 
     def start(self) -> str | None:
         """Wait until it can draw; None if it can, else why not."""
         timer = threading.Timer(START_TIMEOUT, self._process.kill)
         timer.start()
         try:
-            answer = self._read(len(READY))
+            answer = self._answers.read(len(READY))
         finally:
             timer.cancel()
         return None if answer == READY else self._last_words()
 
-    def pictures(self) -> Iterator[np.ndarray[Any, np.dtype[np.uint8]]]:
-        """One picture (height, width, 3) per frame.
-
-        Raises:
-            NoRendererError: The process ended before the last picture.
-        """
-        width, height = self._frames.size
-        for _ in range(len(self._frames.qpos)):
-            data = self._read(width * height * 3)
+    def pictures(self, count: int, size: tuple[int, int]) -> Iterator[Picture]:
+        width, height = size
+        for _ in range(count):
+            data = self._answers.read(width * height * 3)
             if len(data) < width * height * 3:
                 raise NoRendererError(self._last_words())
             yield np.frombuffer(data, dtype=np.uint8).reshape(height, width, 3)
-
-    def _read(self, count: int) -> bytes:
-        assert self._process.stdout is not None
-        return self._process.stdout.read(count)
 
     def _last_words(self) -> str:
         self._process.kill()
@@ -155,21 +135,14 @@ class Renderer:
         lines = self._errors.read().decode(errors="replace").strip().splitlines()
         return lines[-1].strip() if lines else "it ended without a word"
 
-    def close(self) -> None:
-        """End the process."""
-        self._process.kill()
-        self._process.wait()
-        if self._process.stdout is not None:
-            self._process.stdout.close()
-        self._errors.close()
-
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+    def __exit__(self, *_: object) -> None:
+        self._process.kill()
+        self._process.wait()
+        self._answers.close()
+        self._errors.close()
 
 
 # -------------------------------------------------------------------- the other process

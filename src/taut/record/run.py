@@ -261,7 +261,7 @@ class Run:
             size: Width and height in pixels.
             speed: How fast the film plays; 2.0 is twice as fast as it was.
             camera: Azimuth and elevation [deg] of the direction of view, from the x axis towards y, and upwards; by
-                default one from which what stands around does not hide the tool.
+                default across the plane of an arm that moves in one, else from ahead and above.
             arm: The arm to draw; the plant's by default. A run from a file needs it.
             progress: Show progress; by default on a terminal when it takes a while.
 
@@ -290,7 +290,7 @@ class Run:
 
     def arrays(self) -> dict[str, Float64Array]:
         """Everything by name: t, q, v, tau, command, terms.P, reference.q, extra.F_ext, ...; one row per tick."""
-        from taut.record.log.layout import columns_of
+        from taut.record.log.writing import columns_of
 
         return columns_of(self)
 

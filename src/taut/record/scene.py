@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -24,9 +22,8 @@ from taut.trace.pose import Pose
 if TYPE_CHECKING:
     import mujoco
 
-__all__ = ["Frame", "View", "points_of", "scene", "unhidden", "view_of"]
+__all__ = ["View", "points_of", "scene", "view_of"]
 
-Frame: TypeAlias = tuple[Float64Array, Float64Array, Float64Array]
 
 FIELD_OF_VIEW: Final = 45.0  # [deg] of the camera, upwards
 VIEW_MARGIN: Final = 1.25  # of the picture around the arm
@@ -38,9 +35,6 @@ LINK_THICKNESS: Final = 0.03  # of a drawn link, in parts of what is looked at
 LINK: Final = (0.88, 0.88, 0.90, 1.0)
 JOINT: Final = (0.0, 0.45, 0.70, 1.0)
 TOOL: Final = (0.84, 0.37, 0.0, 1.0)
-HIDING: Final = 2  # the group of what may hide the tool
-TURNS: Final = (0.0, -110.0, 110.0, 180.0, -60.0, 60.0)  # [deg] of the camera, in the order in which they are liked
-NEARLY: Final = 0.98  # of the way to the tool: nearer to it something touches it
 SKY: Final = ([1.0, 1.0, 1.0], [0.86, 0.90, 0.94])
 TILES: Final = ([0.86, 0.89, 0.92], [0.77, 0.81, 0.86])
 BARE: Final = (0.8, 0.8, 0.8, 1.0)  # colour of a visual that has none of its own
@@ -134,37 +128,6 @@ def scene(arm: Arm, view: View, size: tuple[int, int], around: Around | None = N
     return model, places, problem
 
 
-def unhidden(model: Any, view: View, size: tuple[int, int], frames: Sequence[Frame]) -> View:
-    """The view, turned if what stands around the arm would hide the tool: to where it does so least; the sun with it.
-
-    Args:
-        model: The model of a scene.
-        view: What is looked at.
-        size: Width and height of the pictures.
-        frames: Some of the film: qpos, poses (m, 7) of what moves, and where the tool is (3,).
-    """
-    import mujoco
-
-    data, groups = mujoco.MjData(model), np.arange(mujoco.mjNGROUP) == HIDING
-    hidden = dict.fromkeys(TURNS, 0)
-    for qpos, moving, tool in frames:
-        data.qpos, data.mocap_pos, data.mocap_quat = qpos, moving[:, :3], moving[:, 3:]
-        mujoco.mj_kinematics(model, data)
-        for turn in TURNS:
-            a, e = np.radians([view.azimuth + turn, view.elevation])
-            ahead = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-            ray = tool - (view.centre - view.distance(*size) * ahead)
-            met = mujoco.mj_ray(
-                model, data, tool - ray, ray, groups.astype(np.uint8), 1, -1, np.zeros((1, 1), np.int32)
-            )
-            hidden[turn] += 0.0 <= met < NEARLY  # in parts of the ray
-    turn = min(TURNS, key=hidden.__getitem__)
-    R = Pose(rpy=[0.0, 0.0, np.radians(turn)]).R
-    model.light_dir[:] = model.light_dir @ R.T
-    model.light_pos[:] = (model.light_pos - view.centre) @ R.T + view.centre
-    return dataclasses.replace(view, azimuth=view.azimuth + turn)
-
-
 def _joint_name(i: int) -> str:
     return f"joint {i}"  # names of an arm may be anything; these cannot clash with each other
 
@@ -211,7 +174,7 @@ def _put_around(spec: mujoco.MjSpec, around: Around, carrier: Any, T_tool: Pose)
         else:
             body = spec.worldbody.add_body(pos=thing.p, quat=thing.wxyz, mocap=thing.moves)
         for shape in thing.shapes:
-            at = {"pos": shape.p, "quat": shape.wxyz, "rgba": shape.rgba, "group": 0 if thing.on_tool else HIDING}
+            at = {"pos": shape.p, "quat": shape.wxyz, "rgba": shape.rgba}
             if shape.kind == "mesh":
                 _geom(body, "MESH", meshname=f"around {shape.mesh}", **at)
             else:

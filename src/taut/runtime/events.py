@@ -12,7 +12,7 @@ from taut.base.errors import RangeError, UsageError
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.lawside import LawSide
 from taut.loop import AnyPlant, LoopParameters
-from taut.plant.environments.hands import Push
+from taut.plant.environments.kinds import Push
 
 __all__ = ["Event", "Schedule", "listed"]
 
@@ -104,7 +104,7 @@ class Schedule:
         self._side = side
         self._values: dict[int, dict[str, Float64Array]] = {}
         parameters, all_values = LoopParameters(side, plant, values), dict(values)
-        due = [(math.ceil(event.t * side.rate - 1e-9), event) for event in listed(events)]
+        due = [(math.ceil(min(event.t * side.rate, ticks) - 1e-9), event) for event in listed(events)]
         for tick, event in sorted(due, key=lambda pair: pair[0]):
             if tick >= ticks:
                 raise RangeError(

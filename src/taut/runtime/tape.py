@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from taut.control.trajectories.samples import Chunk
 from taut.loop import AnyPlant
 from taut.maths.snapshot import Snapshot
 from taut.record.info import Outcome, RunInfo
-from taut.record.parts import PhaseWindow, outcome_with_phases, windows
+from taut.record.parts import outcome_with_phases, windows
 from taut.record.run import Run
 
 __all__ = ["Tape"]
@@ -130,40 +130,20 @@ class Tape:
             return outcome
         rows = slice(outcome.tick + 1)
         phase, ended = (self.outputs[name][rows] for name in ("phase", "phase_ended"))
-        return outcome_with_phases(
-            windows(self._phases, phase, ended, self.inputs["t"][rows]), outcome, self._contact_at
-        )
-
-    def _contact_at(self, window: PhaseWindow) -> str:
-        """What a phase that began without contact measured in that tick, in words."""
-        row = {name: column[window.first] for name, column in self.outputs.items()}
-        seen: dict[str, Any] = {
-            name: row.get(f"sensed.{name}", row[name]) for name in ("q", "v", "F_ext") if name in row
-        }
-        if "F_ext" in self._side.needs and "F_ext" not in seen:  # a plant of the user's that does not record it
-            return ""
-        x = Snapshot(self._side.model, q=seen["q"], v=seen["v"], t=window.start, measured=seen)
-        assert self._side.task is not None
-        return self._side.task.phases[window.name].contact_state(x)
+        return outcome_with_phases(windows(self._phases, phase, ended, self.inputs["t"][rows]), outcome)
 
     def _remarks(self, ticks: int) -> str:
         """Which sensors were at their range in the first ticks of the run, and what the law has to say of them."""
-        said = ""
-        for name, column in self.outputs.items():
-            at = np.flatnonzero(column[:ticks])
-            if name.startswith("saturated.") and len(at):
-                said += (
-                    f"; the sensor of {name.removeprefix('saturated.')} was at its range in {len(at)} of {ticks} "
-                    f"ticks, first at t = {self.inputs['t'][at[0]]:.6g} s"
-                )
-        for path, text in self._side.notices.items():
-            lost = self.outputs[path][:ticks] != 0.0
-            if self._phases:
-                lost[~self._acting(path, 0, ticks)] = False
-            if lost.ndim > 1:
-                text += f" (index {', '.join(str(i) for i in np.flatnonzero(lost.any(axis=0)))})"
-                lost = lost.any(axis=1)
-            at = np.flatnonzero(lost)
+        said, sensors = "", [name for name in self.outputs if name.startswith("saturated.")]
+        texts = {name: f"the sensor of {name.removeprefix('saturated.')} was at its range" for name in sensors}
+        for path, text in (texts | dict(self._side.notices)).items():
+            there = self.outputs[path][:ticks] != 0.0
+            if self._phases and path not in texts:
+                there[~self._acting(path, 0, ticks)] = False
+            if there.ndim > 1:
+                text += f" (index {', '.join(str(i) for i in np.flatnonzero(there.any(axis=0)))})"
+                there = there.any(axis=1)
+            at = np.flatnonzero(there)
             if len(at):
                 said += f"; {text} in {len(at)} of {ticks} ticks, first at t = {self.inputs['t'][at[0]]:.6g} s"
         return said

@@ -14,13 +14,13 @@ from typing import Any, Final
 
 from taut.base.errors import FileError, MissingExtraError, ScenarioError, TautError, UsageError, warn
 from taut.base.result import Cell, Content, Result, Table
-from taut.controller import Controller, compile
+from taut.codegen.engine import EngineChoice
+from taut.controller import Controller
 from taut.record.comparison_plot import compare, spread_figure
 from taut.record.info import ScenarioInfo
 from taut.record.log.files import checked_target, written_aside
 from taut.record.metrics import METRICS, Metrics
 from taut.record.run import Run
-from taut.runtime.simulate import run
 from taut.scenarios.scenario import FILES, PassFigure, Scenario, Trial
 
 __all__ = ["ScenarioResult", "run_scenario"]
@@ -104,7 +104,7 @@ class ScenarioResult(Result):
             summary=[*outcomes, *([reached] if verdicts else [])],
             tables=[self._of_runs() if self.scenario.spread is None else self._of_spread()],
             notes=[f"{kind:8} {path}" for kind, path in self.outputs.items()],
-            texts={"Scenario": self.scenario.text},
+            texts=self.scenario.experiment.texts,
         )
 
     def _rows(self, runs: Mapping[Trial, Run]) -> Iterator[tuple[str, list[float]]]:
@@ -214,7 +214,7 @@ def _shortfall(figure: PassFigure, one: Run) -> str:
 
 
 def run_scenario(
-    scenario: Scenario, folder: Path, *, say: Callable[[str], None], engine: str = "auto"
+    scenario: Scenario, folder: Path, *, say: Callable[[str], None], engine: EngineChoice = "auto"
 ) -> ScenarioResult:
     """Run every law of a scenario and write its files.
 
@@ -237,42 +237,24 @@ def run_scenario(
     for trial, one in scenario.trials.items():
         say(f"running {trial.label} ...")
         with _blamed(one, trial):
-            ctrl = made.get(trial.law) or _compiled(one, trial.law, engine)
-            runs[trial] = _run(one, ctrl, trial, files.get("log") if trial == scenario.shown else None)
+            ctrl = made.get(trial.law) or one.experiment.controller(one.laws[trial.law], engine)
+            log = _partial(files["log"]) if "log" in files and trial == scenario.shown else None
+            done = one.experiment.run(ctrl, log=log)
+            runs[trial] = dataclasses.replace(done, info=dataclasses.replace(done.info, scenario=_info(one, trial)))
         if scenario.spread is not None:
             made[trial.law] = ctrl
     outputs, skipped = _written(scenario, runs, files, say)
     return ScenarioResult(scenario=scenario, runs=runs, outputs=outputs, skipped=skipped)
 
 
-def _compiled(scenario: Scenario, law: str, engine: str) -> Controller:
-    return compile(
-        scenario.laws[law],
-        scenario.arm,
-        rate=scenario.rate,
-        sensing=scenario.sensing,
-        limits=scenario.limits,
-        adds=scenario.plant.adds,
-        engine=engine,  # type: ignore[arg-type]  # the command line checks the word
+def _info(scenario: Scenario, trial: Trial) -> ScenarioInfo:
+    """What a run keeps of the scenario that made it."""
+    return ScenarioInfo(
+        name=scenario.name,
+        **trial._asdict(),
+        text=scenario.experiment.texts["Scenario"],
+        built_in=scenario.source.partition(":")[0] == f"scenario '{scenario.name}'",
     )
-
-
-def _run(scenario: Scenario, ctrl: Controller, trial: Trial, log: Path | None) -> Run:
-    """A run, with a log beside the one that is wanted, which is there if the run is broken off."""
-    done = run(
-        ctrl,
-        scenario.plant,
-        None if ctrl.side.task is not None else scenario.reference,
-        duration=scenario.duration,
-        q0=scenario.q0,
-        v0=scenario.v0,
-        seed=scenario.seed,
-        events=scenario.events,
-        log=None if log is None else _partial(log),
-    )
-    built_in = scenario.source.partition(":")[0] == f"scenario '{scenario.name}'"
-    made_by = ScenarioInfo(name=scenario.name, **trial._asdict(), text=scenario.text, built_in=built_in)
-    return dataclasses.replace(done, info=dataclasses.replace(done.info, scenario=made_by))
 
 
 @contextmanager
@@ -313,7 +295,6 @@ def _written(
         "plot": lambda path: _save_plot(scenario, runs, path),
         "video": lambda path: _film(shown, path),
         "log": lambda path: _save_log(shown, path),
-        "csv": shown.to_csv,
         "metrics": lambda path: _save_metrics(runs, path),
     }
     made: dict[str, Path] = {}

@@ -2,31 +2,40 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-import os
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from taut.arm.description import Arm
-from taut.base.errors import MODEL_FILES, FileError, RangeError, UnknownNameError, quoted_list, unknown_name
-from taut.base.fields import Declared, Field, Plain
-from taut.base.types import ArrayLike
+from taut.analysis.comparison import Experiment
+from taut.base.errors import (
+    FileError,
+    RangeError,
+    TautError,
+    UnknownNameError,
+    quoted_list,
+    unknown_name,
+)
+from taut.base.fields import Declared, Field, Plain, Whole
 from taut.control.law import Law
-from taut.control.limits import Limits
-from taut.control.sensing import Sensing
+from taut.control.lawside import LawSide
 from taut.control.side_by_side import SideBySide
+from taut.control.tasks.feed import feed_of
 from taut.control.tasks.task import Task
 from taut.control.trajectories.reference import Reference
+from taut.controller import compile
+from taut.loop import check_fit, duration_of_ticks, state_at_start
+from taut.maths.snapshot import snapshot
 from taut.record.metrics import METRICS
-from taut.runtime.events import Event
-from taut.scenarios.experiment import read_experiment
-from taut.scenarios.plants import Plant, Spread, read_plant, read_spread
+from taut.runtime.events import Event, Schedule
 from taut.scenarios.reading import Table, read, read_toml, shown, with_values
+from taut.scenarios.references import TASK, read_phases, read_reference
+from taut.scenarios.sections import Plant, Spread, read_arm, read_control, read_law, read_plant, read_spread
 
 __all__ = [
     "FILES",
@@ -36,8 +45,12 @@ __all__ = [
     "Trial",
     "built_in_scenarios",
     "load_scenario",
+    "read_control_side_and_plant",
     "scenario_file",
 ]
+
+MAX_RUN_TICKS: Final = 10_000_000  # of a run, which keeps every one: gigabytes
+GLANCE: Final = 200  # ticks of a reference that are looked at before a run
 
 OF_A_CASE: Final = ("arm", "laws", "phases", "control", "plant", "reference", "run", "event")
 OF_ALL_CASES: Final = ("title", "outputs", "pass")
@@ -47,8 +60,16 @@ FILES: Final = {
     "plot": (".png", ".pdf", ".svg"),
     "video": (".gif", ".mp4"),
     "log": (".mcap",),
-    "csv": (".csv",),
 }
+
+
+class RunSection(Declared):
+    """[run]: how long each run takes, from where, and with which noise."""
+
+    duration: Field = Field(unit="s", above=0.0)
+    seed: Whole = Whole(0)  # of the noise
+    q0: Plain[Any] = Plain(default=None)  # positions at the start, or "home"; the plant's home if left out
+    v0: Plain[Any] = Plain(default=None)  # velocities at the start; at rest if left out
 
 
 class OfRuns(Declared):
@@ -82,13 +103,12 @@ class OfRuns(Declared):
 
     def check_fit(self, table: Table, scenario: Scenario) -> None:
         """The joint and the window are of the runs."""
-        if self.joint is not None and self.joint not in scenario.arm.joint_names:
+        if self.joint is not None:
             with table.blamed("joint"):
-                raise unknown_name(f"arm '{scenario.arm.name}'", "joint", self.joint, scenario.arm.joint_names)
-        if self.window is not None and self.window[1] > scenario.duration:
-            raise table.error(
-                f"must end with the run, at {scenario.duration:g} [s]; got {self.window[1]:g}", "window"
-            )
+                scenario.experiment.arm.joint_index(self.joint)
+        duration = scenario.experiment.duration
+        if self.window is not None and self.window[1] > duration:
+            raise table.error(f"must end with the run, at {duration:g} [s]; got {self.window[1]:g}", "window")
 
 
 class Outputs(OfRuns):
@@ -97,7 +117,6 @@ class Outputs(OfRuns):
     plot: Plain[str | None] = Plain(str, optional=True)
     video: Plain[str | None] = Plain(str, optional=True)
     log: Plain[str | None] = Plain(str, optional=True)
-    csv: Plain[str | None] = Plain(str, optional=True)
     shown: Plain[str | None] = Plain(str, optional=True)  # the law of video and log; the last if left out
     shown_case: Plain[str | None] = Plain(str, optional=True)  # the case; the last if left out
     columns: Plain[list[str] | None] = Plain(list, optional=True)  # metrics in the table and the plot
@@ -173,23 +192,12 @@ class Scenario:
     name: str
     source: str  # what messages call it
     title: str
-    arm: Arm
     laws: Mapping[str, Law | Task]
-    rate: float  # [Hz]
-    sensing: Sensing
-    limits: Limits | None
-    plant: Plant
-    reference: Reference
-    duration: float  # [s]
-    q0: ArrayLike | None
-    v0: ArrayLike | None
-    seed: int
-    events: tuple[Event, ...]
+    experiment: Experiment
     outputs: Outputs
     figures: tuple[PassFigure, ...]
     cases: Mapping[str, Scenario]  # the scenario with some keys replaced; where there are any, only they are run
     spread: Spread | None = None  # what chance does to it; its runs are the cases
-    text: str = ""  # of the file
 
     @property
     def trials(self) -> dict[Trial, Scenario]:
@@ -222,19 +230,13 @@ def scenario_file(name: str) -> Path:
 
     Raises:
         UnknownNameError: There is no such scenario.
-        FileError: It is a file of another kind.
     """
     known = built_in_scenarios()
     if name in known:
         return known[name]
     path = Path(name)
-    if os.path.isdir(path):  # noqa: PTH112  (long names)
-        raise FileError(f"'{path}' is a folder; name a scenario in it, a .toml file", name=str(path))
-    if path.suffix == ".toml" or (path.name != name and not os.path.exists(path)):  # noqa: PTH110
+    if path.suffix or path.name != name:
         return path
-    if os.path.exists(path):  # noqa: PTH110
-        what = "a robot model, which taut check reads" if path.suffix.lower() in MODEL_FILES else "no scenario"
-        raise FileError(f"'{path}' is {what}; a scenario is a .toml file", name=str(path))
     raise unknown_name("taut", "scenario", name, known, hint="or give the path of a .toml file")
 
 
@@ -257,22 +259,27 @@ def load_scenario(
     path = scenario_file(name)
     root = with_values(read_toml(path, f"scenario '{name}'"), values or {})
     root.only([*OF_A_CASE, *OF_ALL_CASES, "cases", "spread"])
-    spread = read_spread(root)
-    whole = read_experiment(root, own_laws)
-    experiments = {case: read_experiment(table, own_laws) for case, table in _cases_of(root).items()}
-    for case, plant in () if spread is None else spread.plants(root.table("plant")):
-        experiments[case] = {**whole, "plant": read_plant(plant, whole["arm"], whole["rate"])}
+    text = path.read_text(encoding="utf-8-sig")
     outputs, figures = root.table("outputs"), root.tables("pass")
     common: dict[str, Any] = {
         "name": path.stem,
         "title": root.text("title", path.stem),
-        "text": path.read_text(encoding="utf-8-sig"),
         "outputs": read(Outputs, outputs),
         "figures": tuple(read(PassFigure, table) for table in figures),
     }
-    cases = {case: Scenario(**fields, **common, cases={}) for case, fields in experiments.items()}
-    scenario = Scenario(**whole, **common, cases=cases, spread=spread)
-    labels = list(root.table("laws").values) or list(whole["laws"])
+
+    def read_one(table: Table) -> Scenario:
+        laws, experiment = read_experiment(table, own_laws, text)
+        return Scenario(**common, source=table.where, laws=laws, experiment=experiment, cases={})
+
+    spread, whole = read_spread(root), read_one(root)
+    cases = {case: read_one(table) for case, table in _cases_of(root).items()}
+    for case, plant in () if spread is None else spread.plants(root.table("plant")):
+        moved = read_plant(plant, whole.experiment.arm, whole.experiment.rate)
+        place = replace(whole.experiment, name=f"{root.where}: case '{case}'", plant=moved)
+        cases[case] = replace(whole, experiment=place)
+    scenario = replace(whole, cases=cases, spread=spread)
+    labels = list(root.table("laws").values) or list(whole.laws)
     for section, table in zip((scenario.outputs, *scenario.figures), (outputs, *figures), strict=True):
         _require_one(table, {"shown": labels, "law": labels, "shown_case": list(cases), "case": list(cases)})
         case_of = getattr(section, "case", None)
@@ -316,3 +323,135 @@ def _cases_of(root: Table) -> dict[str, Table]:
             )
         cases[name] = whole.merged(changes.values, f"{root.where}: case '{name}'")
     return cases
+
+
+# -------------------------------------------------------------------- one experiment
+
+
+def read_control_side_and_plant(root: Table) -> dict[str, Any]:
+    """arm, plant, rate, sensing and limits of a file with [arm], [plant] and [control].
+
+    Raises:
+        ScenarioError: A section breaks the schema.
+        FileError: The file cannot be read.
+    """
+    arm = read_arm(root.table("arm", required=True))
+    rate, sensing, limits = read_control(root.table("control"), arm)
+    plant = read_plant(root.table("plant", required=True), arm, rate)
+    return {"arm": arm, "plant": plant, "rate": rate, "sensing": sensing, "limits": limits}
+
+
+def read_experiment(
+    root: Table, own_laws: Mapping[str, Law] | None, text: str
+) -> tuple[dict[str, Law | Task], Experiment]:
+    """The laws of a scenario, or of one of its cases, and the experiment that they are run in, checked together.
+
+    Args:
+        root: The scenario, or one of its cases.
+        own_laws: Laws that take the place of its own, by the place that they were loaded from.
+        text: Of the file.
+
+    Raises:
+        ScenarioError: The message names file, section and key.
+    """
+    out = read_control_side_and_plant(root)
+    arm, plant, rate = out["arm"], out["plant"], out["rate"]
+    laws, places = _laws(root, own_laws)
+    table, run_table, events = root.table("reference"), root.table("run", required=True), root.tables("event")
+    if "phases" in root:
+        laws = {TASK: read_phases(root, arm, plant.arm.home)}
+    alone = {label: law for label, law in laws.items() if isinstance(law, Law)}
+    reference = read_reference(table, arm, plant.arm.home, alone)
+    run: RunSection = read(RunSection, run_table)
+    duration, q0 = float(run.duration), plant.arm.home if run.q0 == "home" else run.q0
+    if duration * rate > MAX_RUN_TICKS:
+        raise run_table.error(
+            f"must be <= {MAX_RUN_TICKS / rate:g} [s] at {rate:g} Hz, as a run keeps every tick; got {duration:g}",
+            "duration",
+        )
+    with run_table.blamed():
+        duration_of_ticks(duration, 1.0 / rate)
+        q, v = state_at_start(plant.arm, q0, run.v0)
+    sides = {label: _law_side(law, out, places[label], root.table("control")) for label, law in laws.items()}
+    for side in sides.values():
+        with root.table("plant").blamed():
+            check_fit(side, plant)
+        with table.blamed("kind"):
+            _check_reference(side, reference, q, v)
+    due = [_event(each, rate, duration, list(sides.values()), plant) for each in events]
+    experiment = Experiment(
+        name=root.where,
+        reference=reference,
+        duration=duration,
+        q0=q0,
+        v0=run.v0,
+        seed=run.seed,
+        events=tuple(due),
+        texts={"Scenario": text},
+        **out,
+    )
+    return laws, experiment
+
+
+def _laws(root: Table, own_laws: Mapping[str, Law] | None) -> tuple[dict[str, Law | Task], dict[str, Table]]:
+    """The laws by their labels, and the table that each comes from; none of a task, which is made with the plant."""
+    if "phases" in root:
+        if own_laws is not None:
+            raise root.error("has [[phases]], each with a law of its own, which --law cannot take the place of")
+        for name in ("laws", "reference"):
+            if name in root:
+                raise root.error(f"has [[phases]], each with its law and its reference; leave [{name}] out")
+        return {}, {TASK: root}
+    if own_laws is not None:
+        return dict(own_laws), {label: Table(f"--law {label}:", "", {}) for label in own_laws}
+    section = root.table("laws", required=True)
+    if not section.values:
+        raise section.error("needs one law at least: [laws.PID] with law = 'PID' and its gains")
+    tables = {label: section.table(label) for label in section.values}
+    return {label: read_law(table) for label, table in tables.items()}, tables
+
+
+def _law_side(law: Law | Task, out: Mapping[str, Any], table: Table, control: Table) -> LawSide:
+    """The law with what surrounds it, tried once on plain numbers."""
+    names = ("arm", "rate", "sensing", "limits")
+    with _blamed_one_of(table, control):
+        return compile(law, **{name: out[name] for name in names}, adds=out["plant"].adds, engine="float").side
+
+
+@contextlib.contextmanager
+def _blamed_one_of(*tables: Table) -> Iterator[None]:
+    """An error names the table that has the key that it is about, else the first one."""
+    try:
+        yield
+    except TautError as cause:
+        words = (cause.name or "").split(".")
+        table = next((each for each in tables if any(word in each for word in words)), tables[0])
+        with table.blamed():
+            raise
+
+
+def _check_reference(side: LawSide, reference: Reference, q: Any, v: Any) -> None:
+    """A law follows its reference, from where the run starts."""
+    parameters = dict(side.parameters)
+    side.check_start(q, parameters, reference)
+    feed = feed_of(side, reference, q, lambda: parameters)
+    if side.task is None:
+        fields = side.law.reference.fields(side.arm.n)
+        views = {name: np.zeros((GLANCE, *shape)) for name, shape in fields.items()}
+        with np.errstate(all="ignore"):
+            feed.fill(views, 0, lambda: snapshot(side.arm, q, v))
+
+
+def _event(table: Table, rate: float, duration: float, sides: list[LawSide], plant: Plant) -> Event:
+    """An event that sets parameters, or one that pushes, during the run and with each of the laws."""
+    if "push" in table:
+        table.only(("t", "push"))
+        table.need("t")
+        event: Event = read(Event.push, table.table("push"), blame="t", t=table.get("t"))
+    else:
+        event = read(Event, table)
+    ticks = round(duration * rate) + 1
+    for side in sides:
+        with table.blamed("t"), table.table("push").blamed("of") if "push" in table else table.blamed("set"):
+            Schedule(side, plant, {**side.parameters, **plant.parameters}, [event], ticks)
+    return event

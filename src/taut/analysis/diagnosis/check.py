@@ -382,12 +382,6 @@ class ExaminedRun:
         return out
 
     @cached_property
-    def applied_feedback(self) -> Float64Array:
-        """(k, n) the feedback that the limits of the controller left."""
-        against = np.clip(-self.cut * np.sign(self.feedback), 0.0, np.abs(self.feedback))
-        return np.asarray(self.feedback - np.sign(self.feedback) * against)
-
-    @cached_property
     def arm_effort(self) -> Float64Array:
         """(n,) effort limits of the arm, inf where none is known."""
         known = self.run.info.limits.get("effort", {})

@@ -270,7 +270,7 @@ def wind_up(run: ExaminedRun) -> Finding | None:
 
 def torque_jump(run: ExaminedRun) -> Finding | None:
     """The feedback starts with a quarter of the effort limit, and half of all that it ever gives."""
-    record, feedback = run.run, np.abs(run.applied_feedback) / run.scale
+    record, feedback = run.run, np.abs(run.feedback) / run.scale
     bad = (feedback[0] >= run.threshold["jump"]) & (feedback[0] >= 0.5 * feedback.max(axis=0))
     if not bad.any() or ("blend" in record.terms and np.any(record.terms["blend"][0])):
         return None
@@ -279,7 +279,7 @@ def torque_jump(run: ExaminedRun) -> Finding | None:
     end = int(below[0]) if below.size else len(record)
     part = np.where(bad & (np.arange(len(record)) < end)[:, np.newaxis], run.feedback, 0.0)
     evidence = {
-        "jump": (run.applied_feedback[0, i], "torque"),
+        "jump": (run.feedback[0, i], "torque"),
         "relative to the effort limit": (100.0 * feedback[0, i], "%"),
         **({} if run.error is None else {"error at the start": (run.error[0, i], "joint")}),
     }
@@ -374,7 +374,7 @@ def contact_bounce(run: ExaminedRun) -> Finding | None:
     mean, deviation = force[window].mean(), force[window].std()
     is_open = force < 0.1 * mean
     openings = int(np.sum(is_open[window][1:] & ~is_open[window][:-1]))
-    if openings < limit["openings"]:
+    if is_open[window].mean() < limit["part"]:
         return None
     evidence = {
         "openings": (openings / ((window.stop - window.start) * run.dt), "1/s"),
@@ -412,7 +412,7 @@ SHARED: Final = (
     Threshold("error", 0.02, "of the commanded motion", "the 2 % band of a settling time"),
     Threshold("error at the tool", 1e-3, "m", "a millimetre at the tool of a stretched arm"),
     Threshold("effect", 0.01, "of the feedback effort", "what explains less is not why a run is as it is"),
-    Threshold("part", 0.05, "of gravity, of the work on an oscillation, of the run", "less is an error of the model"),
+    Threshold("part", 0.05, "of gravity, of the work on an oscillation, of time", "less is an error of the model"),
     Threshold("torque change", 0.01, "of the effort limit", "a torque that changes less does not move a joint"),
     Threshold("model accuracy", 0.01, "of the largest gravity torque", "of a well-known arm"),
     Threshold(
@@ -605,7 +605,6 @@ CHECKS: Final = (
     Check(
         name="contact bounce",
         test=contact_bounce,
-        thresholds=(Threshold("openings", 10, "times", "a landing has fewer"),),
         cause="the contact opens {openings}, with forces up to {largest force} for {mean force} on average",
         remedy="lower kfp and kfi, raise kdamp, or press with a compliant tool; in MuJoCo give the surface "
         'priority="1" solimp="0 0.9 0.002 0.5 1", so that its force grows with the depth',

@@ -88,17 +88,9 @@ class ArmModel:
 
     @cached_property
     def ticks(self) -> np.ndarray[Any, np.dtype[np.intp]]:
-        """The ticks that fits look at: all but the last, or some of them evenly spread.
-
-        Where a run has little motion, all of that, for nothing else tells of friction.
-        """
+        """The ticks that fits look at: all but the last, or some of them evenly spread."""
         count = len(self.run) - 1
-        spread = np.linspace(0, count - 1, min(count, FIT_TICKS)).round().astype(np.intp)
-        moving = np.flatnonzero((np.abs(self.run.v[:count]) > MOVING).any(axis=1))
-        if MIN_MOVING_TICKS <= len(moving) < MIN_MOTION * count:
-            few = np.linspace(0, len(moving) - 1, min(len(moving), FIT_TICKS)).round().astype(np.intp)
-            spread = np.concatenate([spread, moving[few]])
-        return np.unique(spread)
+        return np.unique(np.linspace(0, count - 1, min(count, FIT_TICKS)).round().astype(np.intp))
 
     def _each(self, payload: Float64Array, *, moving: bool) -> Float64Array:
         """(ticks, n) torques with a payload (10,), or (ticks, 10) one at each tick."""

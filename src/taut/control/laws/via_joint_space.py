@@ -25,7 +25,6 @@ from taut.maths.ik import (
     Resolved,
     Task,
     damping_near_singularity,
-    jacobian_rate,
     shortened,
     task_of,
 )
@@ -211,7 +210,8 @@ class ViaJointSpace(Law):
         worst = functools.reduce(tm.maximum, tm.abs(fast) / arm.velocity)
         slowed = 1.0 / tm.maximum(1.0, worst)
         v = slowed * fast
-        J_W, J_W_rate = dyn.jacobian(x.model, q, self.tool), jacobian_rate(x.model, q, v, self.tool)
+        J_W = dyn.jacobian(x.model, q, self.tool)
+        J_W_rate = tm.jacobian(lambda s: dyn.jacobian(x.model, q + s[0] * v, self.tool), [0.0])[..., 0]
         J_rate = task.seen_rate(T, J_W[3:] @ v, J_W, J_W_rate)
         wanted = task.seen_rate(T, J_W[3:] @ v, slowed * ref.twist, slowed * slowed * ref.acceleration)
         if redundant:

@@ -213,18 +213,11 @@ class TaskSteps:
         self._table = np.zeros((AHEAD, sample.size))
         self._fields: dict[str, Float64Array] = {}  # of all rows of the table
         first = 0
-        views: dict[str, Float64Array] = {}
         for name, shape in task.reference.fields(side.arm.n).items():
             size = int(np.prod(shape, dtype=np.int64))
-            views[name] = sample[first : first + size].reshape(shape)
             self._fields[name] = self._table[:, first : first + size].reshape(AHEAD, *shape)
             first += size
-        self._views = views
         self._ahead: dict[int, Float64Array] = {}  # the sample, flat, by the number of a tick in its phase
-        self._places: dict[
-            str, Float64Array
-        ] = {}  # where the fields of a sample go that the caller gives, if one does
-        self._given: Any = None  # that sample, during a call
 
     def name(self, going: bool) -> str:
         """The phase that the coming tick belongs to, of a task that is going on or begins with it."""
@@ -244,31 +237,13 @@ class TaskSteps:
             try:
                 row = self._ahead.get(int(ticks()))
                 if row is None:
-                    return self._with_given(step, args, kwargs) if self._take(args) else slow(*args, **kwargs)
+                    return slow(*args, **kwargs)
                 sample[:] = row
                 return step(*args, **kwargs)
             finally:
                 end(None)
 
         return with_sample
-
-    def _take(self, args: tuple[Any, ...]) -> bool:
-        """Write the last of some arguments where compiled code reads it, if it is a sample that fits its phase."""
-        if not self._places or not self._memory[TICKS] or not args or type(args[-1]) is not self._feed.kind:
-            return False
-        values = [getattr(args[-1], field) for field in self._places]
-        if any(np.shape(value) != view.shape for value, view in zip(values, self._places.values(), strict=True)):
-            return False
-        for value, view in zip(values, self._places.values(), strict=True):
-            view[...] = value
-        return True
-
-    def _with_given(self, step: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
-        self._given = args[-1]  # for `place`, where this is no plain call
-        try:
-            return step(*args[:-1], **kwargs)
-        finally:
-            self._given = None
 
     def place(
         self, tick: int, going: bool, given: Mapping[str, Any], ref: Any, parameters: Mapping[str, Any]
@@ -289,11 +264,9 @@ class TaskSteps:
             ShapeError: A sample of another size.
         """
         since, name = int(self._memory[TICKS]) if going else 0, self.name(going)
-        ref = self._given if ref is None else ref
         if since == 0:
             self._ahead = {}
             self._feed.begin(name, tick)
-            self._places = self._feed.own(self._views) if self._feed.waits else {}
         waits = self._feed.waits
         if waits and not isinstance(ref, self._task.laws[name].reference):
             kind, got = self._task.laws[name].reference.described(), "none" if ref is None else type(ref).__name__

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final, Literal, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from taut.base.checks import finite_scalar, one_of, vector, whole_number
 from taut.base.errors import RangeError, ShapeError, UsageError, unknown_name
 from taut.base.types import ArrayLike
 from taut.control.trajectories.reference import JointMotion
-from taut.control.trajectories.task_reference import TaskMotion
+from taut.control.trajectories.task_reference import FRAMES, Axes, TaskMotion
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import rotation_log
 from taut.trace import math as tm
@@ -32,9 +32,6 @@ __all__ = [
     "reached",
     "settled",
 ]
-
-Axes: TypeAlias = Literal["world", "tool"]
-FRAMES: Final = ("world", "tool")
 
 
 class GuardView:

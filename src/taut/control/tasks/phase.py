@@ -7,14 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Protocol, TypeAlias, runtime_checkable
 
-import numpy as np
-
-from taut.base.checks import finite_scalar, positive_scalar
-from taut.base.errors import RangeError, UsageError, unknown_name
+from taut.base.checks import positive_scalar
+from taut.base.errors import UsageError, unknown_name
 from taut.control.combine import all_laws
 from taut.control.law import Law
 from taut.control.tasks.guards import Guard, Lasting, contact
-from taut.control.trajectories.reference import Hold, Reference, Sample, Trajectory, as_reference
+from taut.control.trajectories.reference import Reference, as_reference
 from taut.maths.snapshot import Snapshot
 
 __all__ = ["STOP", "Phase", "PhaseReference", "named_phases"]
@@ -31,15 +29,6 @@ class KnowsContact(Protocol):
 
     def touches(self, x: Snapshot) -> Any:
         """Whether the arm is in contact, as a condition."""
-        ...
-
-
-@runtime_checkable
-class MeasuresContact(Protocol):
-    """A law that can state how far it is from contact."""
-
-    def contact_state(self, x: Snapshot) -> str:
-        """Distance, force and their limits, in words."""
         ...
 
 
@@ -98,50 +87,31 @@ class Phase:
     contact: float | Guard | None = None  # [N]
 
     def __post_init__(self) -> None:
-        who = "a phase" if self.name is None else f"phase '{self.name}'"
         if not isinstance(self.law, Law):
-            raise UsageError(f"{who} takes a law such as taut.laws.PID(kp=...); got {self.law!r}", name="law")
-        if self.name is not None and (not isinstance(self.name, str) or not self.name.isidentifier()):
+            raise UsageError(f"a phase takes a law such as taut.laws.PID(kp=...); got {self.law!r}", name="law")
+        word = self.name is None or (isinstance(self.name, str) and self.name.isidentifier())
+        if not word or self.name in OWN_WORDS:
             raise UsageError(
-                f"the name of a phase must be a word of letters, digits and _, as it stands in the paths of gains; "
-                f"got {self.name!r}",
+                f"the name of a phase must be a word of letters, digits and _, as it stands in the paths of gains, "
+                f"and none of {', '.join(OWN_WORDS)}; got {self.name!r}",
                 name="name",
             )
-        if self.name in OWN_WORDS:
-            raise UsageError(f"'{self.name}' is a word of every task; give the phase another name", name="name")
         for guard in ("until", "unless"):
             value = getattr(self, guard)
             if value is not None and not callable(value):
                 raise UsageError(
-                    f"{who}: {guard} must be a function of the snapshot, such as lambda x: "
-                    f"taut.guards.contact(x, 2.0); "
-                    f"got {value!r}",
+                    f"{guard} must be a function of the snapshot, such as lambda x: taut.guards.contact(x, 2.0); got "
+                    f"{value!r}",
                     name=guard,
                 )
         if self.timeout is not None:
             object.__setattr__(self, "timeout", positive_scalar("timeout", self.timeout, unit="s"))
+        if isinstance(self.contact, Lasting):
+            raise UsageError("contact is looked at once; give the guard that lasting(...) holds", name="contact")
         if self.contact is not None and not callable(self.contact):
-            force = finite_scalar("contact", self.contact, unit="N")
-            if force <= 0.0:
-                raise RangeError(f"contact must be > 0 [N]; got {force:g}", name="contact", value=force, rule="> 0")
-        self._check_reference(who)
-
-    def _check_reference(self, who: str) -> None:
-        ref = self.reference
-        if ref is None or (callable(ref) and not isinstance(ref, Trajectory)):
-            return
-        try:
-            given = as_reference(ref)
-        except UsageError as cause:
-            raise UsageError(f"{who}: {cause}", name="reference") from cause
-        sample = given.sample if isinstance(given, Hold) else given
-        if isinstance(sample, Trajectory):
-            sample = sample.at(0.0)
-        if isinstance(sample, Sample) and not isinstance(sample, self.law.reference):
-            raise UsageError(
-                f"{who}: its law follows {self.law.reference.described()}; the reference gives {sample.described()}",
-                name="reference",
-            )
+            positive_scalar("contact", self.contact, unit="N")
+        if self.reference is not None and not callable(self.reference):
+            as_reference(self.reference)
 
     @property
     def needs_contact(self) -> bool:
@@ -158,25 +128,13 @@ class Phase:
             holds.append(contact(x, force))
         return functools.reduce(lambda a, b: a & b, holds)
 
-    def contact_state(self, x: Snapshot) -> str:
-        """Why there is no contact, in words with numbers; empty for a guard of the user's."""
-        if callable(self.contact):
-            return ""
-        laws = [law for _, law in all_laws(self.law)]
-        said = [law.contact_state(x) for law in laws if isinstance(law, MeasuresContact)]
-        if self.contact is not None or not any(isinstance(law, KnowsContact) for law in laws):
-            force = CONTACT if self.contact is None else self.contact
-            said.append(f"{np.linalg.norm(x.F_ext[:3]):.3g} N measured, and contact is {force:g} N or more")
-        return ", ".join(said)
-
 
 def named_phases(task: Sequence[Phase]) -> dict[str, Phase]:
     """The phases of a task by name.
 
     Raises:
-        UsageError: No phase, something else than a phase, two of one name, a counter that cannot count in `contact`.
-        UnknownNameError: `otherwise` or `then` names a phase that is not there.
-        RangeError: `otherwise` or `then` is the number of a phase that is not there.
+        UsageError: No phase, something else than a phase, two of one name.
+        UnknownNameError: `otherwise` or `then` is a phase that is not there.
     """
     if not task:
         raise UsageError("a task needs one phase at least; got an empty list", name="task")
@@ -187,34 +145,10 @@ def named_phases(task: Sequence[Phase]) -> dict[str, Phase]:
         name = phase.name or f"phase{i + 1}"
         if name in named:
             raise UsageError(f"two phases of a task are called '{name}'; give one another name=", name="name")
-        if isinstance(phase.contact, Lasting):
-            raise UsageError(
-                f"phase '{name}': contact is looked at once, when the phase begins, so that taut.guards.lasting "
-                f"has no "
-                "meaning in it; give the guard that it holds",
-                name="contact",
-            )
         named[name] = phase
     for name, phase in named.items():
-        for word in ("otherwise", "then"):
-            _check_target(name, word, getattr(phase, word), list(named))
+        for word, target in (("otherwise", phase.otherwise), ("then", phase.then)):
+            known = (STOP, *named, *range(len(named)), *((None,) if word == "then" else ()))
+            if isinstance(target, bool) or target not in known:
+                raise unknown_name(f"phase '{name}': {word}: the task", "phase", str(target), [*named, STOP])
     return named
-
-
-def _check_target(name: str, word: str, target: object, names: list[str]) -> None:
-    if target is None and word == "then":
-        return
-    if isinstance(target, int) and not isinstance(target, bool):
-        if not 0 <= target < len(names):
-            raise RangeError(
-                f"phase '{name}': {word} must be the number of a phase, from 0 to {len(names) - 1}; got {target}",
-                name=word,
-                value=float(target),
-            )
-        return
-    if not isinstance(target, str):
-        raise UsageError(
-            f"phase '{name}': {word} must be 'stop', or the name or number of a phase; got {target!r}", name=word
-        )
-    if target not in (STOP, *names):
-        raise unknown_name(f"phase '{name}': {word}: the task", "phase", target, [*names, STOP])

@@ -5,13 +5,11 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import cached_property, partial
-from typing import Any, ClassVar, Final, TypeVar
+from functools import partial
+from typing import Any, ClassVar, Final, Self, TypeVar
 
 import numpy as np
 
-from taut.base.declarations import Declaration
 from taut.base.errors import (
     MatchError,
     NumericalError,
@@ -21,8 +19,7 @@ from taut.base.errors import (
     UsageError,
     raised_location,
 )
-from taut.base.fields import Declared
-from taut.base.types import Float64Array
+from taut.base.fields import Declared, Plain
 from taut.control.command import Command, Position, Terms, Torque, Velocity
 from taut.control.gains import Gain, LawMemory, MemoryView
 from taut.control.law import Law, call, initial_memory
@@ -69,8 +66,7 @@ class Halt(Law):
         return made(Terms(hold=tm.zeros(x.n) if made is Velocity else memory.q)), after
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Task:
+class Task(Declared):
     """Phases, each with a law of its own, of which one acts in each tick: what a control side evaluates.
 
     All laws are evaluated in every tick and one is selected: a number of a law that does not act, finite or not,
@@ -86,8 +82,8 @@ class Task:
         laws: By the name of the phase, and last the law that acts where the task has stopped.
     """
 
-    phases: Mapping[str, Phase]
-    laws: Mapping[str, Law]
+    phases: Plain[Mapping[str, Phase]] = Plain()
+    laws: Plain[Mapping[str, Law]] = Plain()
 
     uses_memory: ClassVar[bool] = True
     ignores_reference: ClassVar[bool] = False
@@ -114,12 +110,12 @@ class Task:
         """What it is called in messages."""
         return f"the task of {', '.join(self.phases)}"
 
-    @cached_property
+    @property
     def followers(self) -> tuple[Law, ...]:
         """The laws that follow a reference."""
         return tuple(law for law in self.laws.values() if not law.ignores_reference)
 
-    @cached_property
+    @property
     def reference(self) -> type[Sample]:
         """The kind of sample that its laws follow; one with a sample of each kind where there are several."""
         kinds = list(dict.fromkeys(law.reference for law in self.followers)) or [JointMotion]
@@ -158,42 +154,14 @@ class Task:
 
     # ---------------------------------------------------------------- its gains
 
-    def parameters(self) -> dict[str, Float64Array]:
-        """Every gain of the laws, by path."""
-        return {f"{name}.{path}": v for name, law in self.laws.items() for path, v in law.parameters().items()}
+    def declared_parts(self) -> dict[str, Declared]:
+        """The laws by name, whose gains are below these."""
+        return dict(self.laws)
 
-    def units(self) -> dict[str, str]:
-        """Unit of each gain by path."""
-        return {f"{name}.{path}": unit for name, law in self.laws.items() for path, unit in law.units().items()}
-
-    def find(self, path: str) -> tuple[Declared, Declaration[Any]]:
-        """The object that has the parameter at a path, and its declaration."""
-        name, _, rest = path.partition(".")
-        return self.laws[name].find(rest)
-
-    def changed(self, path: str, value: Any, *, name: str = "") -> Task:
-        """A copy with another value of the gain at a path, checked as when it was made."""
-        phase, _, rest = path.partition(".")
-        law = self.laws[phase].changed(rest, value, name=name or path)
-        return dataclasses.replace(self, laws={**self.laws, phase: law})
-
-    def bound(self, values: Mapping[str, Any]) -> Task:
-        """A copy whose gains are `values` by path."""
-        own = {
-            name: law.bound({p[len(name) + 1 :]: v for p, v in values.items() if p.startswith(f"{name}.")})
-            for name, law in self.laws.items()
-        }
-        return dataclasses.replace(self, laws=own)
+    def _with_parts(self, parts: Mapping[str, Any]) -> Self:
+        return self._replaced({"laws": {**self.laws, **parts}})
 
     # ---------------------------------------------------------------- checks
-
-    def check_size(self, joints: Sequence[str] | int, prefix: str = "") -> None:
-        """Every gain must have as many entries as its law acts on."""
-        for name, law in self.laws.items():
-            try:
-                law.check_size(joints, prefix)
-            except ShapeError as cause:
-                raise ShapeError(f"phase '{name}': {cause}", name=name) from cause
 
     def check_rates(self, rate: float) -> None:
         """Every law must fit the rate [Hz]."""

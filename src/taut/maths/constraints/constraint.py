@@ -29,7 +29,7 @@ MIN_SQUARE: Final = 1e-24  # [m^2] keeps a root from zero, where it has no slope
 
 @dataclass(frozen=True, kw_only=True, init=False, eq=False)
 class Constraint:
-    """What holds the tool: phi(T) = 0, a function of its pose; natural constraints of section 10.4.1.
+    """Constraint of the tool: phi(T) = 0, a function of its pose; natural constraints of section 10.4.1.
 
     Law:          phi(T, t) = 0;  A(T) V + d phi/dt = 0;  A V-dot + A-dot V + ... = 0            eqs. 10.39, 10.41
                   F_app = A^T lam is what the arm can apply against it: k forces, and n - k motions are free
@@ -72,7 +72,7 @@ class Constraint:
 
     @classmethod
     def of(cls, pieces: Sequence[Piece]) -> Self:
-        """That of several functions at once; of constraints one writes `one + other`."""
+        """A constraint of several functions at once; of constraints one writes `one + other`."""
         made = object.__new__(cls)
         object.__setattr__(made, "pieces", tuple(pieces))
         return made
@@ -84,17 +84,17 @@ class Constraint:
 
     @property
     def one_sided(self) -> tuple[bool, ...]:
-        """(k,) whether each row is phi >= 0."""
+        """(k,) true for rows phi >= 0."""
         return tuple(side for piece in self.pieces for side in piece.one_sided)
 
     @property
     def moments(self) -> tuple[bool, ...]:
-        """(k,) whether each row holds rotations only, so that its multiplier is a moment."""
+        """(k,) true for rows that hold rotations only, whose multipliers are moments."""
         return tuple(moment for piece in self.pieces for moment in piece.moments)
 
     @property
     def surface(self) -> bool:
-        """Whether the first row can be pressed against: it is one-sided, or one function of poses.
+        """The first row can be pressed against: it is one-sided, or one function of poses.
 
         A function of poses alone is positive on its free side.
         """

@@ -38,7 +38,7 @@ class Constrained:
 
     @classmethod
     def of(cls, rows: ConstraintRows, M_factors: LTDL) -> Constrained:
-        """That of rows at a state whose mass matrix has these factors."""
+        """Constrained dynamics of rows at a state whose mass matrix has these factors."""
         W = M_factors.solve(rows.A_q.T)
         return cls(rows=rows, Minv_AT=W, mobility=factor_spd(rows.A_q @ W, MIN_INDEPENDENT_PART))
 

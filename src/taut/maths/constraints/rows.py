@@ -51,7 +51,7 @@ class ConstraintRows:
 
     @property
     def factors(self) -> LTDL:
-        """Of A A^T, without rows that depend on later ones."""
+        """Factors of A A^T, without rows that depend on later ones."""
         assert self.A is not None
         return factor_spd(self.A @ self.A.T, MIN_INDEPENDENT_PART)
 
@@ -284,7 +284,7 @@ def _shape(function: Callable[..., Any], arguments: Sequence[Any]) -> tuple[int,
 
 
 def _is_timed(function: object, places: int, *, may_be: bool) -> bool:
-    """Whether a function of so many poses, or of joints, takes the time as well.
+    """A function of so many poses, or of joints, takes the time as well.
 
     Raises:
         UsageError: It is no function, or takes another number of arguments.
@@ -313,7 +313,7 @@ def _is_timed(function: object, places: int, *, may_be: bool) -> bool:
 
 
 def _sides(one_sided: bool | Sequence[bool], count: int) -> tuple[bool, ...]:
-    """Of each row, whether the environment can only push.
+    """(count,) true for rows at which the environment can only push.
 
     Raises:
         ShapeError: Not one for all rows, or one for each.

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from taut.record.log.files import checked_target, written_aside
-from taut.record.log.layout import columns_of
+from taut.record.log.writing import columns_of
 from taut.record.progress import Progress
 
 if TYPE_CHECKING:

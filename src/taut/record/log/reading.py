@@ -26,8 +26,7 @@ from taut.base.types import Array
 from taut.control.trajectories.compound import phase_sample, together_kind
 from taut.control.trajectories.reference import Sample
 from taut.record.info import POSES, Outcome
-from taut.record.log.layout import FORMAT, Header, Shape, TickLayout
-from taut.record.log.writing import TICKS, Ending
+from taut.record.log.writing import FORMAT, TICKS, Ending, Header, Shape, TickLayout
 from taut.record.plain import restored
 from taut.record.run import Run
 

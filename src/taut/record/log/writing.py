@@ -1,28 +1,36 @@
 """Logs: runs as MCAP files, written while they go on, read back exactly.
 
-Beside the messages of `layout` a file has a record `taut.run` at the start and a record `taut.outcome` at the end,
-each a JSON text with its checksum.
+A file has a record `taut.run` at the start and a record `taut.outcome` at the end, each a JSON text with its
+checksum, and between them one ROS 2 message of constant size per tick: taut/msg/Tick on the topic /run has t and all
+columns: q, v, tau, command, terms_P, reference_q, extra_F_ext, ... These are numbers of fixed count alone, so that
+thousands are written and read at a time by NumPy.
+
+References:
+    OMG, DDS-XTypes 1.3, section 7.4 (plain CDR, version 1).
 """
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from math import prod
 from pathlib import Path
 from types import TracebackType
-from typing import IO, TYPE_CHECKING, Any, Final, Self
+from typing import IO, TYPE_CHECKING, Any, Final, Literal, Self, TypeAlias, cast
 
 import numpy as np
 
 from taut.base import __version__
 from taut.base.errors import FileError, count_of
-from taut.record.info import Outcome
+from taut.base.types import Array, Float64Array
+from taut.control.trajectories.compound import Compound
+from taut.record.info import Outcome, RunInfo, check_info
 from taut.record.log.files import cannot_write, checked_target, written_aside
-from taut.record.log.layout import Header, TickLayout, columns_of
 from taut.record.plain import plain
 from taut.record.progress import Progress
 from taut.record.run import Run
@@ -30,8 +38,16 @@ from taut.record.run import Run
 if TYPE_CHECKING:
     from mcap.writer import Writer
 
-__all__ = ["TICKS", "Ending", "Log", "RunLog", "open_log", "save", "sealed"]
+__all__ = ["TICKS", "Ending", "Header", "Log", "TickLayout", "columns_of", "open_log", "save", "sealed"]
 
+FORMAT: Final = 2
+CDR_HEAD: Final = b"\x00\x01\x00\x00"  # little-endian plain CDR
+MAX_COLUMNS: Final = 2000
+MAX_AXES: Final = 8
+MAX_AXIS: Final = 2**31  # [-] size of an axis
+MAX_PARTS: Final = 64  # of a reference of several
+
+RULER: Final = "=" * 80
 SUFFIXES: Final = (".mcap",)
 TICKS: Final = "/run"  # the topic of the ticks
 USUAL_RATE: Final = 1000.0  # [Hz] of a run that does not say
@@ -39,6 +55,147 @@ BLOCK_TICKS: Final = 4096  # that are turned into bytes at a time
 CHUNK_SECONDS: Final = 0.1  # of a run, which is what a process that is killed can lose
 CHUNK_BYTES: Final = 64 * 1024
 MIN_CHUNK_TICKS: Final = 16
+
+Shape: TypeAlias = tuple[int, ...]
+Unit = Literal["rad", "m"]
+Kind = Literal["torque", "velocity", "position"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartKind:
+    """One of the samples that a reference of several holds."""
+
+    name: str
+    kind: str
+    joints: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Header:
+    """The columns of a run, and what it was made with."""
+
+    format: int = FORMAT
+    joint_names: tuple[str, ...]
+    units: tuple[Unit, ...]
+    continuous: tuple[int, ...]
+    kind: Kind
+    terms: tuple[str, ...]
+    reference: str  # name of the sample's class
+    parts: tuple[PartKind, ...]  # of a sample of several
+    fields: Mapping[str, Shape]  # of the reference
+    extra: Mapping[str, Shape]
+    info: RunInfo
+
+    @classmethod
+    def of(cls, run: Run) -> Header:
+        """The header of a run, or of a piece of one."""
+        sample = type(run.reference)
+        parts = sample.parts if issubclass(sample, Compound) else ()
+        return cls(
+            joint_names=run.joint_names,
+            units=cast("tuple[Unit, ...]", run.units),
+            continuous=run.continuous,
+            kind=cast("Kind", run.kind),
+            terms=tuple(run.terms),
+            reference=sample.__name__.partition("[")[0],
+            parts=tuple(PartKind(name=part.name, kind=part.kind.__name__, joints=part.joints) for part in parts),
+            fields={name: np.shape(getattr(run.reference, name))[1:] for name in sample.fields(run.n)},
+            extra={name: np.shape(value)[1:] for name, value in run.extra.items()},
+            info=run.info,
+        )
+
+    def check(self, max_numbers: int) -> None:
+        """Require of a header that was read that its parts fit each other.
+
+        Args:
+            max_numbers: In one tick: the file has no room for more.
+
+        Raises:
+            ValueError: They do not.
+        """
+        n = len(self.joint_names)
+        shapes = (*self.fields.values(), *self.extra.values())
+        few = len(self.terms) + len(shapes) <= MAX_COLUMNS and len(self.parts) <= MAX_PARTS
+        small = all(len(shape) <= MAX_AXES and all(0 <= size <= MAX_AXIS for size in shape) for shape in shapes)
+        if not few or not small or sum(map(prod, self.shapes().values())) > max_numbers:
+            raise ValueError("it has more numbers in a tick than the file has room for")
+        unique = all(len(set(names)) == len(names) for names in (self.joint_names, self.terms))
+        if not n or len(self.units) != n or not unique or not all(0 <= i < n for i in self.continuous):
+            raise ValueError("its header does not fit its joints")
+        check_info(self.info, self.joint_names)
+
+    def shapes(self) -> dict[str, Shape]:
+        """Shape of one row of every column."""
+        n = (len(self.joint_names),)
+        out: dict[str, Shape] = {"t": (), **dict.fromkeys(("q", "v", "tau", "command"), n)}
+        out |= {f"terms.{name}": n for name in self.terms}
+        out |= {f"reference.{name}": shape for name, shape in self.fields.items()}
+        return out | {f"extra.{name}": shape for name, shape in self.extra.items()}
+
+
+class TickLayout:
+    """One tick as the message taut/msg/Tick: doubles, one behind the other.
+
+    Args:
+        header: Of the log.
+    """
+
+    def __init__(self, header: Header) -> None:
+        self.shapes = header.shapes()
+        self.joints = header.joint_names
+        sized = [(name, "<f8", shape) for name, shape in self.shapes.items() if prod(shape)]
+        self.dtype = np.dtype([("cdr", f"V{len(CDR_HEAD)}"), *sized])
+
+    def schema(self) -> str:
+        """The definition of the message. What has a number for each joint has them by the names of the joints."""
+        lines = []
+        names = _identifiers(self.shapes)
+        for name, shape in self.shapes.items():
+            if shape == (len(self.joints),):
+                lines.append(f"taut/Joints {names[name]}")
+            elif prod(shape):
+                lines.append(f"float64{f'[{prod(shape)}]' if shape else ''} {names[name]}")
+        joints = [f"float64 {name}" for name in _identifiers(self.joints).values()]
+        return "\n".join([*lines, RULER, "MSG: taut/Joints", *joints, ""])
+
+    def rows(self, columns: Mapping[str, Float64Array]) -> Array:
+        """(k,) messages of the ticks with these columns (k, ...)."""
+        out = np.zeros(len(columns["t"]), dtype=self.dtype)
+        out["cdr"] = np.void(CDR_HEAD)
+        for name in (self.dtype.names or ())[1:]:
+            out[name] = columns[name]
+        return out
+
+    def columns(self, blocks: Sequence[Array]) -> dict[str, Float64Array]:
+        """The inverse of `rows`, of several blocks, each (k,)."""
+        ticks = sum(map(len, blocks))
+        return {
+            name: np.concatenate([np.zeros((0, *shape)), *(block[name] for block in blocks)])
+            if prod(shape)
+            else np.zeros((ticks, *shape))
+            for name, shape in self.shapes.items()
+        }
+
+
+def _identifiers(names: Iterable[str]) -> dict[str, str]:
+    """Names as ROS takes them for fields: small letters, digits and single underscores; equal ones get a number."""
+    out: dict[str, str] = {}
+    for name in names:
+        word = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+        word = word if word[:1].isalpha() else f"x{word}"
+        out[name] = word if word not in out.values() else f"{word}_{len(out)}"
+    return out
+
+
+def columns_of(run: Run) -> dict[str, Float64Array]:
+    """Every array of a run by the names that `Header.shapes` has."""
+    out = {"t": run.t, "q": run.q, "v": run.v, "tau": run.tau, "command": run.command}
+    out |= {f"terms.{name}": value for name, value in run.terms.items()}
+    out |= {f"reference.{name}": getattr(run.reference, name) for name in type(run.reference).fields(run.n)}
+    return out | {f"extra.{name}": value for name, value in run.extra.items()}
+
+
+# -------------------------------------------------------------------- the file
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,10 +244,12 @@ class Log:
     Args:
         path: The file; one that is there is replaced.
         to: Where to write, if not to the path itself.
+        strict: Whether a write that the system refuses is an error; else the log ends there, and `finish` reports it.
     """
 
-    def __init__(self, path: Path, to: Path | None = None) -> None:
-        self._path, self._to = path, path if to is None else to
+    def __init__(self, path: Path, to: Path | None = None, *, strict: bool = True) -> None:
+        self._path, self._to, self._strict = path, path if to is None else to, strict
+        self._refusal: FileError | None = None
         self._stream: _Stream | None = None
         self._writer: Writer | None = None
         self.ticks = 0
@@ -108,6 +267,8 @@ class Log:
         Raises:
             FileError: The system refuses a write, or the log is closed.
         """
+        if self._refusal is not None:
+            return
         if self._stream is not None and self._writer is None:
             raise FileError(f"log '{self._path}' is closed; open another one", name=str(self._path))
         try:
@@ -120,8 +281,12 @@ class Log:
                 if advance is not None:
                     advance(len(block["t"]))
         except OSError as cause:
-            self._writer = None  # what has been written stays as it is
-            raise cannot_write("log", self._path, cause) from cause
+            self._refuse(cause)
+
+    def _refuse(self, cause: OSError) -> None:
+        self._writer, self._refusal = None, cannot_write("log", self._path, cause)  # what has been written stays
+        if self._strict:
+            raise self._refusal from cause
 
     def _begin(self, rows: Run) -> Writer:
         from mcap.writer import CompressionType, Writer
@@ -151,22 +316,27 @@ class Log:
             if self._stream.position != before:  # a chunk is full
                 before, self.safe_ticks = self._stream.position, self.ticks
 
-    def finish(self, outcome: Outcome) -> None:
-        """Write how the run ended, and what readers need.
+    def finish(self, outcome: Outcome) -> Outcome:
+        """Write how the run ended, and what readers need; the same outcome, with how many ticks the log lacks.
 
         Raises:
             FileError: The system refuses a write.
         """
-        if self._writer is None:
-            return
         writer, self._writer = self._writer, None
-        try:
-            ending = plain(Ending(outcome=outcome, ticks=self.ticks))
-            writer.add_metadata("taut.outcome", sealed(json.dumps(ending)))
-            writer.finish()  # type: ignore[no-untyped-call]
-            self.safe_ticks = self.ticks
-        except OSError as cause:
-            raise cannot_write("log", self._path, cause) from cause
+        if writer is not None:
+            try:
+                ending = plain(Ending(outcome=outcome, ticks=self.ticks))
+                writer.add_metadata("taut.outcome", sealed(json.dumps(ending)))
+                writer.finish()  # type: ignore[no-untyped-call]
+                self.safe_ticks = self.ticks
+            except OSError as cause:
+                self._refuse(cause)
+        if self._refusal is None:
+            return outcome
+        ticks = outcome.tick + 1
+        dropped = ticks - self.safe_ticks
+        message = f"{outcome.message}; {self._refusal} ({dropped} of {count_of(ticks, 'tick')} are not in it)"
+        return replace(outcome, message=message, dropped=dropped)
 
     def __enter__(self) -> Self:
         return self
@@ -176,61 +346,20 @@ class Log:
     ) -> None:
         words = "" if error is None else f": {type(error).__name__}: {error}".rstrip(": ")
         outcome = Outcome(kind="stopped", message=f"the run broke off{words}", tick=max(0, self.ticks - 1))
-        with suppress(FileError):  # the first error is the one to hear about
+        with suppress(OSError):  # the first error is the one to hear about
             self.finish(outcome)
         if self._stream is not None:
-            self._stream.close()
-
-
-class RunLog:
-    """The log of a run that is going on. Where it cannot be written any more it ends, and the run does not.
-
-    A context manager around the log's own.
-    """
-
-    def __init__(self, log: Log) -> None:
-        self._log = log
-        self._refusal: FileError | None = None
-
-    def write(self, rows: Run) -> None:
-        """Append the ticks of a piece of the run, as long as that works."""
-        self._tried(lambda: self._log.write(rows))
-
-    def finish(self, outcome: Outcome) -> Outcome:
-        """Write how the run ended; the same outcome, with how many ticks the log lacks."""
-        self._tried(lambda: self._log.finish(outcome))
-        if self._refusal is None:
-            return outcome
-        ticks = outcome.tick + 1
-        dropped = ticks - self._log.safe_ticks
-        message = f"{outcome.message}; {self._refusal} ({dropped} of {count_of(ticks, 'tick')} are not in it)"
-        return replace(outcome, message=message, dropped=dropped)
-
-    def _tried(self, write: Callable[[], None]) -> None:
-        if self._refusal is None:
-            try:
-                write()
-            except FileError as refusal:
-                self._refusal = refusal
-
-    def __enter__(self) -> Self:
-        self._log.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        with suppress(OSError):  # of a file that is closed: what it lacks has been counted
-            self._log.__exit__(kind, error, trace)
+            with suppress(OSError):
+                self._stream.close()
 
 
 def open_log(path: str | os.PathLike[str]) -> Log:
-    """A log file (.mcap) to write pieces of a run to while it goes on.
+    """A log file (.mcap) to write pieces of a run to while it goes on; where it cannot be written, it ends there.
 
     Raises:
         FileError: Another suffix, a folder, a folder that does not exist.
     """
-    return Log(checked_target("log", path, SUFFIXES))
+    return Log(checked_target("log", path, SUFFIXES), strict=False)
 
 
 def save(run: Run, path: str | os.PathLike[str], *, progress: bool | None = None) -> Path:

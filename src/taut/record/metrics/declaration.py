@@ -20,41 +20,73 @@ from taut.base.types import Float64Array
 if TYPE_CHECKING:
     from taut.record.run import Run
 
-__all__ = ["METRICS", "Metric", "Metrics", "metric", "names_that_need"]
+__all__ = ["METRICS", "Metric", "Metrics", "names_that_need"]
 
 Numbers: TypeAlias = Float64Array | float
-Together: TypeAlias = Literal["sum", "largest", "norm"]
+Together: TypeAlias = "Literal['sum', 'largest', 'norm'] | Callable[[Run, Sequence[int]], float]"
 Needs: TypeAlias = Literal["", "set-point", "joint motion", "task motion", "force", "press"]
 Compute: TypeAlias = "Callable[[Run], Float64Array | float | None]"
-Combine: TypeAlias = "Callable[[Run, Sequence[int]], float]"
 F = TypeVar("F", bound="Callable[[Run], Float64Array | float | None]")
+
+
+def _nothing(run: Run) -> None:
+    """The number of a metric that is not declared yet."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Metric:
-    """One number of a run, or one of each joint.
+    """One number of a run, or one of each joint: declared by a function of the run that it decorates.
+
+    Every run has it from then on, in `run.metrics` and all that is made of it. The function gives None or NaN where
+    it has no meaning.
 
     Args:
-        name: How it is asked for.
-        unit: In which {q} stands for rad or m, {tau} for N m or N, {command} for the command's unit.
-        doc: What it is, in a sentence.
-        compute: Of a run; (n,) if per joint. None or NaN where it has no meaning.
-        title: What it is called in tables and plots.
-        per_joint: Whether each joint has one; else it is of the whole arm or its tool.
-        together: How those of several joints become one.
-        combine: The number of some joints together, where it does not follow from theirs.
-        needs: What the reference has to ask for.
+        unit: Its unit. Per joint, {q} stands for rad or m, {tau} for N m or N, {command} for the command's unit.
+        name: How it is asked for; the function's name if left out.
+        title: What it is called in tables and plots; the name in words if left out.
+        doc: What it is, in a sentence; the first sentence of the function's docstring if left out.
+        per_joint: Whether the function gives (n,) numbers, one for each joint; else it gives one, of the arm or tool.
+        together: How those of several joints become one: their sum, the largest with its sign, their norm, or a
+            function of the run and their indices.
+        needs: What the reference has to ask for, so that a scenario can refuse it elsewhere.
+        compute: The function; given by decorating it.
+
+    Raises:
+        UsageError: Another metric has that name, or `Metrics` has an attribute of it.
+
+    Example:
+        >>> import taut
+        >>> @taut.analysis.Metric(unit="m")
+        ... def tool_travel(run: taut.Run) -> float:
+        ...     \"\"\"Length of the path of the tool's origin.\"\"\"
+        ...     return float(np.linalg.norm(np.diff(run.task.p, axis=0), axis=1).sum())
+        >>> arm = taut.load_arm("planar2")
+        >>> ctrl = taut.compile(taut.laws.GravityPID(kp=50.0, kd=10.0), arm)
+        >>> run = taut.run(ctrl, taut.RigidPlant(arm), taut.JointMotion(q=[0.3, 0.8]), duration=0.1)
+        >>> run.metrics.tool_travel > 0.0
+        True
     """
 
-    name: str
     unit: str
-    doc: str
-    compute: Compute
+    name: str = ""
     title: str = ""
+    doc: str = ""
     per_joint: bool = False
     together: Together = "largest"
-    combine: Combine | None = None
     needs: Needs = ""
+    compute: Compute = _nothing
+
+    def __call__(self, function: F) -> F:
+        """Declare the metric that a function computes; the function itself."""
+        name = self.name or function.__name__
+        before = METRICS.get(name)
+        again = before is not None and _place(before.compute) == _place(function)  # a file that is read once more
+        if (before is not None and not again) or hasattr(Metrics, name):
+            raise UsageError(f"a run has '{name}' already; give your metric another name", name="name")
+        doc = self.doc or (function.__doc__ or name).strip().partition("\n\n")[0].rstrip(".")
+        title = self.title or name.replace("_", " ")
+        METRICS[name] = dataclasses.replace(self, name=name, title=title, doc=doc, compute=function)
+        return function
 
     @property
     def per_unit(self) -> bool:
@@ -63,7 +95,7 @@ class Metric:
 
     def meaning(self, joints: int = 1) -> str:
         """What it is, and how it is put together for several joints."""
-        words = "that of all together" if self.combine is not None else f"the {self.together}"
+        words = f"the {self.together}" if isinstance(self.together, str) else "that of all together"
         return f"{self.doc}; for all joints {words}" if self.per_joint and joints > 1 else self.doc
 
     def units_of(self, run: Run) -> tuple[str, ...]:
@@ -91,8 +123,8 @@ class Metric:
         """The number of some joints together, of (n,) each one's."""
         chosen = values[list(joints)]
         with np.errstate(over="ignore", invalid="ignore"):
-            if self.combine is not None:
-                return float(self.combine(run, joints)) if len(run) else np.nan
+            if not isinstance(self.together, str):
+                return float(self.together(run, joints)) if len(run) else np.nan
             if self.together == "sum":
                 return float(np.sum(chosen))
             if self.together == "norm":
@@ -102,72 +134,7 @@ class Metric:
 
 
 METRICS: Final[dict[str, Metric]] = {}
-"""Every metric by its name: those of taut, and those that a user's file declares with `metric`."""
-
-
-def metric(
-    *,
-    unit: str,
-    title: str = "",
-    name: str = "",
-    doc: str = "",
-    per_joint: bool = False,
-    together: Together = "largest",
-    combine: Combine | None = None,
-    needs: Needs = "",
-) -> Callable[[F], F]:
-    """Declare a metric: a function of a run that every run has from then on, in `run.metrics` and all made of it.
-
-    Args:
-        unit: Its unit. Per joint, {q} stands for rad or m, {tau} for N m or N, {command} for the command's unit.
-        title: What it is called in tables and plots; the function's name in words if left out.
-        name: How it is asked for; the function's name if left out.
-        doc: What it is, in a sentence; the first sentence of the function's docstring if left out.
-        per_joint: Whether the function gives (n,) numbers, one for each joint; else it gives one.
-        together: How those of several joints become one: their sum, the largest with its sign, or their norm.
-        combine: The number of some joints together (of run and indices), where it does not follow from theirs.
-        needs: What the reference has to ask for, so that a scenario can refuse it elsewhere.
-
-    Returns:
-        A decorator that gives the function back. The function gives None or NaN where it has no meaning.
-
-    Raises:
-        UsageError: Another metric has that name, or `Metrics` has an attribute of it.
-
-    Example:
-        >>> import taut
-        >>> @taut.analysis.metric(unit="m")
-        ... def tool_travel(run: taut.Run) -> float:
-        ...     \"\"\"Length of the path of the tool's origin.\"\"\"
-        ...     return float(np.linalg.norm(np.diff(run.task.p, axis=0), axis=1).sum())
-        >>> arm = taut.load_arm("planar2")
-        >>> ctrl = taut.compile(taut.laws.GravityPID(kp=50.0, kd=10.0), arm)
-        >>> run = taut.run(ctrl, taut.RigidPlant(arm), taut.JointMotion(q=[0.3, 0.8]), duration=0.1)
-        >>> run.metrics.tool_travel > 0.0
-        True
-    """
-
-    def declare(function: F) -> F:
-        called = name or function.__name__
-        made = Metric(
-            name=called,
-            unit=unit,
-            doc=doc or (function.__doc__ or called).strip().partition("\n\n")[0].rstrip("."),
-            compute=function,
-            title=title or called.replace("_", " "),
-            per_joint=per_joint,
-            together=together,
-            combine=combine,
-            needs=needs,
-        )
-        before = METRICS.get(called)
-        again = before is not None and _place(before.compute) == _place(function)  # a file that is read once more
-        if (before is not None and not again) or hasattr(Metrics, called):
-            raise UsageError(f"a run has '{called}' already; give your metric another name", name="name")
-        METRICS[called] = made
-        return function
-
-    return declare
+"""Every metric by its name: those of taut, and those that a user's file declares."""
 
 
 def _place(function: object) -> tuple[object, object]:
@@ -203,7 +170,7 @@ class Metrics(Mapping[str, "Float64Array | float"], Result):
 
     `metrics.rms_error` is `metrics["rms_error"]`. NaN (null in JSON) where a number has no meaning: overshoot where
     the reference is not constant, an error of joints where the reference is one of the task, the fraction of a limit
-    that the arm does not state, ... `taut.analysis.METRICS` has what each is, with its unit; `taut.analysis.metric`
+    that the arm does not state, ... `taut.analysis.METRICS` has what each is, with its unit; `taut.analysis.Metric`
     declares one of your own.
 
     Args:

@@ -18,7 +18,7 @@ import numpy as np
 from taut.arm.parts import short_way
 from taut.base.types import Array, Float64Array
 from taut.control.limits import LIMIT_TERMS
-from taut.record.metrics.declaration import metric
+from taut.record.metrics.declaration import Metric
 
 if TYPE_CHECKING:
     from taut.record.run import Run
@@ -108,7 +108,7 @@ _STEP: Final = (
 )
 for _entry, (_name, _unit, _doc) in enumerate(_STEP):
     _title = _name.replace("steady_state", "steady-state").replace("_", " ")
-    metric(name=_name, title=_title, unit=_unit, doc=_doc, per_joint=True, needs="set-point")(
+    Metric(name=_name, title=_title, unit=_unit, doc=_doc, per_joint=True, needs="set-point")(
         partial(_of_step, entry=_entry)
     )
 
@@ -116,7 +116,7 @@ for _entry, (_name, _unit, _doc) in enumerate(_STEP):
 # -------------------------------------------------------------------- tracking
 
 
-@metric(title="RMS error", unit="{q}", per_joint=True, together="norm", needs="joint motion")
+@Metric(title="RMS error", unit="{q}", per_joint=True, together="norm", needs="joint motion")
 def rms_error(run: Run) -> Float64Array | None:
     """Root of the mean square of the tracking error."""
     return None if run.error is None else np.sqrt(np.mean(run.error**2, axis=0))
@@ -126,13 +126,13 @@ def _peak_of_norm(run: Run, joints: Sequence[int]) -> float:
     return np.nan if run.error is None else float(np.max(np.sqrt(np.sum(run.error[:, list(joints)] ** 2, axis=1))))
 
 
-@metric(unit="{q}", per_joint=True, combine=_peak_of_norm, needs="joint motion")
+@Metric(unit="{q}", per_joint=True, together=_peak_of_norm, needs="joint motion")
 def peak_error(run: Run) -> Float64Array | None:
     """Largest magnitude of the tracking error."""
     return None if run.error is None else _peak(run.error)
 
 
-@metric(unit="{q}", per_joint=True, together="norm", needs="joint motion")
+@Metric(unit="{q}", per_joint=True, together="norm", needs="joint motion")
 def final_error(run: Run) -> Float64Array | None:
     """Tracking error of the last tick."""
     return None if run.error is None else np.asarray(run.error[-1])
@@ -164,14 +164,14 @@ def _any_stuck(run: Run, joints: Sequence[int]) -> float:
     return float(np.sum((rows[:-1, list(joints)] == 1.0).any(axis=1) * np.diff(run.t)))
 
 
-@metric(title="stuck", unit="s", per_joint=True, combine=_any_stuck, needs="joint motion")
+@Metric(title="stuck", unit="s", per_joint=True, together=_any_stuck, needs="joint motion")
 def stuck_time(run: Run) -> Float64Array | None:
     """Time in which the joint rests, slower than 1e-4, while its reference moves, faster than 1e-3: stiction."""
     rows = stuck(run)
     return None if rows is None else np.asarray(np.sum(rows[:-1] * _period(run), axis=0))
 
 
-@metric(unit="{q}", per_joint=True, needs="joint motion")
+@Metric(unit="{q}", per_joint=True, needs="joint motion")
 def reversal_error(run: Run) -> Float64Array | None:
     """Largest tracking error after a reversal of the reference, until halfway to the next one.
 
@@ -195,13 +195,13 @@ def reversal_error(run: Run) -> Float64Array | None:
 # -------------------------------------------------------------------- torque
 
 
-@metric(unit="({tau})^2 s", per_joint=True, together="sum")
+@Metric(unit="({tau})^2 s", per_joint=True, together="sum")
 def effort(run: Run) -> Float64Array:
     """Integral of tau^2, as in figure 10.12."""
     return np.asarray(np.sum(run.tau[:-1] ** 2 * _period(run), axis=0))
 
 
-@metric(unit="{tau}", per_joint=True)
+@Metric(unit="{tau}", per_joint=True)
 def peak_torque(run: Run) -> Float64Array:
     """Largest magnitude of tau."""
     return _peak(run.tau)
@@ -225,40 +225,31 @@ def _any_limited(run: Run, joints: Sequence[int], terms: Sequence[str]) -> float
 
 _LIMITED: Final[Mapping[str, tuple[str, str, Sequence[str]]]] = {
     "saturation_time": ("saturated", "Time in which the limits cut the command", LIMIT_TERMS),
-    "rate_limit_time": ("rate limited", "Time in which the limit of the torque rate cut the command", ["rate_limit"]),
     "speed_limit_time": ("speed limited", "Time in which the speed limit cut the command", ["speed_limit"]),
-    "torque_limit_time": ("torque limited", "Time in which the torque limit cut the command", ["torque_limit"]),
     "blend_time": ("blending", "Time in which a change of law or parameters was blended in", ["blend"]),
 }
 for _name, (_title, _doc, _terms) in _LIMITED.items():
     _together = partial(_any_limited, terms=_terms)
-    metric(name=_name, title=_title, unit="s", doc=_doc, per_joint=True, combine=_together)(
+    Metric(name=_name, title=_title, unit="s", doc=_doc, per_joint=True, together=_together)(
         partial(_time_limited, terms=_terms)
     )
 
 
-@metric(unit="{command}", per_joint=True)
-def limit_excess(run: Run) -> Float64Array | None:
-    """Largest magnitude that the limits took away from the command."""
-    cuts = [run.terms[name] for name in LIMIT_TERMS if name in run.terms]
-    return _peak(np.sum(cuts, axis=0)) if cuts else None
-
-
-@metric(unit="{tau}/s", per_joint=True, together="sum")
+@Metric(unit="{tau}/s", per_joint=True, together="sum")
 def chatter(run: Run) -> Float64Array | None:
     """Total variation of tau per second."""
     duration = float(run.t[-1] - run.t[0])
     return np.asarray(np.sum(np.abs(np.diff(run.tau, axis=0)), axis=0) / duration) if duration else None
 
 
-@metric(unit="J", per_joint=True, together="sum")
+@Metric(unit="J", per_joint=True, together="sum")
 def energy(run: Run) -> Float64Array:
     """Work of tau on the joint."""
     # A torque that is constant over the period does the work tau (q_next - q), whatever v does in between.
     return np.asarray(np.sum(run.tau[:-1] * short_way(np.diff(run.q, axis=0), run.continuous), axis=0))
 
 
-@metric(unit="{tau}", per_joint=True)
+@Metric(unit="{tau}", per_joint=True)
 def torque_jump(run: Run) -> Float64Array | None:
     """Largest jump of tau: how far its change in a tick is at least off those in the ticks before and after.
 
@@ -276,13 +267,13 @@ def _fraction_of_limit(run: Run, rows: Float64Array, limit: str) -> Float64Array
     return np.asarray(100.0 * _peak(rows) / np.array([limits.get(joint, np.nan) for joint in run.joint_names]))
 
 
-@metric(title="torque", unit="% of limit", per_joint=True)
+@Metric(title="torque", unit="% of limit", per_joint=True)
 def torque_use(run: Run) -> Float64Array:
     """Percentage of the arm's effort limit that the largest magnitude of tau is."""
     return _fraction_of_limit(run, run.tau, "effort")
 
 
-@metric(title="speed", unit="% of limit", per_joint=True)
+@Metric(title="speed", unit="% of limit", per_joint=True)
 def speed_use(run: Run) -> Float64Array:
     """Percentage of the arm's velocity limit that the largest speed is."""
     return _fraction_of_limit(run, run.v, "velocity")

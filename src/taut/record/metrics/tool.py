@@ -11,7 +11,7 @@ import numpy as np
 from taut.base.types import Float64Array
 from taut.control.trajectories.force_reference import HybridMotion
 from taut.control.trajectories.task_reference import TaskMotion
-from taut.record.metrics.declaration import Needs, metric
+from taut.record.metrics.declaration import Metric, Needs
 from taut.record.tool import Deviation, estimated_normal, force_error, true_normal, wanted_press
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def _declare(
         values = series(run)
         return None if values is None else number(values)
 
-    metric(name=name, title=title, unit=unit, doc=doc, needs=needs)(compute)
+    Metric(name=name, title=title, unit=unit, doc=doc, needs=needs)(compute)
 
 
 def _declare_error(name: str, title: str, unit: str, what: str, series: Series, needs: Needs) -> None:
@@ -58,12 +58,12 @@ def _final(run: Run, axis: int) -> float | None:
 
 
 for _i, _axis in enumerate("xyz"):
-    metric(name=f"final_{_axis}", unit="m", doc=f"Position of the tool at the end along the world's {_axis} axis")(
+    Metric(name=f"final_{_axis}", unit="m", doc=f"Position of the tool at the end along the world's {_axis} axis")(
         partial(_final, axis=_i)
     )
 
 
-@metric(title="lateral speed RMS", unit="m/s")
+@Metric(title="lateral speed RMS", unit="m/s")
 def lateral_speed_rms(run: Run) -> float | None:
     """RMS speed of the tool's origin along its own y axis."""
     return _rms(np.sum(run.task.R[:, :, 1] * run.task.twist[:, :3], axis=1)) if run.info.tool is not None else None
@@ -104,7 +104,7 @@ _declare("task_rms_rotation", "rotation RMS", "rad", f"RMS of {_ANGLE}", _rotati
 _declare("task_peak_rotation", "rotation peak", "rad", f"Peak of {_ANGLE}", _rotation_errors, _peak, "task motion")
 
 
-@metric(title="smallest singular value", unit="1", needs="task motion")
+@Metric(title="smallest singular value", unit="1", needs="task motion")
 def min_singular_value(run: Run) -> float | None:
     """Smallest singular value of the tool's Jacobian in the run, metres and radians alike; 0 at a singularity."""
     return float(run.task.min_singular_value.min()) if _is_of_task(run) else None
@@ -148,7 +148,7 @@ _declare_error("force_error", "force error", "N", _what.format("force"), partial
 _declare_error("moment_error", "moment error", "N m", _what.format("moment"), partial(_error, part=_MOMENT), "force")
 
 
-@metric(title="contact lost", unit="s")
+@Metric(title="contact lost", unit="s")
 def contact_lost_time(run: Run) -> float | None:
     """Time in which a law within taut.laws.LossOfContact measured less than a contact gives while more was wanted."""
     lost = [column for name, column in run.extra.items() if name.startswith("law.") and name.endswith(".lost")]
@@ -174,7 +174,7 @@ _along = "the error of the force along the true normals, which a MujocoPlant wit
 _declare_error("normal_force_error", "normal force error", "N", _along, _normal_force_error, "press")
 
 
-@metric(title="peak normal force", unit="N")
+@Metric(title="peak normal force", unit="N")
 def peak_normal_force(run: Run) -> float | None:
     """Peak of the force along the true normals, such as of an impact."""
     return None if (contact := true_normal(run)) is None else float(contact[0].max())
@@ -197,7 +197,7 @@ _across = "the tool's position error along the true surface, in contact"
 _declare_error("path_error", "path error", "m", _across, _path_errors, "press")
 
 
-@metric(title="normal error", unit="deg", needs="press")
+@Metric(title="normal error", unit="deg", needs="press")
 def normal_error(run: Run) -> float | None:
     """Angle between the normal that the law estimates and the true one, when the tool last touched."""
     contact, estimate = true_normal(run), estimated_normal(run)
@@ -215,7 +215,7 @@ def normal_error(run: Run) -> float | None:
 # -------------------------------------------------------------------- impedance
 
 
-@metric(title="against eq. 10.48", unit="%", needs="task motion")
+@Metric(title="against eq. 10.48", unit="%", needs="task motion")
 def impedance_error(run: Run) -> float | None:
     """RMS distance of the tool from where eq. 10.48, integrated with the run's own F_ext, puts it; of its RMS.
 
@@ -230,7 +230,7 @@ def impedance_error(run: Run) -> float | None:
     return 100.0 * error / size if size > MIN_DEVIATION else None
 
 
-@metric(title="apparent mass", unit="kg", needs="task motion")
+@Metric(title="apparent mass", unit="kg", needs="task motion")
 def apparent_mass(run: Run) -> float | None:
     """m of F_ext - K x = m a + b v, by least squares over ticks and directions, K being the law's.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Final
@@ -104,7 +104,6 @@ def read_scene(scene: str | os.PathLike[str]) -> Scene:
         with path.open("rb") as stream:
             data = stream.read(MAX_BYTES + 1)
     root = _document(data, source)
-    _require_elements(root, source)
     reader = _Reader(source, folder)
     reader.check(root)
     if reader.problems:
@@ -132,21 +131,6 @@ def _document(data: bytes, source: str) -> Element:
     if loose:
         children.append(Element("worldbody", {}, loose[0].line, source, loose))
     return Element("mujoco", {}, root.line, source, children, root.text)
-
-
-def _require_elements(root: Element, source: str) -> None:
-    """A scene has no words between its elements, as a text of any other kind has.
-
-    Raises:
-        ModelError: It is no scene.
-    """
-    for element in root.walk():
-        text = " ".join("".join(element.text).split())
-        if text:
-            message = (
-                f"a scene is made of MJCF elements, such as <geom .../>; got the text {text[:40]!r} outside of them"
-            )
-            raise ModelError(source, [Problem(object="scene", attribute=None, message=message, line=element.line)])
 
 
 class _Reader:
@@ -248,18 +232,10 @@ def attach_scene(spec: mujoco.MjSpec, scene: Scene, at: Pose) -> None:
     """Put a scene into the world of a spec that has the arm already, with its origin at a pose.
 
     Raises:
-        ModelError: MuJoCo refuses it, or it has a name that the arm has.
+        ModelError: MuJoCo refuses it, or it refers to something that is not there.
     """
     import mujoco
 
-    taken = {
-        "body": {body.name for body in spec.bodies},
-        "joint": {joint.name for joint in spec.joints},
-        "site": {site.name for site in spec.sites},
-    }
-    problems = list(_name_clashes(scene, taken))
-    if problems:
-        raise ModelError(scene.source, problems)
     with Guard(spec.option), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it warns that names without a prefix may not be saved well
         try:
@@ -300,27 +276,12 @@ def _called(element: Element) -> str:
     return f"{element.tag} '{name}'" if name else f"<{element.tag}>"
 
 
-def _name_clashes(scene: Scene, taken: Mapping[str, set[str]]) -> Iterator[Problem]:
-    seen: set[int] = set()
-    inside_world = 0
-    for element in scene.lines:
-        if element.tag == "worldbody":
-            inside_world += 1
-        kind, name = "joint" if element.tag == "freejoint" else element.tag, element.get("name")
-        if id(element) in seen or name is None or kind not in taken or inside_world % 2 == 0:
-            continue
-        seen.add(id(element))
-        if name in taken[kind]:
-            message = f"{kind} '{name}' of the scene: the arm has a {kind} of that name; rename it"
-            yield Problem(object=name, attribute="name", message=message, line=element.line)
-
-
 def refused(text: str, scene: Scene | None, source: str = "") -> ModelError:
     """MuJoCo's sentence as ours, with the element of the scene that it is about."""
     found = _LINE.search(text)
     said = re.sub(r"^(XML )?(Error: )*(Schema violation: )?", "", text.splitlines()[0] if text else "no reason given")
     if scene is None or found is None or not 0 < int(found[1]) <= len(scene.lines):
-        origin = source or (scene.source if scene else "model")
+        origin = scene.source if scene else source
         message = f"MuJoCo refuses the model: {said}"
         return ModelError(origin, [Problem(object=origin, attribute=None, message=message)])
     element = scene.lines[int(found[1]) - 1]
