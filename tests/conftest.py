@@ -9,6 +9,9 @@ from pathlib import Path
 
 import pytest
 
+# Before NumPy is loaded: on busy cores the threads of a 3 x 3 product wait for each other, expm takes 10 ms, not 10 us.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 from taut.codegen import native
 from taut.record.metrics import METRICS
 

@@ -18,9 +18,8 @@ from taut.base.paths import Parameters, subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.control.lawside import LawSide
 from taut.control.trajectories.reference import Hold, Reference, as_reference
-from taut.maths.adds import Adds
 from taut.maths.dynamics import pose
-from taut.maths.model import model_of
+from taut.maths.model import Adds, model_of
 from taut.maths.snapshot import MEASUREMENTS
 from taut.plant.contact import check_force_feedback
 from taut.plant.environments.environment import COMMAND, of_plant

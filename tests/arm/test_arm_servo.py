@@ -111,20 +111,9 @@ class TestAgainstThePackage:
                 assert float(servo.friction.viscous) == damping
         assert servo.rotor_inertia == data["armature"]
 
-    def test_what_is_left_out_of_m6_is_what_the_note_says(self, bam: Any, tmp_path: Path) -> None:
-        servo = taut.load_servo(written(tmp_path, M6), voltage=12.0)
-        stall = servo.stall_torque
-        (note,) = servo.notes
-        assert note == (
-            "the two terms of m6 in the square of the load, which act near rest, are left out: up to 0.01 N m per "
-            "(N m)^2 of load, 1.74 N m at the stall torque of 13.2 N m"
-        )
-        theirs, ours = its_model(bam, M6), FrictionValues.fixed(servo.friction)
-        motor, external = np.array([stall]), np.array([-1.0000001 * stall])
-        missing = theirs.compute_frictions(motor, external, 0.0)[0] - dry_limit(
-            ours, np.zeros(1), None, motor, external
-        )
-        assert missing[0] == pytest.approx(1.74, abs=0.005)
+    def test_the_terms_of_m6_in_the_square_of_the_load_are_left_out(self, tmp_path: Path) -> None:
+        servo = taut.load_servo(written(tmp_path, M6))
+        assert servo.notes == ("'load_friction_motor_quad', 'load_friction_external_quad' left out",)
 
 
 class TestTheFileOfTheSo101:
@@ -140,9 +129,7 @@ class TestTheFileOfTheSo101:
         assert servo.stall_torque == pytest.approx(3.350, abs=1e-3)
         assert servo.no_load_speed == pytest.approx(6.107, abs=1e-3)
         assert (servo.name, servo.model, servo.source) == ("sts3215", "m1", str(file))
-        assert servo.notes == (
-            "q_offset is left out: the offset of the test bench that the servo was measured on [rad]",
-        )
+        assert servo.notes == ("'q_offset' left out",)
 
     def test_in_one_line_it_is_in_every_joint(self, tmp_path: Path) -> None:
         arm = taut.load_arm("so101").with_servo(taut.load_servo(written(tmp_path, STS3215)))
@@ -164,103 +151,87 @@ class TestTheFileOfTheSo101:
     def test_without_a_voltage_there_is_no_stall_torque(self, tmp_path: Path) -> None:
         servo = taut.load_servo(written(tmp_path, STS3215))
         with pytest.raises(
-            UsageError, match=r"the stall torque of a servo needs its 'voltage'; give it: taut.load_servo"
+            UsageError, match=r"the stall torque of a servo needs its 'voltage'; give it to taut.Servo"
         ):
             servo.stall_torque  # noqa: B018
         with pytest.raises(UsageError, match="the no-load speed of a servo needs its 'torque_constant', 'voltage'"):
             Servo(friction=Friction(), rotor_inertia=0.0).no_load_speed  # noqa: B018
 
-    def test_the_way_out_gives_what_a_file_lacks(self, tmp_path: Path) -> None:
+    def test_a_file_may_lack_the_motor(self, tmp_path: Path) -> None:
         lacking = {name: value for name, value in STS3215.items() if name != "R"}
         servo = taut.load_servo(written(tmp_path, lacking), voltage=24.0)
-        with pytest.raises(UsageError) as caught:
+        with pytest.raises(UsageError, match="the stall torque of a servo needs its 'resistance'"):
             servo.stall_torque  # noqa: B018
-        assert str(caught.value) == (
-            "the stall torque of a servo needs its 'resistance'; give it: dataclasses.replace(servo, "
-            "resistance=...), or taut.Servo(...)"
-        )
         assert dataclasses.replace(servo, resistance=2.0).stall_torque > 0.0
-
-    def test_a_motor_that_is_not_there_is_noted(self, tmp_path: Path) -> None:
-        data = {key: value for key, value in STS3215.items() if key not in ("R", "q_offset")}
-        servo = taut.load_servo(written(tmp_path, data))
-        assert servo.resistance is None
-        assert servo.notes == ("the file has no 'R', without which its motor is not known in full",)
-
-    @pytest.mark.parametrize("armature", [284.0, 28403.0, 284033.0])
-    def test_a_rotor_in_a_wrong_unit_is_doubted(self, armature: float, tmp_path: Path) -> None:
-        servo = taut.load_servo(written(tmp_path, STS3215 | {"armature": armature}))
-        assert servo.notes[-1].startswith(
-            f"armature {armature:.4g} [kg m^2] is hard to believe of a servo; if it was"
-        )
-        with pytest.warns(RuntimeWarning, match="hard to believe"):
-            taut.load_arm("so101").with_servo(servo)
 
 
 BROKEN: list[tuple[str, Any, str]] = [
-    ("not JSON", "kt = 1.2", "the file is not JSON: expecting value in line 1, column 1"),
-    ("cut off", '{"kt": 1.2, "R"', "the file is not JSON: expecting ':' delimiter in line 1, column 16"),
-    ("a list", [1.0, 2.0], "the file holds a list; a servo file is one object of numbers by name"),
-    ("a number", "3.5", "the file holds one value; a servo file is one object of numbers by name"),
-    ("nested", "[" * 20000, "the file is not JSON that a servo file could be: one object of numbers"),
+    ("not JSON", "kt = 1.2", "the file is not JSON: Expecting value: line 1 column 1 (char 0) (line 1)"),
+    (
+        "cut off",
+        '{"kt": 1.2, "R"',
+        "the file is not JSON: Expecting ':' delimiter: line 1 column 16 (char 15) (line 1)",
+    ),
+    ("a list", [1.0, 2.0], "the file is no JSON object; a servo file is one object of numbers by name"),
+    ("a number", "3.5", "the file is no JSON object; a servo file is one object of numbers by name"),
+    ("nested", "[" * 20000, "the file is larger than 8 kB; a servo file has 1 kB"),
     (
         "digits",
         '{"kt": ' + "1" * 10000 + "}",
-        "the file is not JSON that a servo file could be: one object of numbers",
+        "the file is larger than 8 kB; a servo file has 1 kB",
     ),
-    ("huge", json.dumps(STS3215) + " " * 70000, "the file is larger than 64 kB; a servo file has 1 kB"),
+    ("huge", json.dumps(STS3215) + " " * 70000, "the file is larger than 8 kB; a servo file has 1 kB"),
     (
         "no model",
         {"kt": 1.0},
-        "it has no 'model'; a servo file names its model of friction, 'm1', 'm2', 'm3', 'm4', 'm5', 'm6'",
+        "a servo file names its model of friction, 'm1', 'm2', 'm3', 'm4', 'm5'",
     ),
     (
         "another model",
         STS3215 | {"model": "m7"},
-        "'model' is 'm7'; a servo file names its model of friction, 'm1', 'm2', 'm3', 'm4', 'm5', 'm6'",
+        "a servo file names its model of friction, 'm1', 'm2', 'm3', 'm4', 'm5'",
     ),
     (
         "a model that is a list",
         STS3215 | {"model": ["m1"]},
-        "'model' is ['m1']; a servo file names its model",
+        "a servo file names its model of friction, 'm1', 'm2', 'm3', 'm4', 'm5'",
     ),
     (
         "a number missing",
         {k: v for k, v in STS3215.items() if k != "armature"},
-        "model m1 needs 'armature' [kg m^2], which is missing",
+        "model m1 needs 'armature', which is missing",
     ),
     (
         "a misspelt number",
         STS3215 | {"friction_visc": 0.1},
-        "the file has an unknown 'friction_visc'; did you mean 'friction_viscous'",
+        "model m1 has no number 'friction_visc'; did you mean 'friction_viscous",
     ),
     (
         "a number of another model",
         STS3215 | {"alpha": 2.0},
-        "model m1 has no 'alpha', which is of m2 and m4 and m5 and m6; is 'model' right?",
+        "model m1 has no number 'alpha'; it has 'friction_base', 'friction_visc",
     ),
-    ("NaN", STS3215 | {"kt": float("nan")}, "'kt' must be finite [N m/A]; got nan"),
-    ("infinite", STS3215 | {"R": float("inf")}, "'R' must be finite [ohm]; got inf"),
+    ("NaN", STS3215 | {"kt": float("nan")}, "kt must be finite [N m/A]; got nan"),
+    ("infinite", STS3215 | {"R": float("inf")}, "R must be finite [ohm]; got inf"),
     (
         "too large",
         '{"model": "m1", "armature": 1e999, "friction_base": 0, "friction_viscous": 0}',
-        "'armature' must be finite [kg m^2]; got inf",
+        "armature must be finite [kg m^2]; got inf",
     ),
-    ("negative friction", STS3215 | {"friction_base": -0.1}, "'friction_base' must be >= 0 [N m]; got -0.1"),
-    ("negative rotor", STS3215 | {"armature": -0.1}, "'armature' must be >= 0 [kg m^2]; got -0.1"),
-    ("zero", STS3215 | {"R": 0.0}, "'R' must be > 0 [ohm]; got 0"),
-    ("no speed of the fall", M6 | {"dtheta_stribeck": 0.0}, "'dtheta_stribeck' must be > 0 [rad/s]; got 0"),
-    ("a text", STS3215 | {"kt": "1.2"}, "'kt' must be a number [N m/A]; got '1.2'"),
-    ("a truth value", STS3215 | {"kt": True}, "'kt' must be a number [N m/A]; got True"),
-    ("nothing", STS3215 | {"kt": None}, "'kt' must be a number [N m/A]; got None"),
+    ("negative friction", STS3215 | {"friction_base": -0.1}, "friction_base must be >= 0 [N m]; got -0.1"),
+    ("negative rotor", STS3215 | {"armature": -0.1}, "armature must be >= 0 [kg m^2]; got -0.1"),
+    ("zero", STS3215 | {"R": 0.0}, "R must be > 0 [ohm]; got 0.0"),
+    ("no speed of the fall", M6 | {"dtheta_stribeck": 0.0}, "dtheta_stribeck must be > 0 [rad/s]; got 0.0"),
+    ("a text", STS3215 | {"kt": "1.2"}, "kt must be one number [N m/A]; got '1.2'"),
+    ("a truth value", STS3215 | {"kt": True}, "kt must be one number [N m/A]; got True"),
+    ("nothing", STS3215 | {"kt": None}, "kt must be one number [N m/A]; got None"),
     (
         "a list of numbers",
         STS3215 | {"R": list(range(30))},
-        "'R' must be a number [ohm]; got [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11...",
+        "R must be one number [ohm]; got [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11,",
     ),
-    ("an offset that is none", STS3215 | {"q_offset": "left"}, "'q_offset' must be a number; got 'left'"),
-    ("an actuator that is none", STS3215 | {"actuator": 3}, "'actuator' must be a text; got 3"),
-    ("a number twice", '{"kt": 1.0, "kt": 2.0, ' + json.dumps(STS3215)[1:], "'kt' is there twice; delete one"),
+    ("an offset that is none", STS3215 | {"q_offset": "left"}, "q_offset must be one number; got 'left'"),
+    ("an actuator that is none", STS3215 | {"actuator": 3}, "actuator must be a text; got 3"),
 ]
 
 
@@ -288,7 +259,7 @@ class TestBrokenFiles:
             taut.load_servo(written(tmp_path, ""))
         file = tmp_path / "latin.json"
         file.write_bytes(b'{"actuator": "\xe9"}')
-        with pytest.raises(ModelError, match="the file is no text in UTF-8; a servo file is JSON"):
+        with pytest.raises(ModelError, match="the file is not JSON: its text is damaged"):
             taut.load_servo(file)
 
     def test_a_voltage_is_above_zero(self, tmp_path: Path) -> None:
@@ -298,7 +269,7 @@ class TestBrokenFiles:
 
 class TestServosThatCannotBe:
     def test_one_servo_has_one_number_of_each(self) -> None:
-        with pytest.raises(ShapeError, match=r"a servo's friction.coulomb must be one number; got shape \(2,\)"):
+        with pytest.raises(ShapeError, match=r"friction.coulomb must be one number"):
             Servo(friction=Friction(coulomb=[0.1, 0.2]), rotor_inertia=0.01)
         with pytest.raises(UsageError, match=r"a servo's friction must be a taut.Friction; got float"):
             Servo(friction=0.1, rotor_inertia=0.01)  # type: ignore[arg-type]

@@ -216,15 +216,15 @@ MISTAKES: dict[str, tuple[Callable[[], object], str]] = {
     "no numbers": (lambda: Friction(viscous=[]), "friction.viscous must be one number or one per joint; got shape (0,)"),
     "two sizes": (
         lambda: Friction(viscous=[1.0, 1.0], coulomb=[0.5, 0.5, 0.5]),
-        "friction.coulomb must be one number or 2, one per joint as friction.viscous; got shape (3,)",
+        "the numbers of a friction are for one arm; got some for [2, 3] joints",
     ),
     "two sizes at rest": (
         lambda: Friction(coulomb=[0.5, 0.5], static=[1.0, 1.0, 1.0]),
-        "friction.static must be one number or 2, one per joint as friction.coulomb; got shape (3,)",
+        "the numbers of a friction are for one arm; got some for [2, 3] joints",
     ),
     "two sizes of one": (
         lambda: Friction(coulomb=[0.5], load_motor=[0.1, 0.1]),
-        "friction.load_motor must be one number or 1, one per joint as friction.coulomb; got shape (2,)",
+        "the numbers of a friction are for one arm; got some for [1, 2] joints",
     ),
 }  # fmt: skip
 

@@ -10,8 +10,7 @@ import pytest
 import taut
 from taut.base.types import Float64Array
 from taut.maths import dynamics as dyn
-from taut.maths.adds import Adds
-from taut.maths.model import PayloadValues, model_of
+from taut.maths.model import Adds, PayloadValues, model_of
 
 ARM = taut.load_arm("panda").with_payload(1.3, com=[0.02, 0.0, 0.05], inertia=[2e-3, 3e-3, 4e-3, 0, 0, 0])
 MODEL = model_of(ARM)
@@ -108,8 +107,7 @@ class TestWhatThePlantAddsIsLeftOut:
         assert_same(x.h, Cv + g)
         assert_same(x.at(Q, V).h, Cv + g)
         left = 0.0 if "friction" in names else 1.0
-        np.testing.assert_array_equal(x.viscous, left * ARM.viscous)
-        np.testing.assert_array_equal(x.coulomb, left * ARM.coulomb)
+        np.testing.assert_array_equal(x.friction.viscous, left * ARM.viscous)
         np.testing.assert_array_equal(x.friction.coulomb, left * ARM.coulomb)
         np.testing.assert_array_equal(x.friction.static, left * ARM.friction.static)
         # The Christoffel matrix is the model's, whatever the plant adds: C v_ref is no torque that a plant knows.
@@ -174,8 +172,6 @@ class TestTheRecordOfWhatWasAskedFor:
             (lambda x: x.g, {"gravity"}),
             (lambda x: x.Cv, {"coriolis", "v"}),
             (lambda x: x.C, {"coriolis", "v"}),
-            (lambda x: x.viscous, {"friction"}),
-            (lambda x: x.coulomb, {"friction"}),
             (lambda x: x.friction, {"friction"}),
             (lambda x: x.tau_applied, {"tau_applied"}),
             (lambda x: x.tau_cut, {"tau_cut"}),
@@ -184,7 +180,7 @@ class TestTheRecordOfWhatWasAskedFor:
             (lambda x: x.Jdot_v(), {"v"}),
             (lambda x: x.twist(), {"v"}),
         ],
-        ids=range(14),
+        ids=range(12),
     )
     @pytest.mark.parametrize("adds", [None, Adds(gravity=True, coriolis=True, friction=True)], ids=["", "adds"])
     def test_names_it(self, ask: object, used: set[str], adds: Adds | None) -> None:
@@ -201,7 +197,7 @@ class TestTheRecordOfWhatWasAskedFor:
         assert not twin.used
         assert twin.h is h  # taken from what is kept, and noted all the same
         assert twin.used == {"gravity", "coriolis", "v"}
-        assert twin.at(Q, V).viscous is not None
+        assert twin.at(Q, V).friction is not None
         assert twin.used == {"gravity", "coriolis", "friction", "v"}
         assert x.used == {"gravity", "coriolis", "v"}
         assert twin.M is x.M

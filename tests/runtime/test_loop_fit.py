@@ -221,7 +221,7 @@ class TestRunTakes:
             ),
             (
                 lambda: taut.run(compiled(), duration=1.0),
-                "run needs a plant: taut.run(ctrl, taut.RigidPlant(arm), ref, duration=5.0)",
+                "run needs a plant: taut.run(ctrl, taut.RigidPlant(arm), ref, duration=5.0), or a taut.PlantBase; got none",
             ),
             (
                 lambda: taut.run(compiled(), plant()),
@@ -229,7 +229,7 @@ class TestRunTakes:
             ),
             (
                 lambda: taut.run(compiled(), ARM, duration=1.0),  # type: ignore[arg-type]
-                "run takes a plant such as taut.RigidPlant(arm), or a taut.PlantBase; got Arm",
+                "run needs a plant: taut.run(ctrl, taut.RigidPlant(arm), ref, duration=5.0), or a taut.PlantBase; got Arm",
             ),
             (lambda: taut.run(compiled(), plant(), duration=-1.0), "duration must be > 0 [s]; got -1.0"),
             (

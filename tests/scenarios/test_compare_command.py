@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import taut
-from taut.analysis.comparison import WrongModel, plant_like, with_noise
+from taut.analysis.comparison import WrongModel, with_noise
 from taut.cli.main import main
 from taut.scenarios.scenario import load_scenario
 
@@ -69,7 +69,7 @@ def test_the_laws_of_a_scenario_are_compared_as_text_json_and_picture(
     assert main([*words, "--report", "compared.html"]) == 0
     told = capsys.readouterr().out
     assert "ranked by effort: " in told
-    assert "friction by 20 %, seed 0" in told
+    assert "WrongModel(friction=0.2, trials=1.0)" in told
     assert "<svg" in (here / "compared.html").read_text() or "<img" in (here / "compared.html").read_text()
     assert main([*words, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
@@ -118,13 +118,11 @@ def test_a_plant_in_mujoco_is_made_anew_with_noise_and_another_arm(here: Path) -
         (here / "geared.toml").write_text(SCENARIO.format(kind=kind, more=more))
         scenario = load_scenario("geared.toml")
         for _ in range(2):
-            *_, arm = WrongModel(mass=0.3, friction=0.2, trials=5).arms(scenario.experiment.plant.arm)
-            plant = plant_like(
-                scenario.experiment.plant,
-                arm=arm,
-                sensors=with_noise(scenario.experiment.plant.sensors, {"position": 1e-3}),
-            )
-            true = scenario.experiment.plant.arm.perturbed(seed=4, mass=0.3, friction=0.2)
+            experiment = scenario.experiment
+            *_, arm = WrongModel(mass=0.3, friction=0.2, trials=5).arms(experiment.plant.arm)
+            sensors = with_noise(experiment.plant.sensors, {"position": 1e-3})
+            plant = experiment.plant.like(arm=arm, sensors=sensors)
+            true = experiment.plant.arm.perturbed(seed=4, mass=0.3, friction=0.2)
             assert plant.arm.bodies[0].mass == true.bodies[0].mass
             assert plant.arm.rotor_inertia.tolist() == true.rotor_inertia.tolist() == [0.1]
             assert {

@@ -12,10 +12,9 @@ from story_names import STORIES
 
 import taut
 from taut.cli.main import main
-from taut.scenarios.laws import read_control
-from taut.scenarios.plants import read_plant
 from taut.scenarios.reading import read_toml
 from taut.scenarios.scenario import built_in_scenarios, load_scenario
+from taut.scenarios.sections import read_control, read_plant
 
 GOOD = """
 title = "a test"

@@ -25,8 +25,10 @@ if TYPE_CHECKING:
     from taut.analysis.impedance_at_tool import ToolImpedance as ToolImpedance
     from taut.analysis.impedance_at_tool import tool_impedance as tool_impedance
     from taut.analysis.loci import RootLocus as RootLocus
+    from taut.analysis.loci import RouthTable as RouthTable
     from taut.analysis.loci import StabilityMap as StabilityMap
     from taut.analysis.loci import root_locus as root_locus
+    from taut.analysis.loci import routh as routh
     from taut.analysis.loci import stability_map as stability_map
     from taut.analysis.run_gradient import Tick as Tick
     from taut.analysis.several_joints import Coupling as Coupling
@@ -49,8 +51,6 @@ if TYPE_CHECKING:
     from taut.linear.judgement import Judgement as Judgement
     from taut.linear.judgement import judge as judge
     from taut.linear.linear_system import OperatingPoint as OperatingPoint
-    from taut.linear.routh_table import RouthTable as RouthTable
-    from taut.linear.routh_table import routh as routh
     from taut.record.friction_plot import plot_friction as plot_friction
     from taut.record.metrics import METRICS as METRICS
     from taut.record.metrics import Metric as Metric

@@ -38,13 +38,12 @@ from taut.runtime.simulate import Plant, run
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Comparison", "Entry", "Experiment", "WrongModel", "blamed", "compare_laws", "figures_of", "plant_like"]
+__all__ = ["Comparison", "Entry", "Experiment", "WrongModel", "blamed", "compare_laws", "figures_of"]
 
 Numbers: TypeAlias = dict[str, dict[str, float]]
 """Figures by name and unit: {"rms_error": {"rad": 0.1}}."""
 
 MAX_LAWS: Final = 8  # in one table
-MIN_RECORDED_TICKS: Final = 10  # of a recorded run
 LAST_FRACTION: Final = 0.2  # last fraction of a run, whose RMS error is the steady error
 NOISE: Final[Mapping[str, float]] = {"position": 1e-5, "velocity": 1e-3}
 """Standard deviations [rad | m], [rad/s | m/s] for a plant without noise, where none is given."""
@@ -76,8 +75,8 @@ class WrongModel(Declared):
     The arm of trial k, from 0 on, is `arm.perturbed(seed=seed + k, mass=mass, ...)` with up to `payload` kg more.
 
     Example:
-        >>> WrongModel(mass=0.1).text()
-        'masses by 10 %, seeds 0 to 4'
+        >>> WrongModel(mass=0.1)
+        WrongModel(mass=0.1)
     """
 
     mass: Field = Field(0.0, minimum=0.0, maximum=1.0)  # relative spread of each mass (log-normal)
@@ -95,15 +94,6 @@ class WrongModel(Declared):
                 self.refuse(name, "must be a whole number")
         if not any((self.mass, self.com, self.inertia, self.friction, self.payload)):
             self.refuse("", "needs one of mass, com, inertia, friction and payload above zero")
-
-    def text(self) -> str:
-        """The differences in words."""
-        of = {"masses": self.mass, "sizes": self.inertia, "friction": self.friction}
-        parts = [f"{name} by {100.0 * float(value):g} %" for name, value in of.items() if value]
-        parts += [f"centres of mass by {float(self.com):g} m"] if self.com else []
-        parts += [f"up to {float(self.payload):g} kg more payload"] if self.payload else []
-        last = self.seed + self.trials - 1
-        return f"{', '.join(parts)}, {f'seeds {self.seed:g} to {last:g}' if last > self.seed else f'seed {last:g}'}"
 
     def arms(self, arm: Arm) -> Iterator[Arm]:
         """The true arm of each trial."""
@@ -283,16 +273,11 @@ class Comparison(Result):
     def content(self) -> Content:
         """A row for each figure and unit, a column for each law."""
         entries = self.entries.values()
-        names = [*FIGURES, *(figure for figure in self.by if figure not in FIGURES)]
-        shown = {
-            name: units
-            for name in names
-            if (units := dict.fromkeys(unit for entry in entries for unit in entry.numbers.get(name, {})))
-        }
+        shown = [name for name in dict.fromkeys((*FIGURES, *self.by)) if self._units(name)]
         rows: list[Sequence[Cell]] = [
             (name, unit, *(entry.numbers.get(name, {}).get(unit, math.nan) for entry in entries))
-            for name, units in shown.items()
-            for unit in units
+            for name in shown
+            for unit in self._units(name)
         ]
         ranked = f"ranked by {', then '.join(self.by)}: {', '.join(self.ranking)}"
         return Content(
@@ -316,20 +301,21 @@ class Comparison(Result):
     def _draw(self) -> Figure:
         """Errors and torques over time, and the figures as bars."""
         entries = {name: entry for name, entry in self.entries.items() if len(entry.run)}
-        first = [main_error(entry.numbers) for entry in entries.values()]
-        names = dict.fromkeys(
-            [*(x for x in first if x is not None), "effort", "chatter", "noise_chatter", "model_worst"]
-        )
-        bars = {
-            f"{METRICS[name].title if name in METRICS else name.replace('_', ' ')} [{unit}]": [
-                entry.numbers.get(name, {}).get(unit, math.nan) for entry in entries.values()
-            ]
-            for name in names
-            for unit in dict.fromkeys(unit for entry in entries.values() for unit in entry.numbers.get(name, {}))
-        }
+        first = dict.fromkeys(filter(None, (main_error(entry.numbers) for entry in entries.values())))
+        bars = {}
+        for name in (*first, "effort", "chatter", "noise_chatter", "model_worst"):
+            title = METRICS[name].title if name in METRICS else name.replace("_", " ")
+            for unit in self._units(name):
+                bars[f"{title} [{unit}]"] = [
+                    entry.numbers.get(name, {}).get(unit, math.nan) for entry in entries.values()
+                ]
         return compare_runs(
             {name: entry.run for name, entry in entries.items()}, title=self.title, bars=bars, torques=True
         )
+
+    def _units(self, figure: str) -> list[str]:
+        """The units that a figure has for any law."""
+        return [*dict.fromkeys(unit for entry in self.entries.values() for unit in entry.numbers.get(figure, {}))]
 
 
 def compare_laws(
@@ -395,38 +381,36 @@ def compare_laws(
 class _Variants:
     """The plants that every law of a comparison also runs against: one with other noise, some with another arm."""
 
-    noise: Plant | None
-    noisy: bool  # whether that one has the noise, and not the experiment's own
-    trials: tuple[Plant, ...]
-    notes: tuple[str, ...]
+    quiet: Plant | None = None  # in place of the experiment's own plant, for the figures of noise
+    noisy: Plant | None = None
+    trials: tuple[Plant, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, experiment: Experiment, noise: Mapping[str, ArrayLike] | None, model: WrongModel | None) -> _Variants:
-        plant, sensors = experiment.plant, experiment.sensors
-        if plant_like(plant) is None:
+        plant, sensors, notes = experiment.plant, experiment.sensors, []
+        if not isinstance(plant, (RigidPlant, PlantBase)) or plant.like() is None:  # one of the user's own
             if noise:
                 raise UsageError(
                     f"noise cannot be given to {plant.name}, which cannot be made anew; give it sensors with noise",
                     name="noise",
                 )
-            note = f"no figures of noise and of a wrong model: {plant.name} cannot be made anew"
-            return cls(noise=None, noisy=False, trials=(), notes=(note,))
-        notes: list[str] = []
-        other: Plant | None = None
-        silent = noise is None and bool(_noisy(sensors))
-        if silent:
-            other = plant_like(plant, sensors=with_noise(sensors, dict.fromkeys(_noisy(sensors), 0.0)))
+            return cls(notes=(f"no figures of noise and of a wrong model: {plant.name} cannot be made anew",))
+        quiet: Plant | None = None
+        noisy: Plant | None = None
+        if noise is None and _noisy(sensors):
+            quiet = plant.like(sensors=with_noise(sensors, dict.fromkeys(_noisy(sensors), 0.0)))
             notes.append("noise: the sensors as they are, against the same without noise")
         elif noise != {}:
             noise = noise or {name: value for name, value in NOISE.items() if getattr(sensors, name) is not None}
-            other = plant_like(plant, sensors=with_noise(sensors, noise))
+            noisy = plant.like(sensors=with_noise(sensors, noise))
             words = ", ".join(f"{name} {np.max(np.asarray(value)):g}" for name, value in noise.items())
             notes.append(f"noise: sensors with a standard deviation of {words}, against those of the plant")
+        trials: tuple[Plant, ...] = ()
         if model is not None:
-            notes.append(f"wrong model: {model.text()}; the true arm differs, the controller's does not")
-        arms = () if model is None else model.arms(plant.arm)
-        trials = tuple(trial for arm in arms if (trial := plant_like(plant, arm=arm)) is not None)
-        return cls(noise=other, noisy=not silent, trials=trials, notes=tuple(notes))
+            trials = tuple(plant.like(arm=arm) for arm in model.arms(plant.arm))
+            notes.append(f"wrong model: the true arm differs by {model}, and the controller's does not")
+        return cls(quiet=quiet, noisy=noisy, trials=trials, notes=tuple(notes))
 
     def figures(self, experiment: Experiment, ctrl: Controller, by: Sequence[str]) -> tuple[Run, Numbers]:
         """The run of a controller, and its figures, those with the other plants included."""
@@ -435,12 +419,14 @@ class _Variants:
         error = main_error(numbers)
         if not done.outcome.ok:
             return done, numbers
-        if self.noise is not None:
-            other = figures_of(experiment.run(ctrl, self.noise))
-            noisy, silent = (other, numbers) if self.noisy else (numbers, other)
+        if self.noisy is not None or self.quiet is not None:
+            quiet, noisy = (
+                numbers if plant is None else figures_of(experiment.run(ctrl, plant))
+                for plant in (self.quiet, self.noisy)
+            )
             for name, of in {"noise_error": error, "noise_chatter": "chatter"}.items():
-                if of in noisy and of in silent:
-                    numbers[name] = {unit: value - silent[of][unit] for unit, value in noisy[of].items()}
+                if of in noisy and of in quiet:
+                    numbers[name] = {unit: value - quiet[of][unit] for unit, value in noisy[of].items()}
         if self.trials and error is not None:
             found = [figures_of(experiment.run(ctrl, plant)).get(error, {}) for plant in self.trials]
             spread = {unit: [each.get(unit, math.inf) for each in found] for unit in numbers[error]}
@@ -481,11 +467,6 @@ def main_error(numbers: Mapping[str, Mapping[str, float]]) -> str | None:
     return next((name for name in ERRORS if numbers.get(name)), None)
 
 
-def plant_like(plant: Plant, *, arm: Arm | None = None, sensors: Sensors | None = None) -> Plant | None:
-    """A plant of the same arguments but these; None of one that cannot be made anew, such as a user's own."""
-    return plant.like(arm=arm, sensors=sensors) if isinstance(plant, (RigidPlant, PlantBase)) else None
-
-
 def with_noise(sensors: Sensors, noise: Mapping[str, ArrayLike]) -> Sensors:
     """Sensors with another standard deviation of their noise, by the sensor's name; zero for none.
 
@@ -518,10 +499,6 @@ def _check_recorded(name: str, run: object) -> None:
             f"run '{name}' is one of a task, whose phases have their own references; compare one of them, "
             f"run.phase('{run.phases[0].name}')",
             name=name,
-        )
-    if len(run) < MIN_RECORDED_TICKS:
-        raise UsageError(
-            f"run '{name}' needs {MIN_RECORDED_TICKS} ticks or more to compare; got {len(run)}", name=name
         )
 
 

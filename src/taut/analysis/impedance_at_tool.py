@@ -12,26 +12,14 @@ from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.paths import subtree
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.combine import Sum, bare, title
-from taut.control.gains import GainValue
+from taut.control.closed_loop import ApparentImpedance
+from taut.control.combine import bare, title
 from taut.control.law import Law
-from taut.control.laws.impedance import Stiffness
-from taut.control.laws.joint import (
-    PID,
-    ComputedTorque,
-    FeedForward,
-    FrictionCompensation,
-    GravityCompensation,
-    GravityPID,
-)
-from taut.control.laws.task import TaskComputedTorque
-from taut.control.laws.via_joint_space import ViaJointSpace
 from taut.linear.linear_system import Complex, LinearSystem
 from taut.linear.linearise import WITHIN, linearise
 from taut.loop import Loop
 from taut.maths.model import PayloadValues
 from taut.maths.snapshot import Snapshot
-from taut.trace.derivative import jacobian
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -64,8 +52,7 @@ class ToolImpedance(Result):
 
     Law:          X = Y F, F = Z X, with Y = d^T Y_tool d of the six by six response of the tool and Z = 1 / Y
 
-    Specified is the law's closed loop in continuous time: of `Impedance` and `Admittance` D s^2 + B s + K, of
-    ComputedTorque M (s^2 + kd s + kp + ki / s) through J, and so on, without drives, filters and friction. Predicted
+    Specified is D s^2 + B s + K of `Impedance` and `Admittance`, without drives, filters and friction. Predicted
     is the sampled loop as it is simulated, exactly: with zero-order hold, delay, filters, drives and integrator.
     Quantisation and noise are in neither.
 
@@ -73,7 +60,7 @@ class ToolImpedance(Result):
         loop: The loop.
         lin: Its linear model.
         direction: (6,) unit vector in world axes: a force, or a moment.
-        specified: The law's closed loop in continuous time; None where it has no closed form.
+        specified: What `Impedance` or `Admittance` specifies, in the motions that the tool can make; None of others.
 
     References:
         Section 10.5. Hogan, Impedance control, J. Dynamic Systems, Measurement and Control 107 (1985).
@@ -82,7 +69,7 @@ class ToolImpedance(Result):
     loop: Loop
     lin: LinearSystem
     direction: Float64Array
-    specified: _ClosedForm | None
+    specified: ApparentImpedance | None
 
     @property
     def unit(self) -> str:
@@ -112,20 +99,22 @@ class ToolImpedance(Result):
         return _inverse(np.where(np.abs(Y) < NO_MOTION * size, 0.0, Y))
 
     def specified_Z(self, omega: ArrayLike) -> Complex:
-        """(k,) impedance of the law's closed loop in continuous time.
+        """(k,) impedance that the law specifies: D s^2 + B s + K, of the tool free in all other directions.
 
         Raises:
-            UsageError: The law has none in closed form.
+            UsageError: The law specifies none.
             RangeError: A frequency that is not above zero.
         """
         if self.specified is None:
             raise UsageError(
-                f"{title(self.loop.side.law)} specifies no impedance at the arm's tool in closed form; use Z",
+                f"{title(self.loop.side.law)} specifies no impedance at the arm's tool; use Z",
                 name="specified",
             )
         w = np.atleast_1d(finite_array("omega", omega, unit="rad/s"))
         require_range("omega", w, above=0.0, unit="rad/s")
-        return _inverse(self.specified.admittance(w, self.direction))
+        s, law = 1j * w[:, np.newaxis, np.newaxis], self.specified
+        Y = np.linalg.pinv(law.D * s * s + law.B * s + law.K, rcond=INSIDE) @ self.direction @ self.direction
+        return _inverse(np.asarray(Y, dtype=np.complex128))
 
     def content(self) -> Content:
         """Size of the impedance over frequency, and its Bode diagram."""
@@ -210,7 +199,7 @@ def tool_impedance(
             name="direction",
         )
     law = loop.side.single_law.bound(subtree(loop.parameters, "law"))
-    return ToolImpedance(loop=loop, lin=lin, direction=d, specified=_closed_form(law, x, reach))
+    return ToolImpedance(loop=loop, lin=lin, direction=d, specified=_specified(law, x, reach))
 
 
 def _unit_vector(direction: ArrayLike) -> Float64Array:
@@ -232,100 +221,33 @@ def _unit_vector(direction: ArrayLike) -> Float64Array:
     return six / float(np.linalg.norm(six))
 
 
-# -------------------------------------------------------------------- the law's closed loop in continuous time
+# -------------------------------------------------------------------- what the law specifies
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _ClosedForm:
-    """outwards (inertia s^2 + damping s + stiffness + integral / s)^-1 outwards^T of some coordinates of the tool."""
+def _specified(law: Law, x: Snapshot, reach: Float64Array) -> ApparentImpedance | None:
+    """What a law makes the arm's tool feel like, in the directions that the tool can move in.
 
-    outwards: Float64Array
-    inertia: Float64Array
-    damping: Float64Array
-    stiffness: Float64Array
-    integral: Float64Array | float = 0.0
-
-    def admittance(self, omega: Float64Array, direction: Float64Array) -> Complex:
-        """(k,) the response X / F along a direction at (k,) frequencies [rad/s]."""
-        s = 1j * omega[:, np.newaxis, np.newaxis]
-        polynomial = self.inertia * s * s + self.damping * s + self.stiffness + self.integral / s
-        way = self.outwards.T @ direction
-        return np.asarray(np.linalg.solve(polynomial, way[:, np.newaxis].astype(complex))[:, :, 0] @ way)
-
-
-def _closed_form(law: Law, x: Snapshot, reach: Float64Array) -> _ClosedForm | None:
-    """The admittance at the arm's tool of a law's closed loop about a state, its reference at rest there.
-
-    Law:          Y = J (M s^2 + kd s + kp + ki / s)^-1 J^T of GravityPID, with dg/dq beside kp of PID,
-                  Y = J (M (s^2 + kd s + kp + ki / s))^-1 J^T of ComputedTorque,
-                  Y = J (M s^2 + kd s + J^T K J)^-1 J^T of Stiffness,
-                  Y = (s^2 + kd s + kp + ki / s)^-1 Lambda^-1 of TaskComputedTorque,
-                  Y = (D s^2 + B s + K)^-1 of Impedance and Admittance, in the directions that the tool can move in
-
-    None where there is no closed form: laws for drives that do not yield, force control, gains that are functions,
-    sums with anything but friction compensation or feedforward, another tool than the arm's, an inertia D for a tool
-    that would have to leave the motions it can make.
+    None where it specifies nothing: another tool than the arm's, or an inertia D for a tool that would have to leave
+    the motions it can make.
 
     Args:
         law: The law, with its gains as they are.
         x: The state, of the arm as the law knows it, in plain numbers.
         reach: (6, r) an orthonormal basis of the motions that the tool can make.
     """
-    while isinstance(law, ViaJointSpace) and law.tool in (None, x.arm.tool):  # the inner law's reference rests
-        law = law.inner
-    if isinstance(law, Sum):
-        parts = [part for part in law.parts.values() if not isinstance(part, (FrictionCompensation, FeedForward))]
-        return _closed_form(parts[0], x, reach) if len(parts) == 1 else None
     if getattr(law, "tool", None) not in (None, x.arm.tool):
         return None
-    if isinstance(law, TaskComputedTorque):
-        return _of_task(law, x, reach)
-    if isinstance(law, (PID, GravityPID, GravityCompensation, ComputedTorque, Stiffness)):
-        return _of_joints(law, x)
     apparent = law.apparent_impedance(x)
     if apparent is None:
         return None
     matrices = apparent.D, apparent.B, apparent.K
     if vars(bare(law)).get("D") is not None and not all(_stays(C, reach) for C in matrices):
         return None
-    D, B, K = (reach.T @ C @ reach for C in matrices)
-    return _ClosedForm(outwards=reach, inertia=D, damping=B, stiffness=K)
-
-
-def _of_joints(law: Law, x: Snapshot) -> _ClosedForm | None:
-    J, M = np.asarray(x.J(), dtype=np.float64), np.asarray(x.M, dtype=np.float64)
-    kp, kd, ki = (_matrix(law, name, x.n) for name in ("kp", "kd", "ki"))
-    if isinstance(law, Stiffness):
-        if law.error != "decoupled" or callable(law.K):
-            return None
-        axes = law.space.at(x)
-        kp = J.T @ np.asarray(axes.matrix_outwards(law.K.matrix(6)), dtype=np.float64) @ J
-    elif isinstance(law, ComputedTorque):
-        kp, kd, ki = M @ kp, M @ kd, M @ ki
-    elif isinstance(law, PID):
-        kp = kp + jacobian(lambda q: x.at(q, np.zeros(x.n)).g, x.q)
-    return _ClosedForm(outwards=J, inertia=M, damping=kd, stiffness=kp, integral=ki)
-
-
-def _of_task(law: TaskComputedTorque, x: Snapshot, reach: Float64Array) -> _ClosedForm | None:
-    """Only where the errors are the tool's displacement: of all six directions, or with one number for all."""
-    gains = [_matrix(law, name, 6) for name in ("kp", "kd", "ki")]
-    alike = all(np.array_equal(gain, gain[0, 0] * np.eye(6)) for gain in gains)
-    if law.dimensions != 6 or (not alike and (law.error != "decoupled" or reach.shape[1] < 6)):
-        return None
-    rows = reach.T @ np.asarray(x.J(), dtype=np.float64)
-    Lambda = np.linalg.inv(rows @ np.linalg.solve(np.asarray(x.M, dtype=np.float64), rows.T))
-    kp, kd, ki = (Lambda @ reach.T @ gain @ reach for gain in gains)
-    return _ClosedForm(outwards=reach, inertia=Lambda, damping=kd, stiffness=kp, integral=ki)
+    D, B, K = (reach @ reach.T @ C @ reach @ reach.T for C in matrices)
+    return ApparentImpedance(D=D, B=B, K=K)
 
 
 def _stays(gain: Float64Array, reach: Float64Array) -> bool:
     """A gain maps the motions that the tool can make to themselves."""
     out = gain @ reach
     return bool(np.abs(out - reach @ (reach.T @ out)).max() <= INSIDE * np.abs(gain).max())
-
-
-def _matrix(law: Law, name: str, n: int) -> Float64Array:
-    """(n, n) a gain, zero where a law has none."""
-    gain = getattr(law, name, None)
-    return np.asarray(gain.matrix(n), dtype=np.float64) if isinstance(gain, GainValue) else np.zeros((n, n))

@@ -17,7 +17,7 @@ from taut.codegen.engine import Steps, best_engine
 from taut.codegen.loop import StepLoop
 from taut.codegen.program import Block
 from taut.linear.linearise import linearise
-from taut.linear.margins import frequency_grid
+from taut.linear.performance import frequency_grid
 from taut.loop import Loop
 from taut.maths import dynamics as dyn
 from taut.maths.model import PayloadValues, model_of

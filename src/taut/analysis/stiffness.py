@@ -44,7 +44,6 @@ LawOf = Callable[[float], LinearSystem]
 STIFFNESS: Final = ("K", "kp")  # names of stiffness gains
 OF_JOINTS: Final = "viscous friction of the joints"
 NO_GROWTH: Final = 1e-2  # [1/s] a growth that rounding of central differences may show: a factor e in 100 s
-SHOWN: Final = 0.2  # [-] smallest fraction of a mode that a sentence names
 GRID_POINTS: Final = 256  # frequencies of a grid, for each period of delay
 LOWEST: Final = 1e-4  # [rad] omega T: below it the condition has reached its limit for slow motion
 ZOOMS: Final = 3  # each is 64 times finer
@@ -160,22 +159,21 @@ class StiffnessCheck(Result):
     def content(self) -> Content:
         """Verdicts, limits and the direction that limits the stiffness."""
         who = "every passive environment" if self.band is None else f"motions below {self.band:g} Hz"
-        verdicts = [(self.stable, "stable", "unstable by itself"), (self.passive, f"passive against {who}", "")]
-        rows: list[list[Cell]] = [
-            ["stable by itself", self.stable, self.limit],
-            [f"passive against {who}", self.passive, self.passive_limit],
-        ]
-        parts = [f"{name} {100 * x:.0f} %" for name, x in self.direction.items() if x >= SHOWN]
-        tool = [f"{name} {100 * x:.0f} %" for name, x in self.tool_direction.items() if x >= SHOWN]
-        where = f"the stiffness is limited along {', '.join(parts)}" + (f"; tool: {', '.join(tool)}" if tool else "")
-        notes = [where] if parts else []
-        notes += [f"the verdict relies on the {each}" for each in self.relies_on]
+        stable, passive = "stable by itself", f"passive against {who}"
+        rows: list[list[Cell]] = [[stable, self.stable, self.limit], [passive, self.passive, self.passive_limit]]
+        fractions = [("joint", *each) for each in self.direction.items()]
+        fractions += [("axis of the tool", *each) for each in self.tool_direction.items()]
         return Content(
             title=f"stiffness of a loop sampled at {1.0 / self.law.period:g} Hz",
             faults=[] if self.stable else ["the loop is unstable by itself"],
-            summary=[yes for good, yes, _ in verdicts if good],
-            tables=[Table(columns=("", "holds", "largest factor on the stiffness"), rows=rows)],
-            notes=notes,
+            summary=[str(verdict) for verdict, holds, _ in rows if holds],
+            tables=[
+                Table(columns=("", "holds", "largest factor on the stiffness"), rows=rows),
+                Table(
+                    title="direction that limits the stiffness", columns=("", "of", "fraction [-]"), rows=fractions
+                ),
+            ],
+            notes=[f"the verdict relies on the {each}" for each in self.relies_on],
         )
 
     # ---------------------------------------------------------------- its parts
@@ -440,61 +438,49 @@ def check_stiffness(
     payload = PayloadValues.of(subtree(ctrl.parameters, "model.payload"))
     x = Snapshot(ctrl.side.model, q=q, v=np.zeros(arm.n), payload=payload)
     gravity = np.asarray(jacobian(lambda q: Snapshot(x.model, q=q, v=np.zeros(arm.n), payload=payload).g, q))
-    law = _LawAtPose(ctrl, q)
-    none = np.zeros_like(gravity)
-    compensates = not ctrl.side.adds.gravity and np.allclose(law.at_rest, x.g, rtol=1e-6, atol=1e-6)
-    law.compensated = gravity if compensates else none
+    law_of, compensates = _law_at(ctrl, q, x, gravity)
     return StiffnessCheck(
         M=np.asarray(x.M, dtype=np.float64), damping=np.diag(np.broadcast_to(friction, (arm.n,))),
-        gravity=none if compensates or ctrl.side.adds.gravity else gravity, law_of=law.times,
+        gravity=gravity * (not compensates and not ctrl.side.adds.gravity), law_of=law_of,
         delay=finite_scalar("delay", delay, unit="s", minimum=0.0), band=_checked_band(band, ctrl.rate),
         joints=arm.joint_names, J=np.asarray(x.J(), dtype=np.float64), growth=NO_GROWTH, tolerance=1e-3,
         source=OF_JOINTS,
     )  # fmt: skip
 
 
-class _LawAtPose:
-    """The law of a controller at a pose as a linear system, from the derivative of a control period.
+def _law_at(ctrl: Controller, q: Float64Array, x: Snapshot, gravity: Float64Array) -> tuple[LawOf, bool]:
+    """The law of a controller at a pose as a linear system, and whether it compensates gravity there.
 
     Args:
         ctrl: The controller.
         q: (n,) the pose [rad | m].
-
-    Attributes:
-        at_rest: (n,) its command at rest [N m | N].
-        compensated: (n, n) derivative of the gravity torques in its command, which is no stiffness [N m/rad | N/m].
+        x: The arm there as the law knows it.
+        gravity: (n, n) derivative of its gravity torques, which in a command are no stiffness [N m/rad | N/m].
     """
+    loop = _LOOPS.get(ctrl)
+    if loop is None:
+        loop = _LOOPS[ctrl] = Loop(ctrl, RigidPlant(ctrl.arm, friction=None, adds=ctrl.side.adds), duration=1.0)
+    values = {**ctrl.parameters, **without_dry_friction(ctrl.side, ctrl.parameters)}
+    period = Period(loop, q, values)
+    coordinates, views, n = period.state_coordinates, period.memory.views, len(q)
+    stiffness = {
+        path: np.asarray(value)
+        for path, value in values.items()
+        if path.startswith("law.") and ".null." not in path and path.rpartition(".")[2] in STIFFNESS
+    }
+    memory = period.after(period.start, period.start.memory[np.newaxis])[0]  # what begins in the first tick has begun
+    for path in ("plant.q", "plant.v"):
+        views(memory)[path][...] = views(period.start.memory)[path]
+    point = dataclasses.replace(period.start, memory=memory)
+    compensates = not ctrl.side.adds.gravity and np.allclose(period.command(point), x.g, rtol=1e-6, atol=1e-6)
+    every = np.arange(len(coordinates))
+    motion = np.concatenate([every[coordinates.places[path]] for path in ("plant.q", "plant.v")])
 
-    def __init__(self, ctrl: Controller, q: Float64Array) -> None:
-        loop = _LOOPS.get(ctrl)
-        if loop is None:
-            plant = RigidPlant(ctrl.arm, friction=None, adds=ctrl.side.adds)
-            loop = _LOOPS[ctrl] = Loop(ctrl, plant, duration=1.0)
-        values = {**ctrl.parameters, **without_dry_friction(ctrl.side, ctrl.parameters)}
-        self._period = Period(loop, q, values)
-        self._stiffness = {
-            path: np.asarray(value)
-            for path, value in values.items()
-            if path.startswith("law.") and ".null." not in path and path.rpartition(".")[2] in STIFFNESS
-        }
-        start = self._period.start
-        memory = self._period.after(start, start.memory[np.newaxis])[0]  # what begins in the first tick has begun
-        for path in ("plant.q", "plant.v"):
-            self._period.memory.views(memory)[path][...] = self._period.memory.views(start.memory)[path]
-        self._point = dataclasses.replace(start, memory=memory)
-        self.at_rest = self._period.command(self._point)
-        self.compensated = np.zeros((len(q), len(q)))
-
-    def times(self, factor: float) -> LinearSystem:
-        """The law with its stiffness times a factor."""
-        period, n = self._period, len(self.at_rest)
-        changes = {path: factor * value for path, value in self._stiffness.items()}
-        found = period.derivative(period.changed(self._point, changes))
-        C, coordinates = found.C[-n:].copy(), period.state_coordinates
-        motion = [*range(coordinates.places["plant.q"].start, coordinates.places["plant.q"].stop)]
-        motion += range(coordinates.places["plant.v"].start, coordinates.places["plant.v"].stop)
-        C[:, motion[:n]] -= self.compensated
-        law = np.setdiff1d(np.arange(len(found.A)), motion)
+    def law_of(factor: float) -> LinearSystem:
+        found = period.derivative(period.changed(point, {path: factor * x for path, x in stiffness.items()}))
+        C = found.C[-n:].copy()
+        C[:, motion[:n]] -= gravity * compensates
+        law = np.setdiff1d(every, motion)
         own = found.A[np.ix_(law, law)]  # of its memory, without constants such as a posture at rest
         states = law[driven_states(own, found.A[np.ix_(law, motion)]) & observed_states(own, C[:, law])]
         return LinearSystem(
@@ -502,6 +488,8 @@ class _LawAtPose:
             dt=period.dt, states=[coordinates.names[i] for i in states],
             inputs=(*names("q", n), *names("v", n)), outputs=names("command", n),
         )  # fmt: skip
+
+    return law_of, compensates
 
 
 _LOOPS: Final[WeakKeyDictionary[Controller, Loop]] = WeakKeyDictionary()

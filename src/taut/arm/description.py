@@ -29,7 +29,7 @@ from taut.arm.parts import (
     Visual,
     short_way,
 )
-from taut.base.checks import finite_array, one_of, read_only, vector
+from taut.base.checks import finite_array, read_only, vector
 from taut.base.errors import UsageError, count_of, unknown_name
 from taut.base.types import Array, ArrayLike, Float64Array, Point3, Vector
 from taut.trace.pose import Pose
@@ -230,10 +230,6 @@ class Arm:
 
         return home_replaced(self, q)
 
-    def with_commands(self, *commands: CommandKind) -> Arm:
-        """A copy that takes other commands in real life: torque, velocity, position."""
-        return dataclasses.replace(self, commands=tuple(one_of("command", c, COMMANDS) for c in commands))
-
     def subset(self, joints: Iterable[str], q: ArrayLike | None = None) -> Arm:
         """A copy in which only these joints move; the others are locked at q (the home pose by default).
 
@@ -382,7 +378,7 @@ class Arm:
         References:
             Lynch and Park, Modern Robotics (2017), sections 3.3.2, 8.2 and 8.3.
         """
-        from taut.arm.loaders.screws import arm_from_screws
+        from taut.arm.loaders.memory import arm_from_screws
 
         return arm_from_screws(cls, Mlist, Glist, Slist, gravity, name)
 

@@ -1,17 +1,14 @@
-"""Servos: friction, rotor and motor constants that somebody identified, all seen at the output.
+"""Servos and gears: friction, rotor and motor constants that somebody identified, as the joint sees them.
 
-Their parameter files are the JSON of the package better-actuator-models (BAM), one object of numbers by name. Its
+Parameter files of servos are the JSON of the package better-actuator-models (BAM), one object of numbers by name. Its
 models of friction m1 to m5 are exactly a `Friction`; what m6 and the test bench add has no place in it and is named
 in the notes.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import json
-import math
 import os
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,9 +17,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from taut.arm.friction import FRICTION_FIELDS, Friction
-from taut.arm.rules import MAX_ROTOR, OTHER_UNIT
 from taut.base.checks import finite_array, finite_scalar, positive_scalar, readable_file, require_range
-from taut.base.errors import ModelError, Problem, ShapeError, UsageError, quoted_list, unknown_name
+from taut.base.errors import ModelError, Problem, ShapeError, TautError, UsageError, quoted_list, unknown_name
 from taut.base.types import ArrayLike, Float64Array
 
 if TYPE_CHECKING:
@@ -30,35 +26,33 @@ if TYPE_CHECKING:
 
 __all__ = ["Servo", "load_servo", "matched_ratio", "reflected_inertia", "with_servos"]
 
-MAX_BYTES: Final = 64 * 1024  # the largest such file met so far has 1 kB
-SLOWEST: Final = 10.0  # [s] of a servo's own time constant; a wrong unit of its inertia makes hours of it
-
-BASE: Final = {"friction_base": "N m", "friction_viscous": "N m s/rad"}
-STRIBECK: Final = {"friction_stribeck": "N m", "dtheta_stribeck": "rad/s", "alpha": "1"}
-LOAD: Final = {"load_friction_base": "1"}
-DIRECTED: Final = {"load_friction_motor": "1", "load_friction_external": "1"}
-EXCESS: Final = {"load_friction_motor_stribeck": "1", "load_friction_external_stribeck": "1"}
-QUADRATIC: Final = {"load_friction_motor_quad": "1/(N m)", "load_friction_external_quad": "1/(N m)"}
-NEEDED: Final[Mapping[str, Mapping[str, str]]] = {  # what each model of friction consists of
+MAX_BYTES: Final = 8 * 1024  # the largest such file met so far has 1 kB
+BASE: Final = ("friction_base", "friction_viscous", "armature")
+STRIBECK: Final = ("friction_stribeck", "dtheta_stribeck", "alpha")
+DIRECTED: Final = ("load_friction_motor", "load_friction_external")
+EXCESS: Final = ("load_friction_motor_stribeck", "load_friction_external_stribeck")
+NEEDED: Final[Mapping[str, tuple[str, ...]]] = {  # what each model of friction consists of
     "m1": BASE,
-    "m2": BASE | STRIBECK,
-    "m3": BASE | LOAD,
-    "m4": BASE | STRIBECK | LOAD | {"load_friction_stribeck": "1"},
-    "m5": BASE | STRIBECK | DIRECTED | EXCESS,
-    "m6": BASE | STRIBECK | DIRECTED | EXCESS | QUADRATIC,
+    "m2": BASE + STRIBECK,
+    "m3": (*BASE, "load_friction_base"),
+    "m4": (*BASE, *STRIBECK, "load_friction_base", "load_friction_stribeck"),
+    "m5": BASE + STRIBECK + DIRECTED + EXCESS,
+    "m6": BASE + STRIBECK + DIRECTED + EXCESS,
 }
-ARMATURE: Final = {"armature": "kg m^2"}
-MOTOR: Final = {"kt": "N m/A", "R": "ohm"}
-POSITIVE: Final = ("kt", "R", "dtheta_stribeck", "alpha")
-LEFT_OUT: Final = {  # what else such files have, and what it is
-    "q_offset": "the offset of the test bench that the servo was measured on [rad]",
-    "error_gain_ratio": "a factor of the servo's own position controller",
-    "max_velocity": "the speed limit of the servo's own position controller [rad/s]",
-    "current_limit": "the current limit of the servo's own controller [A]",
-    "ratio": "a factor of the servo's own position controller",
-    "max_torque": "the torque limit of the servo's own controller [N m]",
+MOTOR: Final = ("kt", "R")
+POSITIVE: Final = (*MOTOR, "dtheta_stribeck", "alpha")
+QUADRATIC: Final = ("load_friction_motor_quad", "load_friction_external_quad")
+OF_CONTROLLER: Final = ("error_gain_ratio", "max_velocity", "current_limit", "ratio", "max_torque")
+LEFT_OUT: Final = ("q_offset", *OF_CONTROLLER, *QUADRATIC)  # the test bench's offset, the servo's own controller, m6
+UNITS: Final[Mapping[str, str]] = {
+    "friction_base": "N m",
+    "friction_viscous": "N m s/rad",
+    "friction_stribeck": "N m",
+    "dtheta_stribeck": "rad/s",
+    "armature": "kg m^2",
+    "kt": "N m/A",
+    "R": "ohm",
 }
-WORDS: Final = ("model", "actuator")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,7 +70,7 @@ class Servo:
         name: What it is called.
         model: The model of friction that the numbers were fitted with.
         source: Where the numbers are from.
-        notes: What was left out of the source, and what is to be doubted.
+        notes: What was left out of the source.
 
     Raises:
         ShapeError: Not one number each.
@@ -109,15 +103,11 @@ class Servo:
                 f"a servo's friction must be a taut.Friction; got {type(self.friction).__name__}", name="friction"
             )
         for name in FRICTION_FIELDS:
-            if np.ndim(getattr(self.friction, name)):
-                shape = np.shape(getattr(self.friction, name))
-                raise ShapeError(f"a servo's friction.{name} must be one number; got shape {shape}", name=name)
-        rotor = finite_scalar("rotor_inertia", self.rotor_inertia, unit="kg m^2", minimum=0.0)
-        object.__setattr__(self, "rotor_inertia", rotor)
+            finite_scalar(f"friction.{name}", getattr(self.friction, name))
+        finite_scalar("rotor_inertia", self.rotor_inertia, unit="kg m^2", minimum=0.0)
         for name, unit in (("torque_constant", "N m/A"), ("resistance", "ohm"), ("voltage", "V")):
             if getattr(self, name) is not None:
-                value = positive_scalar(name, getattr(self, name), unit=unit)
-                object.__setattr__(self, name, value)
+                positive_scalar(name, getattr(self, name), unit=unit)
 
     @property
     def stall_torque(self) -> float:
@@ -143,43 +133,34 @@ class Servo:
         missing = [name for name in names if getattr(self, name) is None]
         if missing:
             raise UsageError(
-                f"the {what} of a servo needs its {quoted_list(missing)}; give it: {_way_out(missing)}",
+                f"the {what} of a servo needs its {quoted_list(missing)}; give it to taut.Servo(...), or the voltage "
+                "to taut.load_servo(path, voltage=...)",
                 name=missing[0],
             )
         return [float(getattr(self, name)) for name in names]
 
 
-def _way_out(missing: list[str]) -> str:
-    """A file has no voltage, and a loader asks for it; what else is missing only the one who has the servo knows."""
-    if missing == ["voltage"]:
-        return "taut.load_servo(path, voltage=...), or taut.Servo(...)"
-    return f"dataclasses.replace(servo, {', '.join(f'{name}=...' for name in missing)}), or taut.Servo(...)"
-
-
 def with_servos(arm: Arm, servos: Servo | Mapping[str, Servo]) -> Arm:
     """The arm with the friction and the rotors of servos, in all of its joints or in those that are named."""
     by_joint = dict(servos) if isinstance(servos, Mapping) else dict.fromkeys(arm.joint_names, servos)
-    columns: dict[str, Float64Array] = {
-        name: np.array(getattr(arm.friction, name), dtype=np.float64) for name in FRICTION_FIELDS
-    }
-    columns["rotor_inertia"], columns["gear"] = arm.rotor_inertia.copy(), arm.gear.copy()
     for name, servo in by_joint.items():
-        i = arm.joint_index(name)
         if not isinstance(servo, Servo):  # callers without a type checker
             raise UsageError(
                 f"with_servo takes a taut.Servo, or one by joint name; got {type(servo).__name__}", name=name
             )
-        if arm.joints[i].kind == "prismatic":
+        if arm.joints[arm.joint_index(name)].kind == "prismatic":
             raise UsageError(
                 f"joint '{name}' is prismatic, and a servo's numbers are those of a rotation; give the joint its own "
                 "friction and rotor inertia, with_joints(...)",
                 name=name,
             )
-        for field in FRICTION_FIELDS:
-            columns[field][i] = float(np.asarray(getattr(servo.friction, field)))
-        columns["rotor_inertia"][i] = servo.rotor_inertia
-        columns["gear"][i] = 1.0  # all of a servo's numbers are those of its output
-    return arm.with_joints(**columns)
+    values = {
+        field: {name: float(np.asarray(getattr(servo.friction, field))) for name, servo in by_joint.items()}
+        for field in FRICTION_FIELDS
+    }
+    values["rotor_inertia"] = {name: servo.rotor_inertia for name, servo in by_joint.items()}
+    values["gear"] = dict.fromkeys(by_joint, 1.0)  # all of a servo's numbers are those of its output
+    return arm.with_joints(**values)
 
 
 # -------------------------------------------------------------------- parameter files
@@ -189,8 +170,8 @@ def load_servo(path: str | os.PathLike[str], *, voltage: float | None = None) ->
     """A servo from a parameter file of the package better-actuator-models.
 
     The models m1 (viscous and Coulomb), m2 (Stribeck), m3 (load), m4 (load and Stribeck) and m5 (load, motor's and
-    external torque apart) become a `Friction` exactly. m6 adds two terms in the square of the load; they are left
-    out, and a note says how much they are.
+    external torque apart) become a `Friction` exactly. m6 adds two terms in the square of the load, which are left
+    out.
 
     Args:
         path: The JSON file.
@@ -206,118 +187,67 @@ def load_servo(path: str | os.PathLike[str], *, voltage: float | None = None) ->
         actuators (2024).
     """
     file = readable_file("servo", path)
-    data, twice = _object(file)
+    data = _object(file)
     model = data.get("model")
-    problems = [
-        Problem(object=file.name, attribute=key, message=f"'{key}' is there twice; delete one") for key in twice
-    ]
     if not isinstance(model, str) or model not in NEEDED:
-        rule = f"a servo file names its model of friction, {quoted_list(NEEDED)}"
-        text = f"it has no 'model'; {rule}" if model is None else f"'model' is {_shown(model)}; {rule}"
-        raise ModelError(str(file), [*problems, Problem(object=file.name, attribute="model", message=text)])
-    problems += _file_problems(file.name, model, data)
+        text = f"a servo file names its model of friction, {quoted_list(NEEDED)}, as 'model'; got {str(model)[:40]!r}"
+        raise _refused(file, "model", text)
+    problems = list(_problems(file.name, model, data))
     if problems:
         raise ModelError(str(file), problems)
-    values = {key: float(value) for key, value in data.items() if key not in WORDS}
-    servo = Servo(
-        friction=_friction(model, values),
-        rotor_inertia=values["armature"],
-        torque_constant=values.get("kt"),
-        resistance=values.get("R"),
+    left_out = [key for key in data if key in LEFT_OUT]
+    return Servo(
+        friction=_friction(model, data),
+        rotor_inertia=float(data["armature"]),
+        torque_constant=data.get("kt"),
+        resistance=data.get("R"),
         voltage=voltage,
-        name=str(data.get("actuator", file.stem)),
+        name=data.get("actuator", file.stem),
         model=model,
         source=str(file),
+        notes=(f"{quoted_list(left_out)} left out",) if left_out else (),
     )
-    return _noted(servo, values)
 
 
-def _object(file: Path) -> tuple[dict[str, Any], list[str]]:
-    """The one object of a file, and the names that stand twice in it."""
-    twice: set[str] = set()
-
-    def pairs(found: list[tuple[str, Any]]) -> dict[str, Any]:
-        counts = Counter(name for name, _ in found)
-        twice.update(name for name, count in counts.items() if count > 1)
-        return dict(found)
-
+def _object(file: Path) -> dict[str, Any]:
+    """The one object of a file."""
     with file.open("rb") as stream:
         text = stream.read(MAX_BYTES + 1)
     if len(text) > MAX_BYTES:
         raise _refused(file, "size", f"the file is larger than {MAX_BYTES // 1024} kB; a servo file has 1 kB")
     try:
-        data = json.loads(text.decode("utf-8"), object_pairs_hook=pairs)
-    except UnicodeDecodeError as cause:
-        raise _refused(file, "encoding", "the file is no text in UTF-8; a servo file is JSON") from cause
-    except json.JSONDecodeError as cause:
-        text_of = f"the file is not JSON: {cause.msg.lower()} in line {cause.lineno}, column {cause.colno}"
-        raise _refused(file, "JSON", text_of, cause.lineno) from cause
-    except (RecursionError, ValueError) as cause:  # too deep, or a whole number of thousands of digits
-        raise _refused(
-            file, "JSON", "the file is not JSON that a servo file could be: one object of numbers"
-        ) from cause
+        data = json.loads(text)
+    except (RecursionError, ValueError) as cause:  # no JSON, no UTF-8, too deep, or thousands of digits
+        said = str(cause) if isinstance(cause, json.JSONDecodeError) else "its text is damaged or far too deep"
+        raise _refused(file, "JSON", f"the file is not JSON: {said}", getattr(cause, "lineno", None)) from cause
     if not isinstance(data, dict):
-        kind = "a list" if isinstance(data, list) else "one value"
-        raise _refused(file, "JSON", f"the file holds {kind}; a servo file is one object of numbers by name")
-    return data, sorted(twice)
+        raise _refused(file, "JSON", "the file is no JSON object; a servo file is one object of numbers by name")
+    return data
 
 
 def _refused(file: Path, attribute: str, message: str, line: int | None = None) -> ModelError:
     return ModelError(str(file), [Problem(object=file.name, attribute=attribute, message=message, line=line)])
 
 
-def _file_problems(name: str, model: str, data: Mapping[str, Any]) -> Iterator[Problem]:
-    needed = {**NEEDED[model], **ARMATURE}
-    units = {**needed, **MOTOR}
-    for key in needed:
+def _problems(name: str, model: str, data: Mapping[str, Any]) -> Iterator[Problem]:
+    known = (*NEEDED[model], *MOTOR, *LEFT_OUT)
+    for key in NEEDED[model]:
         if key not in data:
-            yield Problem(
-                object=name, attribute=key, message=f"model {model} needs '{key}' [{units[key]}], which is missing"
-            )
+            yield Problem(object=name, attribute=key, message=f"model {model} needs '{key}', which is missing")
     for key, value in data.items():
-        if key in WORDS:
-            if not isinstance(value, str) or not value.isprintable():
-                yield Problem(object=name, attribute=key, message=f"'{key}' must be a text; got {_shown(value)}")
-        elif key not in units and key not in LEFT_OUT:
-            yield Problem(object=name, attribute=key, message=_unknown(key, model, units))
-        else:
-            wrong = _wrong_number(key, value, units.get(key))
-            if wrong is not None:
-                yield Problem(object=name, attribute=key, message=wrong)
+        try:
+            if key == "actuator" and not (isinstance(value, str) and value.isprintable()):
+                raise UsageError(f"actuator must be a text; got {value!r}")
+            if key in known:
+                bounds = {"above": 0.0} if key in POSITIVE else {} if key in LEFT_OUT else {"minimum": 0.0}
+                finite_scalar(key, value, unit=UNITS.get(key, ""), **bounds)
+            elif key not in ("model", "actuator"):
+                raise unknown_name(f"model {model}", "number", key, known)
+        except TautError as wrong:
+            yield Problem(object=name, attribute=key, message=str(wrong))
 
 
-def _unknown(key: str, model: str, units: Mapping[str, str]) -> str:
-    others = [other for other, needed in NEEDED.items() if key in needed]
-    if others:
-        return f"model {model} has no '{key}', which is of {' and '.join(others)}; is 'model' right?"
-    return str(unknown_name("the file", "number", key, [*units, *LEFT_OUT])).replace(
-        "has no number", "has an unknown"
-    )
-
-
-def _wrong_number(key: str, value: object, unit: str | None) -> str | None:
-    tail = "" if unit is None else f" [{unit}]"
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        return f"'{key}' must be a number{tail}; got {_shown(value)}"
-    try:
-        number = float(value)
-    except OverflowError:
-        number = math.inf
-    if not math.isfinite(number):
-        return f"'{key}' must be finite{tail}; got {number}"
-    if unit is None:
-        return None
-    if key in POSITIVE and number <= 0.0:
-        return f"'{key}' must be > 0{tail}; got {number:g}"
-    return f"'{key}' must be >= 0{tail}; got {number:g}" if number < 0.0 else None
-
-
-def _shown(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 40 else f"{text[:37]}..."
-
-
-def _friction(model: str, values: Mapping[str, float]) -> Friction:
+def _friction(model: str, values: Mapping[str, Any]) -> Friction:
     """The numbers of m1 to m5, and of m6 what is not quadratic."""
     coulomb = values["friction_base"]
     of: dict[str, float] = {"viscous": values["friction_viscous"], "coulomb": coulomb}
@@ -339,35 +269,6 @@ def _friction(model: str, values: Mapping[str, float]) -> Friction:
                 f"load_{side}_static": moving + values[f"load_friction_{side}_stribeck"],
             }
     return Friction(**of)
-
-
-def _noted(servo: Servo, values: Mapping[str, float]) -> Servo:
-    notes = [f"{key} is left out: {LEFT_OUT[key]}" for key in values if key in LEFT_OUT]
-    quadratic = max((values[key] for key in QUADRATIC if key in values), default=0.0)
-    if quadratic > 0.0:
-        text = (
-            "the two terms of m6 in the square of the load, which act near rest, are left out: up to "
-            f"{quadratic:.3g} N m per (N m)^2 of load"
-        )
-        if None not in (servo.torque_constant, servo.resistance, servo.voltage):
-            stall = servo.stall_torque
-            text += f", {quadratic * stall * stall:.3g} N m at the stall torque of {stall:.3g} N m"
-        notes.append(text)
-    missing = [key for key in MOTOR if key not in values]
-    if missing:
-        notes.append(f"the file has no {quoted_list(missing)}, without which its motor is not known in full")
-    if _doubtful(servo):
-        notes.append(f"armature {servo.rotor_inertia:.4g} [kg m^2] is hard to believe of a servo; {OTHER_UNIT}")
-    return dataclasses.replace(servo, notes=tuple(notes))
-
-
-def _doubtful(servo: Servo) -> bool:
-    """Whether the rotor would take ages to reach its speed, T = I R / kt^2, or is larger than any."""
-    if servo.rotor_inertia > MAX_ROTOR:
-        return True
-    if servo.torque_constant is None or servo.resistance is None:
-        return False
-    return servo.rotor_inertia * servo.resistance > SLOWEST * servo.torque_constant * servo.torque_constant
 
 
 # -------------------------------------------------------------------- gears

@@ -51,7 +51,7 @@ def model_torque(theta: float, v: float, a: float, r: float = WRONG_R) -> float:
 @entry("eq-10.15", "the controller's model")
 def eq_10_15() -> Shown:
     x = snapshot(link(r=WRONG_R), [THETA], [V])
-    h = x.h[0] + float(x.viscous[0]) * V
+    h = x.h[0] + float(x.arm.viscous[0]) * V
     yield row("the model's M [kg m^2]", x.M[0, 0], M, "section 10.2.1")
     yield row("the model's h, with r = 0.08 m [N m]", h, model_torque(THETA, V, 0.0), BY_HAND)
     yield "The model of figure 10.10 at theta = 0.7 rad, theta-dot = 1.3 rad/s."

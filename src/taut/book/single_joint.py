@@ -102,7 +102,7 @@ def eq_10_3() -> Shown:
 @entry("eq-10.4", "the same in two terms")
 def eq_10_4() -> Shown:
     x = snapshot(link(), [THETA], [V])
-    h = x.h[0] + float(x.viscous[0]) * V
+    h = x.h[0] + float(x.arm.viscous[0]) * V
     yield row("M [kg m^2]", x.M[0, 0], M, "section 10.2.1", states="0.5 kg m^2")
     yield row("h: gravity and friction [N m]", h, weight(THETA) + B * V, BY_HAND)
     yield f"Here x.h is C v + g, and friction a term of its own; the two are the chapter's h. {STATE}"

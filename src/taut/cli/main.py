@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, Final, NoReturn, TextIO, cast
 
 from taut.base.errors import TautError, UsageError, printable
-from taut.cli import book, compare, design, models, run
+from taut.cli import analysis, book, models, run
 from taut.cli.command import FAILED, STATUS, WRONG, Command
 
 __all__ = ["main"]
@@ -30,14 +30,14 @@ NEGATIVE: Final = re.compile(r"-(\d|\.\d|inf|nan)", re.IGNORECASE)  # a value, w
 
 COMMANDS: Final[tuple[Command, ...]] = (
     run.RUN,
-    compare.COMPARE,
+    analysis.COMPARE,
     run.REPORT,
     run.SCENARIOS,
     models.ARMS,
     models.LAWS,
     models.CHECK,
     run.DOCTOR,
-    design.DESIGN,
+    analysis.DESIGN,
     models.BENCH,
     book.BOOK,
 )

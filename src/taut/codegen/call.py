@@ -13,7 +13,7 @@ import functools
 import importlib
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -193,13 +193,8 @@ class Context:
     def __init__(
         self,
         module: NativeModule,
+        blocks: Mapping[str, Float64Array],
         *,
-        inputs: Float64Array,
-        parameters: Float64Array,
-        memory: Float64Array,
-        before: Float64Array,
-        seen: Float64Array,
-        outputs: Float64Array,
         result_shape: tuple[int, ...],
         dt: float = 0.0,
         reference: type | None = None,
@@ -207,24 +202,16 @@ class Context:
     ) -> None:
         self._words = np.zeros(len(WORDS) + BUILTINS * DEFINITION_WORDS, dtype=np.uint64).view(_Keeper)
         self._builtins = 0
-        new = memory.copy()
-        shape = np.array(result_shape or (1,), dtype=np.int64)
         float64 = np.dtype(np.float64)
         interned = [sys.intern(name) for name in keywords]  # as the names in a caller's code are
-        names = np.array([id(name) for name in interned] or [0], dtype=np.uint64)
-        arrays = (inputs, parameters, memory, before, seen, new, outputs, shape, names)
-        self._words.keep = [module, float64, reference, interned, *arrays]
-        for name, array in (
-            ("inputs", inputs),
-            ("parameters", parameters),
-            ("memory", memory),
-            ("new", new),
-            ("before", before),
-            ("seen", seen),
-            ("outputs", outputs),
-            ("shape", shape),
-            ("keywords", names),
-        ):
+        arrays: dict[str, np.ndarray[Any, Any]] = {
+            **blocks,
+            "new": blocks["memory"].copy(),
+            "shape": np.array(result_shape or (1,), dtype=np.int64),
+            "keywords": np.array([id(name) for name in interned] or [0], dtype=np.uint64),
+        }
+        self._words.keep = [module, float64, reference, interned, *arrays.values()]
+        for name, array in arrays.items():
             self[name] = array.ctypes.data
         self["ndarray"], self["float64"], self["none"] = id(np.ndarray), id(float64), id(None)
         self["reference"] = id(reference)

@@ -199,12 +199,7 @@ class Kernel:
         blocks = self.blocks
         self._words = context = Context(
             self.module,
-            inputs=blocks.inputs,
-            parameters=blocks.parameters,
-            memory=blocks.memory,
-            before=blocks.before,
-            seen=blocks.seen,
-            outputs=blocks.outputs,
+            {name: getattr(blocks, name) for name in (*blocks.layout, "before", "seen")},
             result_shape=program.outputs.fields[0].shape,
             dt=self._dt,
             reference=reference,

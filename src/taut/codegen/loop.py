@@ -165,13 +165,7 @@ _COMPILED: Final[WeakKeyDictionary[Loop, StepLoop]] = WeakKeyDictionary()
 
 
 def compiled_loop(loop: Loop, blocks: tuple[Block, Block, Block], example: Flat) -> StepLoop:
-    """The code of a loop for its engine, made once.
-
-    Args:
-        loop: The loop.
-        blocks: Of inputs, parameters and memory.
-        example: A state of each, flat.
-    """
+    """The code of a loop for its engine, made once."""
     made = _COMPILED.get(loop)
     if made is not None:
         made.expect(loop.ticks)

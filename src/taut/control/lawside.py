@@ -25,8 +25,7 @@ from taut.control.limits import Limits, anew, fresh_blend, limited
 from taut.control.sensing import Sensing
 from taut.control.trajectories.reference import Reference, Sample
 from taut.maths import dynamics as dyn
-from taut.maths.adds import Adds
-from taut.maths.model import Model, PayloadValues, model_of
+from taut.maths.model import Adds, Model, PayloadValues, model_of
 from taut.maths.snapshot import AT_TOOL, MEASUREMENTS, Snapshot, measurement_shapes
 from taut.trace import math as tm
 from taut.trace.graph import LARGEST

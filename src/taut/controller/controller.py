@@ -20,7 +20,7 @@ from taut.control.sensing import Sensing
 from taut.control.trajectories.reference import Sample
 from taut.controller.kernel import SideFunctions, kernel_of, recording_kernel, reference_shapes
 from taut.controller.parameters import ControllerParameters, StateMachine
-from taut.maths.adds import Adds
+from taut.maths.model import Adds
 
 if TYPE_CHECKING:
     from taut.control.tasks.feed import TaskSteps

@@ -26,13 +26,7 @@ DT: Final = "dt"  # the period stands beside the parameters, so that code serves
 
 
 class SideFunctions:
-    """Tick and start of a control side as functions of blocks.
-
-    Args:
-        side: The control side.
-        record: Whether a tick gives every term and what a run keeps of the memory.
-        sensed: Measurements that it gives too, as the law sees them.
-    """
+    """Tick and start of a control side as functions of blocks."""
 
     def __init__(self, side: LawSide, *, record: bool, sensed: tuple[str, ...] = ()) -> None:
         self._side = side
@@ -56,12 +50,7 @@ class SideFunctions:
         return self._side.start(self._measured(inputs), self._sample(inputs), parameters), {}
 
     def last_tick(self, kernel: Kernel, parameters: Float64Array) -> dict[str, Float64Array]:
-        """The last tick of a kernel once more, on floats, with all that it can give.
-
-        Args:
-            kernel: The kernel of this side.
-            parameters: Those that it saw, flat.
-        """
+        """The last tick of a kernel once more, on floats, with all that it can give."""
         layout, blocks = kernel.blocks.layout, kernel.blocks
         inputs = layout["inputs"].views(blocks.seen.copy())
         inputs["t"][...] = (kernel.count - 1) * self._side.dt
@@ -94,18 +83,7 @@ def kernel_of(
     sensed: tuple[str, ...] = (),
     level: int | None = None,
 ) -> Kernel:
-    """A control side as a kernel with blocks of its own.
-
-    Args:
-        side: The control side.
-        engine: What runs it.
-        slow: What takes a call of `step` that is not plain; None for a kernel that runs on its blocks alone.
-        first: What takes a tick where memory has not started, or waits.
-        failed: Raises the error of a tick whose numbers are not finite.
-        record: Whether a tick gives every term and what a run keeps of the memory.
-        sensed: Measurements that it gives too, as the law sees them.
-        level: How well it is compiled; the full level if left out.
-    """
+    """A control side as a kernel with blocks of its own; see `Kernel` for what is passed on."""
     n, probe, sizes = side.arm.n, _probed(side), measurement_shapes(side.arm.n)
     ref_shapes = reference_shapes(side)
     held = {KNOWN: (), HELD: (n,)} if "limits.tau_applied" in probe.shapes else {}
@@ -140,14 +118,7 @@ def kernel_of(
 
 
 def recording_kernel(side: LawSide, engine: Engine, sensed: tuple[str, ...], ticks: int | None) -> Kernel:
-    """A kernel that gives every term in every tick, and starts by itself: for simulations.
-
-    Args:
-        side: The control side.
-        engine: What runs it.
-        sensed: Measurements that it gives too, as the law sees them.
-        ticks: How often it is called, any number if None: for few it is compiled quickly.
-    """
+    """A kernel that gives every term in every tick and starts by itself; for few ticks it is compiled quickly."""
     kernel: Kernel
 
     def first() -> None:

@@ -37,9 +37,6 @@ class StateMachine:
 
     A tick that fails leaves the state, and the memory, as they were. Only in RUNNING the generated code takes a tick
     by itself; in the other states it calls `first`.
-
-    Args:
-        side: The control side.
     """
 
     kernel: Kernel  # given once, before the first tick
@@ -132,12 +129,7 @@ class StateMachine:
 
 
 def take_up_change(kernel: Kernel, before: Float64Array) -> None:
-    """Change memory so that the next tick commands what it would have with the parameters of before.
-
-    Args:
-        kernel: Of a controller that blends; its inputs are those of the next tick.
-        before: Parameters, flat.
-    """
+    """Change memory so that the next tick commands what it would have with the parameters of before."""
     from taut.control.limits import take_up
 
     asked = [kernel.preview(values)["limits.asked"] for values in (before, kernel.blocks.parameters)]

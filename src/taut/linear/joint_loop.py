@@ -18,7 +18,6 @@ from taut.base.checks import (
     positive_scalar,
     rate_in_hertz,
     require_range,
-    rounded_up,
     symmetric,
     symmetric_psd,
 )
@@ -26,14 +25,18 @@ from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.sensing import Difference, LowPass, check_filter
 from taut.linear.linear_system import LinearSystem, names
-from taut.linear.step_response import BAND
+from taut.linear.performance import BAND
 
 __all__ = ["SecondOrder", "VelocityKind", "error_dynamics", "joint_matrix", "pid", "second_order"]
 
 VelocityKind = Literal["measured", "difference"] | LowPass | Difference
-DETERMINE_ONE: Final = ({"kp", "omega_n"}, {"zeta", "overshoot"}, {"kd", "settling"})  # quantity, not two
-FASTEST: Final = math.log(1.0 / BAND) / math.hypot(math.log(1.0 / BAND), math.pi)
-"""The damping ratio, 0.78, whose overshoot is the settling band: none settles earlier at its natural frequency."""
+PAIRS: Final = [
+    {one, other}
+    for group, others in ((("zeta", "overshoot"), ("omega_n", "kp", "kd", "settling")), (("kd",), ("kp", "omega_n")))
+    for one in group
+    for other in others
+]
+"""Two numbers that determine the gains of a joint."""
 
 
 # -------------------------------------------------------------------- the standard second-order form
@@ -84,7 +87,7 @@ def second_order(
     settling: float | None = None,
     overshoot: float | None = None,
 ) -> SecondOrder:
-    """Gains of a joint from two of kp, kd, zeta, omega_n, settling and overshoot.
+    """Gains of a joint from a damping and a speed, or from one of its gains and another number.
 
     Closed loop:  M e_ddot + (b + kd) e_dot + kp e = 0
                   zeta = (b + kd) / (2 sqrt(kp M)),  omega_n = sqrt(kp / M)                         eq. 10.9
@@ -96,11 +99,11 @@ def second_order(
         kd: Derivative gain [N m s/rad | N s/m].
         zeta: Damping ratio [-].
         omega_n: Natural frequency [rad/s].
-        settling: Exact 2 % settling time of a step [s]; with omega_n or kp the largest damping that settles so.
+        settling: Exact 2 % settling time of a step [s].
         overshoot: Of a step [%]; 0 for critical damping.
 
     Raises:
-        UsageError: Not two of them, or two that determine the same.
+        UsageError: Not two of them that determine the gains.
         RangeError: A number without meaning, or a specification that cannot be met.
 
     Example:
@@ -123,10 +126,10 @@ def second_order(
         for (name, unit), value in values
         if value is not None
     }
-    if len(given) != 2 or any(pair <= {*given} for pair in DETERMINE_ONE):
+    if {*given} not in PAIRS:
         raise UsageError(
-            "two of kp, kd, zeta, omega_n, settling and overshoot determine the gains, but not kp with omega_n, "
-            f"zeta with overshoot or kd with settling; got {', '.join(given) if given else 'none'}",
+            "a damping (zeta or overshoot) and one of omega_n, kp, kd and settling determine the gains, or kd with "
+            f"kp or omega_n; got {', '.join(given) if given else 'none'}",
             name=[*given][-1] if given else None,
         )
     if given.get("overshoot", 0.0) >= 100.0:
@@ -144,8 +147,6 @@ def second_order(
         )
     if "settling" in given and zeta is not None:
         omega_n = settling_angle(zeta) / given["settling"]
-    elif "settling" in given and omega_n is not None:
-        zeta = _zeta_that_settles(given["settling"] * omega_n)
     if omega_n is None:
         omega_n = (b + given["kd"]) / (2.0 * M * zeta)  # type: ignore[operator]  # kd and one of zeta and overshoot
     kp = given.get("kp", M * omega_n**2)
@@ -158,7 +159,7 @@ def second_order(
     if kd < 0.0:
         least = b / (2.0 * math.sqrt(kp * M)) if kp else math.inf
         raise RangeError(
-            f"zeta must be at least {rounded_up(least)}, which the friction b = {b:g} alone gives with kp = {kp:.4g}"
+            f"zeta must be at least {1.0005 * least:.4g}, which the friction b = {b:g} alone gives with kp = {kp:.4g}"
             f"; got {zeta:.4g}; a larger kp or omega_n allows less",
             name="zeta",
             value=zeta,
@@ -200,22 +201,6 @@ def settling_angle(zeta: float) -> float:
         low, high = extremes * math.pi / damped, (extremes + 1) * math.pi / damped
         level = -BAND if extremes % 2 else BAND
     return float(brentq(lambda angle: _error(zeta, angle) - level, low, high, xtol=1e-15 * high, rtol=1e-15))
-
-
-def _zeta_that_settles(angle: float) -> float:
-    """The largest damping ratio whose settling time is angle / omega_n."""
-    low = FASTEST * (1.0 + 1e-12)  # just below it the last crossing is half an oscillation later
-    least = settling_angle(low)
-    if angle < least * (1.0 - 1e-9):
-        raise RangeError(
-            f"settling must be at least {rounded_up(least)} / omega_n, the fastest, with zeta = {FASTEST:.2f}; got "
-            f"{angle:.4g} / omega_n",
-            name="settling",
-            value=angle,
-        )
-    if angle <= least:
-        return low
-    return float(brentq(lambda zeta: settling_angle(zeta) - angle, low, max(10.0, angle), xtol=1e-15, rtol=1e-14))
 
 
 # -------------------------------------------------------------------- joints under PID

@@ -17,12 +17,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from taut.base.checks import finite_array, finite_scalar, positive_scalar, read_only, whole_number
+from taut.base.checks import finite_array, finite_scalar, positive_scalar, read_only
 from taut.base.errors import RangeError, ShapeError, UsageError, missing_extra, unknown_name
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
-from taut.linear.margins import Margins, margins_of
-from taut.linear.step_response import StepInfo, step_response
+from taut.linear.performance import Margins, StepInfo, margins_of, step_response
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,7 +29,6 @@ if TYPE_CHECKING:
 __all__ = ["Complex", "LinearSystem", "Mode", "OperatingPoint", "balancing", "names"]
 
 Complex = NDArray[np.complex128]
-BALANCING: Final = 12  # sweeps
 SINGULAR: Final = 1e-12  # [-] of the largest singular value: smaller ones are zero
 CRITICAL: Final = 1e-14  # [-] of the discriminant of a double pole: rounding of the coefficients
 UNDAMPED: Final = 1e-12  # [-] damping ratio below which an oscillation is sustained
@@ -319,18 +317,21 @@ class LinearSystem(Result):
         s, fractions = self._in_s(poles), np.abs(left) * np.abs(right)
         fractions /= fractions.sum(axis=0)
         shown = (poles.imag >= 0.0) & ((np.abs(poles) > INSTANT) if self.dt else True)
-        order = [k for k in np.lexsort((s.imag, -s.real)) if shown[k]]
         resting = np.argsort(np.abs(s))[: self._resting_and_moving[0]]
-        return tuple(self._mode(poles[k], s[k], fractions[:, k], right[:, k], k in resting) for k in order)
-
-    def _mode(self, pole: complex, s: complex, fractions: Float64Array, shape: Complex, resting: bool) -> Mode:
-        order = [i for i in np.argsort(-fractions) if fractions[i] > 0.0]
-        return Mode(
-            pole=complex(pole),
-            s=complex(s),
-            participation={self.states[i]: float(fractions[i]) for i in order},
-            shape=shape,
-            resting=resting,
+        return tuple(
+            Mode(
+                pole=complex(poles[k]),
+                s=complex(s[k]),
+                participation={
+                    self.states[i]: float(fractions[i, k])
+                    for i in np.argsort(-fractions[:, k])
+                    if fractions[i, k] > 0.0
+                },
+                shape=right[:, k],
+                resting=k in resting,
+            )
+            for k in np.lexsort((s.imag, -s.real))
+            if shown[k]
         )
 
     # -------------------------------------------------------------------- other systems
@@ -554,37 +555,14 @@ class LinearSystem(Result):
         gain = np.asarray(self.frequency_response(0.0, input=input, output=output)[0])
         return gain.real if gain.ndim else float(gain.real)
 
-    def free_response(self, count: int, state: ArrayLike, *, dt: float | None = None) -> Float64Array:
-        """(count, outputs) from a deviation of the states, without inputs.
-
-        Args:
-            count: Samples, the first at the start.
-            state: (n,) at the start.
-            dt: Time between samples [s], in continuous time only; a sampled system has its own.
-
-        Raises:
-            UsageError: Not a number of samples, or no dt where one is needed.
-            ShapeError: Not one number for each state.
-        """
-        count = whole_number("count", count, minimum=1)
-        if (dt is None) == (self.dt is None):
-            raise UsageError("dt= is the time between samples of a continuous system, and of no other", name="dt")
-        import scipy.linalg
-
-        step = self.A if dt is None else np.asarray(scipy.linalg.expm(self.A * positive_scalar("dt", dt, unit="s")))
-        x = np.array(finite_array("state", state, shape=(len(self.states),)))
-        out = np.zeros((count, len(self.outputs)))
-        for k in range(count):
-            out[k] = self.C @ x
-            x = step @ x
-        return out
-
     def step(self, *, input: str = "ref.q[0]", output: str = "q[0]") -> StepInfo:
         """Overshoot, settling, rise and peak time of one output after a step of one input.
 
         A sampled system is followed from tick to tick, a continuous one exactly.
         """
-        ((column,), (row,)) = self._single("input", input), self._single("output", output)
+        (column, *more), (row, *others) = self.columns(input), self.rows(output)
+        if more or others:
+            raise UsageError(f"a step is of one input and one output; got '{input}' and '{output}'", name="input")
         rest = np.eye(len(self.A)) if self.dt else np.zeros_like(self.A)
         final = np.asarray(np.linalg.lstsq(rest - self.A, self.B[:, column], rcond=None)[0], dtype=np.float64)
         end = float(self.C[row] @ final + self.D[row, column])
@@ -592,12 +570,6 @@ class LinearSystem(Result):
         if not self.decay_rate > 0.0 or abs(end) <= SINGULAR * scale:
             return StepInfo.none(end)
         return step_response(self.A, final, self.C[row] / end, dt=self.dt, s_poles=self.s_poles, final=end)
-
-    def _single(self, kind: str, name: str) -> list[int]:
-        places = self.columns(name) if kind == "input" else self.rows(name)
-        if len(places) != 1:
-            raise UsageError(f"a step has one {kind}; '{name}' is a group of {len(places)}", name=kind)
-        return places
 
     # -------------------------------------------------------------------- margins
 
@@ -696,15 +668,10 @@ def _eigenvalues(A: Float64Array) -> Complex:
 
 
 def balancing(A: Float64Array) -> Float64Array:
-    """(n,) units of the states in which rows and columns of A have one size (Osborne): rounding is of all alike."""
-    scale = np.ones(len(A))
-    for _ in range(BALANCING):
-        sizes = np.abs(A * scale / scale[:, np.newaxis])
-        np.fill_diagonal(sizes, 0.0)
-        rows, columns = sizes.sum(axis=1), sizes.sum(axis=0)
-        both = (rows > 0.0) & (columns > 0.0)
-        scale[both] *= np.exp2(np.round(0.5 * np.log2(rows[both] / columns[both])))
-    return scale
+    """(n,) units of the states in which rows and columns of A have one size, so that rounding is of all alike."""
+    from scipy.linalg import matrix_balance
+
+    return np.asarray(matrix_balance(A, permute=False, separate=True)[1][0]) if len(A) else np.ones(0)
 
 
 def _places(kind: str, name: str, known: Sequence[str]) -> list[int]:

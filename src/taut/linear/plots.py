@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taut.base.plot_style import DASHED, INK, SMALL, WIDTH, colour, prepared
-from taut.linear.margins import frequency_grid
-from taut.linear.step_response import BAND, powers
+from taut.linear.performance import BAND, frequency_grid, powers
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

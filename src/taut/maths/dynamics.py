@@ -19,13 +19,14 @@ import numpy as np
 
 from taut.arm.description import BASE
 from taut.base.types import Array, Matrix, Vector, Vector3
-from taut.maths.model import JointConstants, Model, PayloadValues, RigidBody
+from taut.maths.model import Adds, JointConstants, Model, PayloadValues, RigidBody
 from taut.trace import math as tm
 from taut.trace.math import cross
 from taut.trace.pose import Pose
 
 __all__ = [
     "bias",
+    "compensation",
     "coriolis_matrix",
     "forward_dynamics",
     "gravity_torque",
@@ -164,6 +165,17 @@ def bias(
 def gravity_torque(model: Model, q: Vector, payload: PayloadValues | None = None) -> Vector:
     """(n,) g: the torques that hold the arm at rest."""
     return inverse_dynamics(model, q, None, None, payload)
+
+
+def compensation(model: Model, adds: Adds, q: Vector, v: Vector, payload: PayloadValues) -> Array:
+    """(n,) gravity and Coriolis torques that are added; friction apart, of which none is left then."""
+    total: Any = np.zeros(model.n)
+    if adds.gravity:
+        load = payload if adds.load is None else PayloadValues.of(adds.load)
+        total = total + gravity_torque(model, q, load)
+    if adds.coriolis:
+        total = total + bias(model, q, v, payload, gravity=False)
+    return total  # type: ignore[no-any-return]
 
 
 # -------------------------------------------------------------------- mass matrix

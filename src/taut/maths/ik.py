@@ -19,7 +19,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from taut.arm.description import BASE, Arm
+from taut.arm.description import Arm
 from taut.arm.reach import reach
 from taut.base.types import Array, Float64Array, Matrix, Vector
 from taut.maths import dynamics as dyn
@@ -37,7 +37,6 @@ __all__ = [
     "Task",
     "damping_near_singularity",
     "held_joints",
-    "jacobian_rate",
     "posture_step",
     "search_step",
     "shortened",
@@ -171,39 +170,6 @@ def task_of(arm: Arm, frame: str | None, directions: Directions) -> Task:
     rank = max(int(np.linalg.matrix_rank(rows, tol=1e-6)) for rows in found)
     rows = tuple(int(i) for i in np.flatnonzero(moved))
     return Task(frame=frame, directions=directions, rows=rows, rank=rank, length=length)
-
-
-def jacobian_rate(model: Model, q: Vector, v: Vector, frame: str | None = None) -> Matrix:
-    """(6, n) rate of J_WE_W along v."""
-    body, _, p_in_body = model.placement(frame)
-    out = tm.zeros((6, model.n))
-    if body == BASE:
-        return out
-    links, path = dyn.link_poses(model, q), model.arm.ancestors(body)
-    turning, going = tm.zeros(3), tm.zeros(3)  # of the link at hand: angular velocity, velocity of its origin
-    before, at = tm.zeros(3), None
-    states = []
-    for i in path:
-        R, p = links[i]
-        axis = R[:, 2]
-        if at is not None:
-            going = going + tm.cross(before, p - at)
-        if model.joints[i].prismatic:  # its origin slides along with it
-            going = going + v[i] * axis
-        else:
-            turning = turning + v[i] * axis
-        states.append((i, axis, tm.cross(before, axis), p, going))
-        before, at = turning, p
-    R, p = links[body]
-    tip = R @ p_in_body + p
-    v_tip = going + tm.cross(turning, tip - p)
-    for i, axis, axis_rate, p, v_p in states:
-        if model.joints[i].prismatic:
-            out[:3, i] = axis_rate
-        else:
-            out[:3, i] = tm.cross(axis_rate, tip - p) + tm.cross(axis, v_tip - v_p)
-            out[3:, i] = axis_rate
-    return out
 
 
 # -------------------------------------------------------------------- solving for joints

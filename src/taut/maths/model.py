@@ -8,21 +8,23 @@ Joint torques stay exactly what they were; on the Panda one operation in seven v
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
-from taut.arm.description import BASE, Arm
+from taut.arm.description import BASE, Arm, Payload
 from taut.arm.parts import inertia_matrix
+from taut.base.errors import UsageError, unknown_name
 from taut.base.types import Array, Float64Array, Matrix, Vector3
 from taut.trace import math as tm
 from taut.trace.pose import snapped
 
-__all__ = ["Model", "PayloadValues", "RigidBody", "model_of"]
+__all__ = ["Adds", "Model", "PayloadValues", "RigidBody", "model_of"]
 
 Z = np.array([0.0, 0.0, 1.0])
+COMPONENTS: Final = ("gravity", "coriolis", "friction")  # torques that a plant may add
 REGROUPING_ROUNDING = 1e-14  # relative size under which a regrouped number is rounding
 
 
@@ -62,8 +64,10 @@ class PayloadValues:
     inertia: Array  # (6,) xx, yy, zz, xy, xz, yz
 
     @classmethod
-    def of(cls, values: Mapping[str, Any]) -> PayloadValues:
-        """From parameters called mass, com and inertia."""
+    def of(cls, values: Mapping[str, Any] | Payload) -> PayloadValues:
+        """From parameters called mass, com and inertia, or a payload's own."""
+        if isinstance(values, Payload):
+            values = vars(values)
         return cls(mass=values["mass"], com=values["com"], inertia=values["inertia"])
 
     def body(self) -> RigidBody:
@@ -172,3 +176,62 @@ def _rounded(x: Float64Array) -> Float64Array:
     """x with entries that are zero but for rounding set to zero."""
     scale = float(np.abs(x).max(initial=0.0))
     return np.where(np.abs(x) <= REGROUPING_ROUNDING * scale, 0.0, x)
+
+
+# -------------------------------------------------------------------- what a plant adds itself
+
+
+@dataclass(frozen=True, kw_only=True)
+class Adds:
+    """Torques that the plant adds to every command.
+
+    Args:
+        gravity: Gravity of the arm, and of `load` where one is known to it.
+        coriolis: Coriolis and centripetal torques.
+        friction: The arm's own friction.
+        load: The payload whose gravity the plant adds; None means the controller's own payload.
+    """
+
+    gravity: bool = False
+    coriolis: bool = False
+    friction: bool = False
+    load: Payload | None = None
+
+    @classmethod
+    def of(cls, given: Adds | Iterable[str] | Mapping[str, Payload | None]) -> Adds:
+        """From names such as ("gravity", "coriolis"), or {"gravity": Payload(...)}.
+
+        Raises:
+            UnknownNameError: A component that no plant adds.
+            UsageError: A payload for something else than gravity.
+        """
+        if isinstance(given, Adds):
+            return given
+        if isinstance(given, str):
+            raise UsageError(f"adds must be a tuple of names; got {given!r}; write ({given!r},)", name="adds")
+        if not isinstance(given, Iterable):  # callers without a type checker
+            raise UsageError(f"adds must be a tuple of names such as ('gravity',); got {given!r}", name="adds")
+        names = list(given)
+        for name in names:
+            if name not in COMPONENTS:
+                raise unknown_name("what a plant adds", "component", str(name), COMPONENTS)
+        load = None
+        if isinstance(given, Mapping):
+            for name, payload in given.items():
+                if payload is None:
+                    continue
+                if name != "gravity" or not isinstance(payload, Payload):
+                    raise UsageError(
+                        f"adds[{name!r}] must be None; only 'gravity' takes a taut.Payload; got {payload!r}",
+                        name="adds",
+                    )
+                load = payload
+        return cls(**dict.fromkeys(names, True), load=load)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The components that are added."""
+        return tuple(name for name in COMPONENTS if getattr(self, name))
+
+    def __str__(self) -> str:
+        return "{" + ", ".join(self.names) + "}"

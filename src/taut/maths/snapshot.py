@@ -12,8 +12,7 @@ from taut.base.checks import one_of, vector
 from taut.base.errors import MatchError, UsageError, unknown_name
 from taut.base.types import Array, ArrayLike, Matrix, Rotation, Twist, Vector, Wrench
 from taut.maths import dynamics as dyn
-from taut.maths.adds import Adds
-from taut.maths.model import Model, PayloadValues, model_of
+from taut.maths.model import Adds, Model, PayloadValues, model_of
 from taut.trace import math as tm
 from taut.trace.linalg import LTDL
 from taut.trace.pose import Pose
@@ -213,10 +212,8 @@ class Snapshot:
             return dyn.gravity_torque(self.model, self.q, self._payload)
         if self._adds.load is None:
             return tm.zeros(self.n)
-        known = self._adds.load
-        added = PayloadValues(mass=known.mass, com=known.com, inertia=known.inertia)
         own = dyn.gravity_torque(self.model, self.q, self._payload)
-        difference: Vector = own - dyn.gravity_torque(self.model, self.q, added)
+        difference: Vector = own - dyn.gravity_torque(self.model, self.q, PayloadValues.of(self._adds.load))
         return difference
 
     @property
@@ -253,18 +250,6 @@ class Snapshot:
     def potential_energy(self) -> Any:
         """Potential energy of the weights [J]; zero at the world's origin."""
         return self._once("potential", lambda: dyn.potential_energy(self.model, self.q, self._payload))
-
-    @property
-    def viscous(self) -> Vector:
-        """(n,) the model's viscous friction [N m s/rad | N s/m], less what the plant adds itself."""
-        self.used.add("friction")
-        return np.zeros(self.n) if self._adds.friction else self.arm.viscous
-
-    @property
-    def coulomb(self) -> Vector:
-        """(n,) the model's dry friction in motion [N m | N], less what the plant adds itself."""
-        self.used.add("friction")
-        return np.zeros(self.n) if self._adds.friction else self.arm.coulomb
 
     @property
     def friction(self) -> Friction:
@@ -392,5 +377,5 @@ def snapshot(arm: Arm, q: ArrayLike, v: ArrayLike | None = None, payload: Payloa
         model_of(arm),
         q=vector("q", q, arm.n, joints=arm.joint_names),
         v=vector("v", np.zeros(arm.n) if v is None else v, arm.n, joints=arm.joint_names),
-        payload=PayloadValues(mass=held.mass, com=held.com, inertia=held.inertia),
+        payload=PayloadValues.of(held),
     )

@@ -17,7 +17,7 @@ import numpy as np
 
 from taut.base.types import Float64Array, Matrix, Rotation, Twist, Vector3
 from taut.trace import math as tm
-from taut.trace.pose import Pose
+from taut.trace.pose import Pose, quaternion
 
 __all__ = [
     "adjoint",
@@ -61,27 +61,9 @@ def rotated_matrix(R: Rotation, C: Matrix) -> Matrix:
 # -------------------------------------------------------------------- rotations
 
 
-def _quaternion(R: Rotation) -> tuple[Any, Vector3]:
-    """Scalar part >= 0 and vector part of a rotation, by Shepperd's method: nothing cancels near pi."""
-    trace = R[0, 0] + R[1, 1] + R[2, 2]
-    d = [trace, *(2.0 * R[i, i] - trace for i in range(3))]
-    x, y, z = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
-    xy, xz, yz = R[0, 1] + R[1, 0], R[0, 2] + R[2, 0], R[1, 2] + R[2, 1]
-    rows = [[1.0 + d[0], x, y, z], [x, 1.0 + d[1], xy, xz], [y, xy, 1.0 + d[2], yz], [z, xz, yz, 1.0 + d[3]]]
-    best, chosen = d[0], rows[0]
-    for k in range(1, 4):
-        better = d[k] > best
-        best = tm.where(better, d[k], best)
-        chosen = [tm.where(better, new, old) for new, old in zip(rows[k], chosen, strict=True)]
-    scale = 0.5 / tm.sqrt(1.0 + best)
-    scale = tm.where(chosen[0] < 0.0, -scale, scale)
-    w, a, b, c = (entry * scale for entry in chosen)
-    return w, tm.array([a, b, c])
-
-
 def _half_angle(R: Rotation) -> tuple[Vector3, Any, Any]:
     """Rotation vector of R, its square, and 1 - (angle / 2) / tan(angle / 2)."""
-    w, vector = _quaternion(R)
+    w, vector = quaternion(R)
     s2 = vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2]
     small = s2 < SERIES_BELOW / 4.0
     s = tm.sqrt(tm.where(small, 1.0, s2))
@@ -224,14 +206,9 @@ def log_rows(R: Float64Array) -> Float64Array:
 
 def exp_rows(r: Float64Array) -> Float64Array:
     """(k, 3, 3) rotations by the vectors r (k, 3) [rad]."""
-    angle2 = np.sum(r * r, axis=1)[:, np.newaxis, np.newaxis]
-    b, _, _, _ = (x[:, np.newaxis] for x in _coefficients(r))
-    a = np.sinc(np.sqrt(angle2) / np.pi)
-    x, y, z = r.T
-    zero = np.zeros_like(x)
-    K = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
-    out: Float64Array = np.eye(3) + a * K + b * (K @ K)
-    return out
+    from scipy.spatial.transform import Rotation as Rotations
+
+    return np.asarray(Rotations.from_rotvec(r).as_matrix(), dtype=np.float64)
 
 
 def to_body_rates(r: Float64Array, r1: Float64Array, r2: Float64Array) -> tuple[Float64Array, Float64Array]:

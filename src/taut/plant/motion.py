@@ -20,7 +20,7 @@ import numpy as np
 from taut.base.paths import subtree
 from taut.base.types import Array, Vector
 from taut.maths import dynamics as dyn
-from taut.maths.adds import compensation
+from taut.maths.dynamics import compensation
 from taut.maths.friction import dry_friction, friction_torque
 from taut.maths.model import Model, PayloadValues, model_of
 from taut.plant.actuation import MotorStep, aim

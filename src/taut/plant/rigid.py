@@ -19,10 +19,9 @@ from taut.base.errors import UsageError
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.maths import dynamics as dyn
-from taut.maths.adds import Adds
 from taut.maths.constraints.constraint import Constraint
 from taut.maths.friction import FRICTION_SWEEPS
-from taut.maths.model import Model, model_of
+from taut.maths.model import Adds, Model, model_of
 from taut.maths.snapshot import Snapshot
 from taut.plant.actuation import Actuation, delayed
 from taut.plant.contact import Contacts, RigidContact, each_contact

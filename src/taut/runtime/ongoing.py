@@ -109,15 +109,7 @@ class OngoingRun(ABC):
 
 
 class FusedRun(OngoingRun):
-    """One run of a Loop.
-
-    Args:
-        loop: The loop.
-        q: (n,) true position at the start.
-        v: (n,) true velocity at the start.
-        seed: Seed of the noise.
-        events: What changes in it.
-    """
+    """One run of a Loop."""
 
     def __init__(self, loop: Loop, q: Float64Array, v: Float64Array, seed: int, events: Schedule) -> None:
         self._loop, self._events = loop, events
@@ -253,18 +245,7 @@ class FusedRun(OngoingRun):
 
 
 class HostedRun(OngoingRun):
-    """One run against a host plant.
-
-    Args:
-        ctrl: The controller; its own memory is not touched.
-        plant: The plant.
-        ref: The reference.
-        ticks: Number of control ticks.
-        q: (n,) true position at the start.
-        v: (n,) true velocity at the start.
-        seed: Seed of the noise.
-        events: What changes in it.
-    """
+    """One run of a controller, whose own memory is not touched, against a plant with a state of its own."""
 
     def __init__(
         self,

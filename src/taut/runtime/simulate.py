@@ -97,30 +97,23 @@ def run(
         (True, True)
     """
     seed = whole_number("seed", seed)
-    if not isinstance(ctrl, (Controller, Loop)):
-        ctrl = _of_task(ctrl, plant)
-    target, reference, length = _what_to_run(ctrl, plant, ref, duration)
-    side, ticks = ctrl.side, round(length * ctrl.side.rate) + 1
+    made, target, reference, length = _what_to_run(ctrl, plant, ref, duration)
+    side, ticks = made.side, round(length * made.side.rate) + 1
     changes = listed(events or ())
     q, v = state_at_start(target.arm, q0, v0)
-    law = side.law.bound(subtree(ctrl.parameters, "law"))  # with the gains of this run
+    law = side.law.bound(subtree(made.parameters, "law"))  # with the gains of this run
     going: FusedRun | HostedRun
-    if isinstance(target, ModelPlant):
-        loop = (
-            ctrl
-            if isinstance(ctrl, Loop)
-            else Loop(ctrl, target, None if ref is None else reference, duration=length)
-        )
-        parameters = _arrays(loop.parameters)
+    if isinstance(made, Loop):
+        parameters = _arrays(made.parameters)
         schedule = Schedule(side, target, parameters, changes, ticks)
-        going = FusedRun(loop, q, v, seed, schedule)
-        stability = _judged(judge_start(loop, target, q, schedule.at(0)), target)
+        going = FusedRun(made, q, v, seed, schedule)
+        stability = _judged(judge_start(made, target, q, schedule.at(0)), target)
     else:
-        assert isinstance(ctrl, Controller)
-        parameters = _arrays({**ctrl.parameters, **target.parameters})
+        assert isinstance(target, PlantBase)
+        parameters = _arrays({**made.parameters, **target.parameters})
         schedule = Schedule(side, target, parameters, changes, ticks)
-        stability = _judged(judge_start(ctrl, target, q, schedule.at(0)), target)
-        going = HostedRun(ctrl, target, reference, ticks, q, v, seed, schedule)
+        stability = _judged(judge_start(made, target, q, schedule.at(0)), target)
+        going = HostedRun(made, target, reference, ticks, q, v, seed, schedule)
     going.tape.unstable = stability.message if stability.stable is False else ""
     going.tape.info = RunInfo(
         rate=side.rate,
@@ -141,7 +134,7 @@ def run(
         versions=versions(),
         around=around_info(target, q, length),
         limits=_limits(side.arm),
-        **_of_tool(law, side, q, ctrl.parameters),
+        **_of_tool(law, side, q, made.parameters),
     )
     return _recorded(going, log, progress)
 
@@ -206,22 +199,6 @@ def _judged(verdict: Judgement | str, plant: Plant) -> Stability:
     return Stability(**verdict.record())
 
 
-def _of_task(task: Sequence[Phase], plant: Plant | None) -> Controller:
-    """The controller of a task, for the arm of a plant.
-
-    Raises:
-        UsageError: No list of phases, or no plant.
-    """
-    if not isinstance(task, (list, tuple)):
-        raise UsageError(
-            "run takes a controller from taut.compile, a taut.Loop, or a list of taut.Phase; got "
-            f"{type(task).__name__}"
-        )
-    if plant is None or not isinstance(plant, (ModelPlant, PlantBase)):
-        raise UsageError("run needs a plant: taut.run([taut.Phase(...)], taut.RigidPlant(arm), duration=5.0)")
-    return compile(task, plant.arm, adds=plant.adds)
-
-
 def _recorded(going: FusedRun | HostedRun, log: str | os.PathLike[str] | None, progress: bool | None) -> Run:
     """Run to the end, with a log file and a bar where they are asked for."""
     from taut.record.log.writing import open_log
@@ -239,25 +216,33 @@ def _recorded(going: FusedRun | HostedRun, log: str | os.PathLike[str] | None, p
 
 
 def _what_to_run(
-    ctrl: Controller | Loop, plant: Plant | None, ref: object, duration: float | None
-) -> tuple[Plant, Reference, float]:
+    ctrl: Controller | Loop | Sequence[Phase], plant: Plant | None, ref: object, duration: float | None
+) -> tuple[Controller | Loop, Plant, Reference, float]:
     if isinstance(ctrl, Loop):
         if plant is not None or ref is not None or duration is not None:
             raise UsageError("a Loop has its plant, reference and duration already; pass run(loop) alone")
-        return ctrl.plant, ctrl.ref, ctrl.duration
-    if plant is None:
-        raise UsageError("run needs a plant: taut.run(ctrl, taut.RigidPlant(arm), ref, duration=5.0)", name="plant")
-    if duration is None:
-        raise UsageError("run needs a duration in seconds: taut.run(..., duration=5.0)", name="duration")
+        return ctrl, ctrl.plant, ctrl.ref, ctrl.duration
+    if not isinstance(ctrl, (Controller, list, tuple)):
+        raise UsageError(
+            "run takes a controller from taut.compile, a taut.Loop, or a list of taut.Phase; got "
+            f"{type(ctrl).__name__}"
+        )
     if not isinstance(plant, (ModelPlant, PlantBase)):
         raise UsageError(
-            f"run takes a plant such as taut.RigidPlant(arm), or a taut.PlantBase; got {type(plant).__name__}",
+            "run needs a plant: taut.run(ctrl, taut.RigidPlant(arm), ref, duration=5.0), or a taut.PlantBase; got "
+            f"{'none' if plant is None else type(plant).__name__}",
             name="plant",
         )
-    check_fit(ctrl.side, plant)
-    require_no_reference(ctrl.side, ref)
+    if duration is None:
+        raise UsageError("run needs a duration in seconds: taut.run(..., duration=5.0)", name="duration")
+    made = ctrl if isinstance(ctrl, Controller) else compile(ctrl, plant.arm, adds=plant.adds)
+    if isinstance(plant, ModelPlant):
+        loop = Loop(made, plant, ref, duration=duration)
+        return loop, plant, loop.ref, loop.duration
+    check_fit(made.side, plant)
+    require_no_reference(made.side, ref)
     reference: Reference = Hold() if ref is None else as_reference(ref)
-    return plant, reference, duration_of_ticks(duration, ctrl.side.dt)
+    return made, plant, reference, duration_of_ticks(duration, made.side.dt)
 
 
 # -------------------------------------------------------------------- what stands around the arm, for films
@@ -270,13 +255,7 @@ PERIOD: Final = 0.02  # [s] between two places of a surface that moves
 
 
 def around_info(plant: AnyPlant, q: Float64Array, duration: float) -> Around:
-    """What stands around the arm.
-
-    Args:
-        plant: The plant.
-        q: (n,) positions at the start [rad | m].
-        duration: [s] of the run.
-    """
+    """What stands around the arm."""
     if isinstance(plant, PlantBase):
         return plant.around()
     return _of_model(plant, q, duration) if isinstance(plant, RigidPlant) else Around()

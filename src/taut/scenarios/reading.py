@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import copy
 import dataclasses
-import difflib
 import inspect
 import os
 import re
@@ -22,7 +21,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 from taut.base.checks import readable_file
-from taut.base.errors import FileError, ScenarioError, TautError, quoted_list
+from taut.base.errors import FileError, ScenarioError, TautError, quoted_list, unknown_name
 from taut.base.fields import Declared, Part
 from taut.trace.pose import Pose
 
@@ -35,7 +34,6 @@ __all__ = [
     "read_toml",
     "reads",
     "shown",
-    "table_of",
     "with_values",
 ]
 
@@ -78,29 +76,14 @@ def read_toml(path: str | Path, label: str = "") -> Table:
         text = file.read_text(encoding="utf-8-sig")  # editors on Windows begin a file with a mark
     except UnicodeDecodeError as cause:
         raise ScenarioError(f"scenario '{file}' is no UTF-8 text ({cause.reason} at byte {cause.start})") from cause
-    return table_of(text, label or str(file), f"scenario '{file}'", file.parent)
-
-
-def table_of(text: str, label: str, what: str, folder: Path = Path()) -> Table:
-    """The root table of a text.
-
-    Args:
-        text: The text.
-        label: What messages about its keys call it.
-        what: What a message calls it that it is no TOML.
-        folder: Where the files lie that it names.
-
-    Raises:
-        ScenarioError: It is no TOML, or none that a scenario could be.
-    """
-    root = Table(label, "", {}, folder)
+    root = Table(label or str(file), "", {}, file.parent)
     dotted = DOTTED.search(TEXT_OR_COMMENT.sub(lambda found: "" if found[0][0] == "#" else "_", text))
     if dotted is not None:  # the parser's time grows with the third power of such a key's length
         raise _too_deep(root, dotted[0].rstrip(". "))
     try:
         root.values = tomllib.loads(text)
     except (ValueError, RecursionError) as cause:  # TOML that is wrong, a number with thousands of digits
-        raise ScenarioError(f"{what} is no valid TOML: {cause}") from cause
+        raise ScenarioError(f"scenario '{file}' is no valid TOML: {cause}") from cause
     _refuse_hostile(root)
     return root
 
@@ -211,10 +194,8 @@ class Table:
             ScenarioError: It is not.
         """
         if key not in self.values:
-            close = difflib.get_close_matches(key, self.values, n=1)
-            hint = f"; is '{close[0]}' meant for it?" if close else ""
             what = what or f"the key '{key}'"
-            raise ScenarioError(f"{self.where} needs {what}{hint}", name=self.below(key))
+            raise ScenarioError(f"{self.where} needs {what}", name=self.below(key))
 
     def only(self, known: Iterable[str]) -> None:
         """Nothing but these keys may be there.
@@ -225,10 +206,8 @@ class Table:
         names = sorted(set(known))
         for key in self.values:
             if key not in names:
-                close = difflib.get_close_matches(key, names, n=1)
-                # All of them: a list that is cut sends the reader to the manual.
-                hint = f"did you mean '{close[0]}'?" if close else f"it takes {quoted_list(names, most=len(names))}"
-                raise ScenarioError(f"{self.where} has no key '{key}'; {hint}", name=self.below(key))
+                text = str(unknown_name(self.where, "key", key, names)).replace("; it has ", "; it takes ")
+                raise ScenarioError(text, name=self.below(key))
 
     # ---------------------------------------------------------------- values
 

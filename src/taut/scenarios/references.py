@@ -25,8 +25,8 @@ from taut.control.trajectories.samples import Chunk
 from taut.control.trajectories.task_reference import Axes, TaskMotion
 from taut.maths.snapshot import Snapshot, snapshot
 from taut.maths.spatial import rotation_exp
-from taut.scenarios.laws import read_law
 from taut.scenarios.reading import Table, arguments, read
+from taut.scenarios.sections import read_law
 from taut.trace.pose import Pose
 from taut.trajectories import (
     Circle,
@@ -49,7 +49,6 @@ POSES: Final = ("pose", "T0", "T1", "T")  # of the tool, which may be "home"
 TOOL_POINTS: Final = ("centre",)  # of the tool
 ROTATIONS: Final = ("xyzw", "wxyz", "rpy", "R")
 FORCES: Final = ("press", "lam", "F_app")  # that a motion applies, as of taut.pressing
-POSE: Final = "{ p = [0.4, 0.0, 0.3], rpy = [3.14, 0.0, 0.0] }"
 HYBRID_MOTION: Final = hybrid_kind(TaskMotion)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from importlib import resources
@@ -15,7 +14,6 @@ import numpy as np
 
 from taut.analysis.comparison import Experiment
 from taut.base.errors import (
-    MODEL_FILES,
     FileError,
     RangeError,
     TautError,
@@ -35,10 +33,9 @@ from taut.loop import check_fit, duration_of_ticks, state_at_start
 from taut.maths.snapshot import snapshot
 from taut.record.metrics import METRICS
 from taut.runtime.events import Event, Schedule
-from taut.scenarios.laws import read_control, read_law
-from taut.scenarios.plants import Plant, Spread, read_arm, read_plant, read_spread
 from taut.scenarios.reading import Table, read, read_toml, shown, with_values
 from taut.scenarios.references import TASK, read_phases, read_reference
+from taut.scenarios.sections import Plant, Spread, read_arm, read_control, read_law, read_plant, read_spread
 
 __all__ = [
     "FILES",
@@ -233,19 +230,13 @@ def scenario_file(name: str) -> Path:
 
     Raises:
         UnknownNameError: There is no such scenario.
-        FileError: It is a file of another kind.
     """
     known = built_in_scenarios()
     if name in known:
         return known[name]
     path = Path(name)
-    if os.path.isdir(path):  # noqa: PTH112  (long names)
-        raise FileError(f"'{path}' is a folder; name a scenario in it, a .toml file", name=str(path))
-    if path.suffix == ".toml" or (path.name != name and not os.path.exists(path)):  # noqa: PTH110
+    if path.suffix or path.name != name:
         return path
-    if os.path.exists(path):  # noqa: PTH110
-        what = "a robot model, which taut check reads" if path.suffix.lower() in MODEL_FILES else "no scenario"
-        raise FileError(f"'{path}' is {what}; a scenario is a .toml file", name=str(path))
     raise unknown_name("taut", "scenario", name, known, hint="or give the path of a .toml file")
 
 
@@ -285,7 +276,8 @@ def load_scenario(
     cases = {case: read_one(table) for case, table in _cases_of(root).items()}
     for case, plant in () if spread is None else spread.plants(root.table("plant")):
         moved = read_plant(plant, whole.experiment.arm, whole.experiment.rate)
-        cases[case] = replace(whole, experiment=replace(whole.experiment, plant=moved))
+        place = replace(whole.experiment, name=f"{root.where}: case '{case}'", plant=moved)
+        cases[case] = replace(whole, experiment=place)
     scenario = replace(whole, cases=cases, spread=spread)
     labels = list(root.table("laws").values) or list(whole.laws)
     for section, table in zip((scenario.outputs, *scenario.figures), (outputs, *figures), strict=True):

@@ -135,87 +135,39 @@ def where(condition: Any, a: Any, b: Any) -> Any:
     return np.where(condition, a, b)[()]
 
 
-def minimum(a: Any, b: Any) -> Any:
-    """The smaller of two, entry by entry; NaN stays NaN."""
-    return np.minimum(_numbers(a), _numbers(b))
-
-
-def maximum(a: Any, b: Any) -> Any:
-    """The larger of two, entry by entry; NaN stays NaN."""
-    return np.maximum(_numbers(a), _numbers(b))
-
-
 def clip(x: Any, low: Any, high: Any) -> Any:
     """x held between low and high; NaN stays NaN."""
     return minimum(high, maximum(low, x))
 
 
-def sign(x: Any) -> Any:
-    """-1, 0 or 1."""
-    return np.sign(_numbers(x))
+# -------------------------------------------------------------------- functions, entry by entry
 
 
-def abs(x: Any) -> Any:
-    """Absolute value."""
-    return np.abs(_numbers(x))
+def _entrywise(ufunc: np.ufunc, doc: str) -> Callable[..., Any]:
+    """A function of NumPy that takes lists with symbols too."""
+
+    def function(*numbers: Any) -> Any:
+        return ufunc(*map(_numbers, numbers))
+
+    function.__doc__ = doc
+    return function
 
 
-def floor(x: Any) -> Any:
-    """The largest whole number that is not above x."""
-    return np.floor(_numbers(x))
-
-
-# -------------------------------------------------------------------- functions
-
-
-def sin(x: Any) -> Any:
-    """Sine."""
-    return np.sin(_numbers(x))
-
-
-def cos(x: Any) -> Any:
-    """Cosine."""
-    return np.cos(_numbers(x))
-
-
-def tan(x: Any) -> Any:
-    """Tangent."""
-    return np.tan(_numbers(x))
-
-
-def asin(x: Any) -> Any:
-    """Inverse sine [rad]."""
-    return np.arcsin(_numbers(x))
-
-
-def acos(x: Any) -> Any:
-    """Inverse cosine [rad]."""
-    return np.arccos(_numbers(x))
-
-
-def atan2(y: Any, x: Any) -> Any:
-    """Angle of the point (x, y) [rad]."""
-    return np.arctan2(_numbers(y), _numbers(x))
-
-
-def sqrt(x: Any) -> Any:
-    """Square root."""
-    return np.sqrt(_numbers(x))
-
-
-def exp(x: Any) -> Any:
-    """e to the power x."""
-    return np.exp(_numbers(x))
-
-
-def log(x: Any) -> Any:
-    """Natural logarithm."""
-    return np.log(_numbers(x))
-
-
-def tanh(x: Any) -> Any:
-    """Hyperbolic tangent."""
-    return np.tanh(_numbers(x))
+minimum = _entrywise(np.minimum, "The smaller of two, entry by entry; NaN stays NaN.")
+maximum = _entrywise(np.maximum, "The larger of two, entry by entry; NaN stays NaN.")
+sign = _entrywise(np.sign, "-1, 0 or 1.")
+abs = _entrywise(np.absolute, "Absolute value.")
+floor = _entrywise(np.floor, "The largest whole number that is not above x.")
+sin = _entrywise(np.sin, "Sine.")
+cos = _entrywise(np.cos, "Cosine.")
+tan = _entrywise(np.tan, "Tangent.")
+asin = _entrywise(np.arcsin, "Inverse sine [rad].")
+acos = _entrywise(np.arccos, "Inverse cosine [rad].")
+atan2 = _entrywise(np.arctan2, "Angle of the point (x, y) from y and x [rad].")
+sqrt = _entrywise(np.sqrt, "Square root.")
+exp = _entrywise(np.exp, "e to the power x.")
+log = _entrywise(np.log, "Natural logarithm.")
+tanh = _entrywise(np.tanh, "Hyperbolic tangent.")
 
 
 # -------------------------------------------------------------------- vectors and matrices

@@ -13,7 +13,7 @@ from taut.base.types import Array, ArrayLike, Float64Array, Rotation, Vector3
 from taut.trace import math as tm
 from taut.trace.array import traced_array
 
-__all__ = ["ROTATION_TOLERANCE", "Pose", "axis_angle", "snapped"]
+__all__ = ["ROTATION_TOLERANCE", "Pose", "axis_angle", "quaternion", "snapped"]
 
 ROTATION_TOLERANCE: Final = 1e-6  # how far R^T R may be from the identity
 QUATERNION_TOLERANCE: Final = 1e-3  # how far the norm may be from 1; inside, it is normalised
@@ -128,7 +128,8 @@ class Pose:
     @property
     def wxyz(self) -> Float64Array:
         """(4,) unit quaternion, scalar first, with w >= 0."""
-        return _to_quaternion(np.asarray(self.R, dtype=np.float64))
+        w, vector = quaternion(np.asarray(self.R, dtype=np.float64))
+        return np.array([w, *vector])
 
     @property
     def xyzw(self) -> Float64Array:
@@ -278,27 +279,19 @@ def _from_rpy(roll: float, pitch: float, yaw: float) -> Float64Array:
     )
 
 
-def _to_quaternion(R: Float64Array) -> Float64Array:
-    # Shepperd: divide by the largest of the four, so that nothing cancels near rotations by pi.
-    four = np.array(
-        [
-            R[0, 0] + R[1, 1] + R[2, 2],
-            R[0, 0] - R[1, 1] - R[2, 2],
-            R[1, 1] - R[0, 0] - R[2, 2],
-            R[2, 2] - R[0, 0] - R[1, 1],
-        ]
-    )
-    k = int(np.argmax(four))
-    big = 0.5 * math.sqrt(max(0.0, 1.0 + four[k]))
-    f = 0.25 / big
-    if k == 0:
-        q = [big, (R[2, 1] - R[1, 2]) * f, (R[0, 2] - R[2, 0]) * f, (R[1, 0] - R[0, 1]) * f]
-    elif k == 1:
-        q = [(R[2, 1] - R[1, 2]) * f, big, (R[0, 1] + R[1, 0]) * f, (R[0, 2] + R[2, 0]) * f]
-    elif k == 2:
-        q = [(R[0, 2] - R[2, 0]) * f, (R[0, 1] + R[1, 0]) * f, big, (R[1, 2] + R[2, 1]) * f]
-    else:
-        q = [(R[1, 0] - R[0, 1]) * f, (R[0, 2] + R[2, 0]) * f, (R[1, 2] + R[2, 1]) * f, big]
-    wxyz = np.array(q)
-    wxyz /= np.linalg.norm(wxyz)
-    return wxyz if wxyz[0] >= 0.0 else -wxyz
+def quaternion(R: Rotation) -> tuple[Any, Vector3]:
+    """Scalar part >= 0 and vector part of a rotation, by Shepperd's method: nothing cancels near pi."""
+    trace = R[0, 0] + R[1, 1] + R[2, 2]
+    d = [trace, *(2.0 * R[i, i] - trace for i in range(3))]
+    x, y, z = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+    xy, xz, yz = R[0, 1] + R[1, 0], R[0, 2] + R[2, 0], R[1, 2] + R[2, 1]
+    rows = [[1.0 + d[0], x, y, z], [x, 1.0 + d[1], xy, xz], [y, xy, 1.0 + d[2], yz], [z, xz, yz, 1.0 + d[3]]]
+    best, chosen = d[0], rows[0]
+    for k in range(1, 4):
+        better = d[k] > best
+        best = tm.where(better, d[k], best)
+        chosen = [tm.where(better, new, old) for new, old in zip(rows[k], chosen, strict=True)]
+    scale = 0.5 / tm.sqrt(1.0 + best)
+    scale = tm.where(chosen[0] < 0.0, -scale, scale)
+    w, a, b, c = (entry * scale for entry in chosen)
+    return w, tm.array([a, b, c])

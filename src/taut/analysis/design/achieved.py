@@ -18,7 +18,7 @@ from taut.control.law import Law
 from taut.control.trajectories.force_reference import TaskForce
 from taut.control.trajectories.reference import JointMotion
 from taut.linear.linear_system import LinearSystem
-from taut.linear.margins import common_delay
+from taut.linear.performance import common_delay
 
 __all__ = ["Achieved", "Limit", "Requirement", "Steps", "force_pole"]
 

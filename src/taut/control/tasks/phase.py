@@ -7,8 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Protocol, TypeAlias, runtime_checkable
 
-import numpy as np
-
 from taut.base.checks import positive_scalar
 from taut.base.errors import UsageError, unknown_name
 from taut.control.combine import all_laws
@@ -31,15 +29,6 @@ class KnowsContact(Protocol):
 
     def touches(self, x: Snapshot) -> Any:
         """Whether the arm is in contact, as a condition."""
-        ...
-
-
-@runtime_checkable
-class MeasuresContact(Protocol):
-    """A law that can state how far it is from contact."""
-
-    def contact_state(self, x: Snapshot) -> str:
-        """Distance, force and their limits, in words."""
         ...
 
 
@@ -138,17 +127,6 @@ class Phase:
         if force is not None:
             holds.append(contact(x, force))
         return functools.reduce(lambda a, b: a & b, holds)
-
-    def contact_state(self, x: Snapshot) -> str:
-        """Why there is no contact, in words with numbers; empty for a guard of the user's."""
-        if callable(self.contact):
-            return ""
-        laws = [law for _, law in all_laws(self.law)]
-        said = [law.contact_state(x) for law in laws if isinstance(law, MeasuresContact)]
-        if self.contact is not None or not any(isinstance(law, KnowsContact) for law in laws):
-            force = CONTACT if self.contact is None else self.contact
-            said.append(f"{np.linalg.norm(x.F_ext[:3]):.3g} N measured, and contact is {force:g} N or more")
-        return ", ".join(said)
 
 
 def named_phases(task: Sequence[Phase]) -> dict[str, Phase]:

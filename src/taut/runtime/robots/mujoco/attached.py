@@ -10,8 +10,7 @@ from taut.arm.description import Arm
 from taut.base.errors import MatchError, RangeError, UsageError, unknown_name
 from taut.base.types import Float64Array
 from taut.maths import dynamics as dyn
-from taut.maths.adds import Adds
-from taut.maths.model import PayloadValues, model_of
+from taut.maths.model import Adds, PayloadValues, model_of
 from taut.plant.actuation import Actuation
 from taut.plant.sensors import Sensors
 from taut.runtime.robots.mujoco.rig import PlantInMujoco, Rig, index, whole_steps

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from taut.arm.description import Arm
 from taut.base.errors import MatchError
 from taut.base.types import Float64Array
-from taut.maths.adds import Adds
+from taut.maths.model import Adds
 from taut.record.info import POSES, Around
 from taut.runtime.host import PlantBase
 
@@ -29,17 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["PRESSED", "Guard", "Index", "Normals", "PlantInMujoco", "Rig", "index", "whole_steps"]
 
 PRESSED: Final = "contact.normal_force"  # column of a run
-MUJOCO_MAX: Final = 1e10  # what MuJoCo itself calls huge, in qpos, qvel, qacc and ctrl
-WAY_OUT: Final = "try smaller gains, a higher rate or a smaller timestep"
-SAID: Final = {
-    "mjWARN_INERTIA": "the mass matrix is singular; a body has no inertia",
-    "mjWARN_CONTACTFULL": "MuJoCo has no room for more contacts; simplify the scene",
-    "mjWARN_CNSTRFULL": "MuJoCo has no room for more constraints; simplify the scene",
-    "mjWARN_BADQPOS": f"a position is not finite; {WAY_OUT}",
-    "mjWARN_BADQVEL": f"a velocity is not finite; {WAY_OUT}",
-    "mjWARN_BADQACC": f"an acceleration is not finite; {WAY_OUT}",
-    "mjWARN_BADCTRL": f"a command is beyond {MUJOCO_MAX:g} or not finite; MuJoCo set every motor to zero; {WAY_OUT}",
-}
+WAY_OUT: Final = "Try smaller gains, a higher rate or a smaller timestep"
 NOTHING = np.zeros(6)
 NOTHING.flags.writeable = False
 
@@ -80,9 +70,6 @@ class Guard:
     """While it is held MuJoCo writes no warnings out, and never puts a diverged simulation back to its start.
 
     A listener that somebody else has set for the warnings stays.
-
-    Args:
-        option: The options of the model.
     """
 
     def __init__(self, option: mujoco.MjOption) -> None:
@@ -106,22 +93,26 @@ class Guard:
 
 
 class Health:
-    """Watches one simulation.
-
-    Args:
-        rig: The arm in the simulation.
-    """
+    """Watches one simulation."""
 
     def __init__(self, rig: Rig) -> None:
         import mujoco
 
-        self._rig = rig
-        self._joint_of = {dof: i for i, dof in enumerate(rig.dofs)}
-        data = rig.data
-        self._acceleration: Float64Array = data.qacc  # views: MuJoCo writes into them
-        self._velocity: Float64Array = data.qvel
-        self._counts: np.ndarray[tuple[int], np.dtype[np.int32]] = data.warning.number
-        self._kinds = [mujoco.mjtWarning(i).name for i in range(len(self._counts))]
+        model, kinds = rig.model, mujoco.mjtWarning
+        self._text, self._warnings = mujoco.mju_warningText, rig.data.warning
+        self._counts: np.ndarray[tuple[int], np.dtype[np.int32]] = rig.data.warning.number  # a view
+        dofs = {dof: i for i, dof in enumerate(rig.dofs)}
+        controls = {
+            int(model.actuator_ctrladr[a]): rig.joints.index(int(model.actuator_trnid[a, 0]))
+            for a in range(model.nactuator)
+            if int(model.actuator_trnid[a, 0]) in rig.joints
+        }
+        self._joint_of: dict[int, dict[int, int]] = {
+            int(kinds.mjWARN_BADQPOS): {int(model.jnt_qposadr[j]): i for i, j in enumerate(rig.joints)},
+            int(kinds.mjWARN_BADQVEL): dofs,
+            int(kinds.mjWARN_BADQACC): dofs,
+            int(kinds.mjWARN_BADCTRL): controls,
+        }  # by the number that MuJoCo gives with the warning
         self.start()
 
     def start(self) -> None:
@@ -132,30 +123,14 @@ class Health:
     def trouble(self) -> tuple[str, int | None] | None:
         """What went wrong in the last step, and the joint of the arm; None if nothing did."""
         # MuJoCo looks for NaN and for what is huge in every step, and counts what it finds.
-        return None if self._counts.tobytes() == self._seen else self._in_words()
-
-    def _in_words(self) -> tuple[str, int | None]:
-        for values, what in ((self._acceleration, "acceleration"), (self._velocity, "velocity")):
-            size = np.where(np.isfinite(values), np.abs(values), np.inf)
-            dof = int(np.argmax(size))
-            if size[dof] >= MUJOCO_MAX:
-                joint = self._joint_of.get(dof)
-                of = "its" if joint is not None else "a body of the scene, not of the arm, went wrong: its"
-                return f"{of} {what} was {values[dof]:.3g}; {WAY_OUT}", joint
-        new = [kind for kind, n, before in zip(self._kinds, self._counts, self._before, strict=True) if n > before]
+        if self._counts.tobytes() == self._seen:
+            return None
+        new = {int(kind): int(self._warnings[kind].lastinfo) for kind in np.flatnonzero(self._counts > self._before)}
         if not new:
             return "somebody put MuJoCo's data back to its start while the run was going on", None
-        joint = self._commanded() if "mjWARN_BADCTRL" in new else None
-        return "; ".join(SAID.get(kind, kind) for kind in new), joint
-
-    def _commanded(self) -> int | None:
-        """The joint of the arm whose motor had the command that MuJoCo did not take."""
-        import mujoco
-
-        model, warning = self._rig.model, self._rig.data.warning[mujoco.mjtWarning.mjWARN_BADCTRL]
-        actuator = int(np.flatnonzero(model.actuator_ctrladr <= warning.lastinfo)[-1])
-        driven = int(model.actuator_trnid[actuator, 0])
-        return self._rig.joints.index(driven) if driven in self._rig.joints else None
+        joints = [self._joint_of.get(kind, {}).get(number) for kind, number in new.items()]
+        words = " ".join(self._text(kind, number).strip() for kind, number in new.items())
+        return f"{words} {WAY_OUT}", next((joint for joint in joints if joint is not None), None)
 
 
 class Wrench:
@@ -233,13 +208,7 @@ def _welded(model: mujoco.MjModel, bodies: set[int]) -> set[int]:
 
 
 class PlantInMujoco(PlantBase):
-    """An arm in a simulation by MuJoCo, ours or the user's.
-
-    Args:
-        rig: The arm in the simulation.
-        name: What messages call it.
-        view: What stands around the arm; None for nothing.
-    """
+    """An arm in a simulation by MuJoCo, ours or the user's."""
 
     def __init__(self, rig: Rig, name: str, view: SceneView | None) -> None:
         import mujoco

@@ -18,8 +18,8 @@ from taut.codegen.kernel import native
 from taut.codegen.loop import StepLoop
 from taut.codegen.program import Block
 from taut.maths import dynamics as dyn
-from taut.maths.adds import Adds, compensation
-from taut.maths.model import Model, PayloadValues, model_of
+from taut.maths.dynamics import compensation
+from taut.maths.model import Adds, Model, PayloadValues, model_of
 from taut.plant.actuation import aim
 from taut.plant.environments.environment import touch
 from taut.plant.parts import PlantParts
@@ -118,11 +118,6 @@ class Follower:
     Closed loop:  in free motion v (where velocities are taken) or q (positions) is that of `aim`, to rounding; a
                   torque outside moves a joint as a spring of stiffness kp M and a damper kd M would
                   A joint at its effort waits: e grows no more, and what it aims at stays with it.
-
-    Args:
-        arm: The arm.
-        takes: "velocity" or "position".
-        model: Its constants, without rotors.
     """
 
     arm: Arm
@@ -183,11 +178,6 @@ class JointStage(Stage):
     MuJoCo knows a dry friction that is the same at rest and in motion. Its limit is given anew before each step, as
     the law says at that speed and load; where it differs with the direction, its middle goes with the motor's torque.
     A joint whose transmission gives way or has play has its rotor here, and gets the torque of spring and teeth.
-
-    Args:
-        rig: The arm in its model, built by us.
-        parts: What the plant is made of. Drives that take velocities or positions have an inner loop, which gives
-            the torque.
     """
 
     def __init__(self, rig: Rig, parts: PlantParts) -> None:
@@ -284,12 +274,7 @@ class JointStage(Stage):
 
 
 class EnvironmentStage(Stage):
-    """An environment that acts at the tool in each of MuJoCo's steps, as generalised forces J^T F.
-
-    Args:
-        rig: The arm in its model, built by us.
-        parts: What the plant is made of, with an environment.
-    """
+    """An environment that acts at the tool in each of MuJoCo's steps, as generalised forces J^T F."""
 
     def __init__(self, rig: Rig, parts: PlantParts) -> None:
         assert parts.environment is not None
@@ -339,12 +324,7 @@ class EnvironmentStage(Stage):
 
 
 class SensorStage(Stage):
-    """What the sensors of an arm give, from what is true.
-
-    Args:
-        arm: The true arm.
-        sensors: Its sensors.
-    """
+    """What the sensors of an arm give, from what is true."""
 
     def __init__(self, arm: Arm, sensors: Sensors) -> None:
         self._sensors, self._model = sensors, model_of(arm)
@@ -355,13 +335,7 @@ class SensorStage(Stage):
         return self._sensors.read(self._model, true, subtree(inputs, "noise"), subtree(parameters, "sensors")), {}
 
     def start(self, seed: int, true: Values, parameters: Values) -> None:
-        """Prepare for a run whose noise comes from this seed: the numbers that a model plant gets too.
-
-        Args:
-            seed: Seed of the run.
-            true: What is true in the first tick, by name.
-            parameters: The plant's parameters by path.
-        """
+        """Prepare for a run whose noise comes from this seed: the numbers that a model plant gets too."""
         self._noise = {name: np.random.default_rng([seed, *name.encode()]) for name in self._shapes}
         still = {name: value if name == "q" else np.zeros_like(value) for name, value in true.items()}
         silence = {f"noise.{name}": np.zeros(shape) for name, shape in self._shapes.items()}
