@@ -132,7 +132,7 @@ class TestChunks:
             ),
             (
                 lambda: taut.chunk([0.0, 0.1], [taut.JointMotion(q=[0.0]), taut.TaskMotion(pose=START)]),
-                "targets must be of one kind and size; q of targets[1] has shape (), not (1,)",
+                "the samples of a reference must be of one kind and size",
             ),
         ],
     )

@@ -318,7 +318,7 @@ class TestStepsThatAreTooLong:
     def test_for_an_inner_loop_that_reads_the_step_before(self) -> None:
         loop = taut.drives.TorqueLoop(kp=1.5)
         message = self.refused(taut.RigidPlant(FREE, actuation=taut.drives.Actuation(torque_loop=loop)))
-        assert "must be below 1 for steps of 0.001 s" in message
+        assert "must be below 1," in message
         fast = taut.RigidPlant(
             FREE, actuation=taut.drives.Actuation(torque_loop=taut.drives.TorqueLoop(kp=3.0), bandwidth=3000.0)
         )
@@ -340,6 +340,6 @@ class TestStepsThatAreTooLong:
         loop = taut.drives.TorqueLoop(kp=4.5)  # a fifth of the torque arrives at once
         plant = taut.RigidPlant(arm, actuation=taut.drives.Actuation(torque_loop=loop))
         assert taut.run(taut.compile(taut.laws.PID(kp=1.0), arm), plant, duration=0.5).outcome.ok
-        assert "must be below 5 for" in self.refused(
+        assert "must be below 5," in self.refused(
             taut.RigidPlant(arm, actuation=taut.drives.Actuation(torque_loop=taut.drives.TorqueLoop(kp=5.5)))
         )

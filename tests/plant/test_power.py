@@ -165,7 +165,6 @@ class TestElectricMotor:
     def test_under_full_voltage_it_runs_up_to_its_no_load_speed(self) -> None:
         arm = taut.load_arm("one_joint").with_gravity([0.0, 0.0, 0.0]).with_joints(viscous=0.0)
         motor = taut.drives.ElectricMotor(torque_constant=0.5, resistance=1.0, inductance=1e-3, voltage=12.0)
-        assert (motor.stall, motor.no_load) == (6.0, 24.0)
         push = taut.compile(taut.laws.PID(kp=1.0), arm)
         run = taut.run(
             push,

@@ -296,7 +296,7 @@ class Rows(Gives):
 
 
 CASES += [
-    (Gives(taut.JointMotion(q=[0.0]), since=0.0095), taut.errors.ShapeError, "the samples of the reference differ in size"),
+    (Gives(taut.JointMotion(q=[0.0]), since=0.0095), taut.errors.ShapeError, "the samples of a reference must be of one kind and size"),
 ]  # fmt: skip
 
 
@@ -325,7 +325,7 @@ def test_a_chunk_of_samples_of_different_sizes_is_refused_when_it_is_made() -> N
     samples = [taut.JointMotion(q=[0.0, 0.0]), taut.JointMotion(q=[0.0])]
     with pytest.raises(taut.errors.ShapeError) as caught:
         taut.chunk([0.0, 1.0], samples)
-    assert caught.value.name == "targets"
+    assert caught.value.name == "ref"
 
 
 def test_an_error_of_the_source_comes_through_as_it_is() -> None:

@@ -249,7 +249,7 @@ def test_what_a_later_phase_follows_is_looked_at_before_the_run_or_where_it_begi
         run(off(seen))
     with pytest.raises(taut.errors.RangeError, match=words):  # also where friction is compensated beside
         run(off(seen), hybrid + taut.laws.FrictionCompensation(at="meas"))
-    with pytest.raises(taut.errors.RangeError, match=r"phase 'slide': lam\[0\] must be <= 0 \[N\]"):
+    with pytest.raises(taut.errors.RangeError, match="phase 'slide': lam must"):
         run(taut.pressing(taut.TaskMotion(pose=T), lam=[3.0]))
     swaying = taut.Constraint.plane(point=T.p, normal=[0.0, 0.0, 1.0], sway=[0.0, 0.0, 0.05], period=2.0)
     level = taut.trajectories.Line(T0=T, T1=taut.Pose(T.p + np.array([0.05, 0.0, 0.0]), R=T.R), duration=0.5)

@@ -25,7 +25,6 @@ __all__ = [
     "read_only",
     "readable_file",
     "require_range",
-    "rounded_up",
     "symmetric",
     "symmetric_psd",
     "vector",
@@ -60,7 +59,7 @@ def _as_floats(name: str, value: ArrayLike, unit: str) -> Float64Array:
     if isinstance(value, (str, bytes)) or value is None:
         raise ShapeError(f"{name} must be numbers{_unit(unit)}; got {value!r}", name=name, value=value)
     try:
-        if _is_masked(value):
+        if isinstance(value, np.ma.MaskedArray) and np.ma.getmaskarray(value).any():
             raise ShapeError(f"{name} has masked entries{_unit(unit)}; fill them: x.filled(...)", name=name)
         raw = np.asarray(value)
         if raw.dtype.kind not in "fiuO" and raw.size:  # no bools, complex numbers, texts, dates, records
@@ -78,11 +77,6 @@ def _as_floats(name: str, value: ArrayLike, unit: str) -> Float64Array:
             name=name,
             value=value,
         ) from cause
-
-
-def _is_masked(value: object) -> bool:
-    subclass = isinstance(value, np.ndarray) and type(value) is not np.ndarray
-    return subclass and isinstance(value, np.ma.MaskedArray) and bool(np.ma.getmaskarray(value).any())
 
 
 def float_array(
@@ -228,19 +222,6 @@ def rate_in_hertz(value: object) -> float:
             rule=">= 1",
         )
     return rate
-
-
-def rounded_up(value: float) -> str:
-    """A lower bound in four digits that keeps it.
-
-    Example:
-        >>> rounded_up(2.50501), rounded_up(2.0), rounded_up(0.0)
-        ('2.506', '2', '0')
-    """
-    if not 0.0 < value < math.inf:
-        return f"{value:g}"
-    digit = 10.0 ** (math.floor(math.log10(value)) - 3)
-    return f"{math.ceil(value / digit * (1.0 - 1e-12)) * digit:.4g}"
 
 
 def symmetric(name: str, matrix: Float64Array, *, unit: str = "") -> float:

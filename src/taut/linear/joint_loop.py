@@ -18,7 +18,6 @@ from taut.base.checks import (
     positive_scalar,
     rate_in_hertz,
     require_range,
-    rounded_up,
     symmetric,
     symmetric_psd,
 )
@@ -160,7 +159,7 @@ def second_order(
     if kd < 0.0:
         least = b / (2.0 * math.sqrt(kp * M)) if kp else math.inf
         raise RangeError(
-            f"zeta must be at least {rounded_up(least)}, which the friction b = {b:g} alone gives with kp = {kp:.4g}"
+            f"zeta must be at least {1.0005 * least:.4g}, which the friction b = {b:g} alone gives with kp = {kp:.4g}"
             f"; got {zeta:.4g}; a larger kp or omega_n allows less",
             name="zeta",
             value=zeta,

@@ -36,7 +36,7 @@ from taut.maths.model import model_of
 from taut.maths.spatial import rotation_exp
 from taut.plant.actuation import Actuation
 from taut.plant.environments.environment import COMMAND, disturbance_shapes
-from taut.plant.environments.hands import Push
+from taut.plant.environments.kinds import Push
 from taut.plant.rigid import RigidPlant
 from taut.plant.sensors import Sensors
 from taut.trace import math as tm

@@ -253,24 +253,6 @@ class ElectricMotor(MotorModel):
         slope: Float64Array = (gear * p["torque_constant"]) ** 2 / p["resistance"]
         return slope
 
-    @property
-    def stall(self) -> Float64Array:
-        """Torque at rest under the full voltage [N m], at the shaft; inf without a limit."""
-        if self.voltage is None:
-            return np.full(np.shape(self.torque_constant), np.inf)
-        stall: Float64Array = (
-            np.asarray(self.torque_constant) * np.asarray(self.voltage) / np.asarray(self.resistance)
-        )
-        return stall
-
-    @property
-    def no_load(self) -> Float64Array:
-        """Speed under the full voltage without torque [rad/s], at the shaft; inf without a limit."""
-        if self.voltage is None:
-            return np.full(np.shape(self.torque_constant), np.inf)
-        no_load: Float64Array = np.asarray(self.voltage) / np.asarray(self.torque_constant)
-        return no_load
-
 
 class TorqueLoop(Declared):
     """An inner loop around the drive that makes the torque behind gear and friction what was asked for.

@@ -378,11 +378,10 @@ def _require_slow_torque_loop(names: Sequence[str], p: Values, share: Float64Arr
         mean = (1.0 - left) / (p["bandwidth"] * steps.dt)
     largest = (1.0 + left) / np.maximum(share * (1.0 + left - 2.0 * mean), 1e-300)
     i = int(np.argmax(kp / largest))
-    if kp[i] < largest[i]:
-        return
-    slower = f"the plant {steps.shorter(2.0)}" if "bandwidth" in p else "the drive a bandwidth"
-    raise RangeError(
-        f"actuation.torque_loop.kp of joint '{names[i]}' must be below {largest[i]:.3g} for steps of {steps.dt:g} "
-        f"s, since the loop reads the torque of the step before; lower it, or give {slower}",
-        name="torque_loop",
+    steps.require(
+        kp[i] / largest[i] + ROUNDING,
+        "torque_loop",
+        f"actuation.torque_loop of joint '{names[i]}' has kp = {kp[i]:.3g}, and must be below {largest[i]:.3g}, "
+        "since the loop reads the torque of the step before",
+        "the loop a lower kp, or the drive a bandwidth",
     )

@@ -12,7 +12,7 @@ from taut.base.errors import RangeError, UsageError
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.lawside import LawSide
 from taut.loop import AnyPlant, LoopParameters
-from taut.plant.environments.hands import Push
+from taut.plant.environments.kinds import Push
 
 __all__ = ["Event", "Schedule", "listed"]
 

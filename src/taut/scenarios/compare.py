@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 from taut.analysis.comparison import Comparison, Experiment, WrongModel, compare_laws
 from taut.analysis.grading import GRADE_TOLERANCE, Grade, grade_law
@@ -85,7 +85,7 @@ def compare(
     """
     if model is not None and not isinstance(model, WrongModel):
         raise UsageError(f"model must be a taut.analysis.WrongModel(mass=0.2), or None; got {model!r}", name="model")
-    experiment, own = _experiment(on, case, parameters, q0, v0, seed)
+    experiment, own = _experiment(on, case, parameters, q0=q0, v0=v0, seed=seed)
     items = _named(own if laws is None else laws, own)
     if experiment is not None and own and all(isinstance(item, Run) for item in items.values()):
         items = _named([*own.items(), *items.items()], own)
@@ -122,7 +122,6 @@ def grade(
     parameters: Mapping[str, ArrayLike] | None = None,
     q0: ArrayLike | None = None,
     v0: ArrayLike | None = None,
-    seed: int | None = None,
 ) -> Grade:
     """A law against a reference law: each figure with pass or fail, and where their commands differ, in which term.
 
@@ -139,7 +138,6 @@ def grade(
         parameters: As of `taut.compare`.
         q0: As of `taut.compare`.
         v0: As of `taut.compare`.
-        seed: As of `taut.compare`.
 
     Raises:
         UsageError: A law that cannot be compiled or does not fit; a reference law whose own run fails.
@@ -150,7 +148,7 @@ def grade(
         >>> graded.ok, graded.wrong_term, round(graded.terms[0].size / graded.terms[0].reference - 3 / 2.205 + 1, 9)
         (False, 'P', 0.0)
     """
-    experiment, own = _experiment(on, case, parameters, q0, v0, seed)
+    experiment, own = _experiment(on, case, parameters, q0=q0, v0=v0)
     if experiment is None:
         raise UsageError("a law is graded on a scenario or a taut.Loop; got none", name="on")
     (mine, student), (other, wanted) = (next(iter(_named([one], own).items())) for one in (law, reference))
@@ -162,23 +160,15 @@ def grade(
 
 
 def _experiment(
-    on: Where | None,
-    case: str | None,
-    parameters: Mapping[str, ArrayLike] | None,
-    q0: ArrayLike | None,
-    v0: ArrayLike | None,
-    seed: int | None,
+    on: Where | None, case: str | None, parameters: Mapping[str, ArrayLike] | None, **changes: Any
 ) -> tuple[Experiment | None, Mapping[str, Law]]:
     """The experiment with what is different in it, and the laws that it has itself."""
     if on is None:
         return None, {}
-    if case is not None and not isinstance(on, (str, Scenario)):
-        raise UsageError("case is for a scenario that has cases; leave it out", name="case")
     laws: Mapping[str, Law] = {}
-    if isinstance(on, Loop):
-        experiment = Experiment.of(on)
-    elif isinstance(on, (str, Scenario)):
+    if isinstance(on, (str, Scenario)):
         scenario = _case_of(load_scenario(on) if isinstance(on, str) else on, case)
+        experiment = scenario.experiment
         laws = {name: law for name, law in scenario.laws.items() if isinstance(law, Law)}
         if len(laws) < len(scenario.laws):
             raise UsageError(
@@ -186,29 +176,24 @@ def _experiment(
                 "runs, taut.load_run('a.mcap').phase(name)",
                 name="on",
             )
-        named = case is None or case in scenario.source
-        name = scenario.source if named else f"{scenario.source}: case '{case}'"
-        experiment = dataclasses.replace(scenario.experiment, name=name)
+    elif isinstance(on, Loop):
+        experiment = Experiment.of(on)
+        if case is not None:
+            raise UsageError("case is for a scenario that has cases; leave it out", name="case")
     else:
         raise UsageError(
             f"laws are compared on a scenario's name, a .toml file or a taut.Loop; got {type(on).__name__}", name="on"
         )
-    changes = {"q0": q0, "v0": v0, "seed": seed}
-    return (
-        dataclasses.replace(
-            experiment,
-            parameters={**experiment.parameters, **(parameters or {})},
-            **{name: value for name, value in changes.items() if value is not None},  # type: ignore[arg-type]
-        ),
-        laws,
-    )
+    given = {name: value for name, value in changes.items() if value is not None}
+    both = {**experiment.parameters, **(parameters or {})}
+    return dataclasses.replace(experiment, parameters=both, **given), laws
 
 
 def _case_of(scenario: Scenario, case: str | None) -> Scenario:
-    if case is None and not scenario.cases:
-        return scenario
     if not scenario.cases:
-        raise UsageError(f"{scenario.source} has no cases; leave case out", name="case")
+        if case is not None:
+            raise UsageError(f"{scenario.source} has no cases; leave case out", name="case")
+        return scenario
     if case is None:
         raise UsageError(f"{scenario.source} has cases; take one of {quoted_list(scenario.cases)}", name="case")
     if case not in scenario.cases:

@@ -49,7 +49,6 @@ POSES: Final = ("pose", "T0", "T1", "T")  # of the tool, which may be "home"
 TOOL_POINTS: Final = ("centre",)  # of the tool
 ROTATIONS: Final = ("xyzw", "wxyz", "rpy", "R")
 FORCES: Final = ("press", "lam", "F_app")  # that a motion applies, as of taut.pressing
-POSE: Final = "{ p = [0.4, 0.0, 0.3], rpy = [3.14, 0.0, 0.0] }"
 HYBRID_MOTION: Final = hybrid_kind(TaskMotion)
 
 

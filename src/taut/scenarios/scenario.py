@@ -276,7 +276,8 @@ def load_scenario(
     cases = {case: read_one(table) for case, table in _cases_of(root).items()}
     for case, plant in () if spread is None else spread.plants(root.table("plant")):
         moved = read_plant(plant, whole.experiment.arm, whole.experiment.rate)
-        cases[case] = replace(whole, experiment=replace(whole.experiment, plant=moved))
+        place = replace(whole.experiment, name=f"{root.where}: case '{case}'", plant=moved)
+        cases[case] = replace(whole, experiment=place)
     scenario = replace(whole, cases=cases, spread=spread)
     labels = list(root.table("laws").values) or list(whole.laws)
     for section, table in zip((scenario.outputs, *scenario.figures), (outputs, *figures), strict=True):

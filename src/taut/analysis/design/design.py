@@ -32,8 +32,7 @@ from taut.loop import Loop
 from taut.maths.model import Adds
 from taut.maths.snapshot import Snapshot, snapshot
 from taut.plant.actuation import Actuation
-from taut.plant.environments.hands import Push
-from taut.plant.environments.springs import Spring
+from taut.plant.environments.kinds import Push, Spring
 from taut.plant.rigid import RigidPlant
 
 if TYPE_CHECKING:

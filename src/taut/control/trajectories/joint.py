@@ -12,7 +12,7 @@ from taut.base.errors import NumericalError, ShapeError, missing_extra
 from taut.base.fields import Field
 from taut.base.types import Float64Array
 from taut.control.trajectories.reference import JointMotion
-from taut.control.trajectories.samples import sample_times
+from taut.control.trajectories.samples import Sampled, stated_times
 from taut.control.trajectories.timing import MAX_OF_MOTION, Motion, ScalingKind, Timing
 
 __all__ = ["Cubic", "JerkLimited", "Quintic", "Sine", "Spline", "Trapezoidal"]
@@ -206,7 +206,7 @@ class JerkLimited(JointTrajectory):
         return JointMotion.of({"q": q, "v": v, "a": a})
 
 
-class Spline(Motion[JointMotion]):
+class Spline(Sampled[JointMotion]):
     """A cubic spline through points, at rest at both ends; position, velocity and acceleration are continuous.
 
     Args:
@@ -214,7 +214,7 @@ class Spline(Motion[JointMotion]):
         points: (k, n) joint positions [rad | m].
     """
 
-    times: Field = Field(unit="s", shape="k", convert=sample_times)
+    times: Field = stated_times()
     points: Field = Field(unit=POSITION, shape=("k", "n"), minimum=-MAX_OF_MOTION, maximum=MAX_OF_MOTION)
 
     def check(self) -> None:
@@ -224,11 +224,6 @@ class Spline(Motion[JointMotion]):
             rule = f"must have a row for each time, and two at least; got {len(self.points)} for {len(self.times)}"
             self.refuse("points", f"{rule} times", ShapeError)
         self.__dict__["_spline"] = CubicSpline(self.times, self.points, bc_type="clamped")
-
-    @property
-    def duration(self) -> float:
-        """Time of the last point [s]."""
-        return float(self.times[-1])
 
     def rows(self, times: Float64Array) -> JointMotion:
         t = np.clip(times, self.times[0], self.times[-1])

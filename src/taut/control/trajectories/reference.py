@@ -6,7 +6,7 @@ A reference is one of four: a hold, a trajectory with `at(t)`, a stream of sampl
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, TypeAlias, runtime_checkable
 
@@ -33,6 +33,7 @@ __all__ = [
     "hold",
     "rows_of",
     "sample_rows",
+    "stacked",
     "stream",
 ]
 
@@ -255,11 +256,20 @@ def rows_of(motion: Sample | Trajectory, times: Float64Array, kind: type[Sample]
             raise UsageError(f"the law follows {kind.described()}; the reference gives {got}", name="ref")
         if at_once:
             return sample
-    made = type(samples[0])
+    return stacked(samples)
+
+
+def stacked(samples: Sequence[Sample]) -> Sample:
+    """Several samples as one of arrays (k, ...).
+
+    Raises:
+        ShapeError: They are not of one kind and size.
+    """
+    kind = type(samples[0])
     try:
-        return made.of({name: np.stack([getattr(sample, name) for sample in samples]) for name in made.fields(1)})
-    except ValueError as cause:
-        raise ShapeError("the samples of the reference differ in size", name="ref") from cause
+        return kind.of({name: np.stack([getattr(sample, name) for sample in samples]) for name in kind.fields(1)})
+    except (AttributeError, ValueError) as cause:
+        raise ShapeError("the samples of a reference must be of one kind and size", name="ref") from cause
 
 
 def sample_rows(

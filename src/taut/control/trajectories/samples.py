@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property
+from collections.abc import Callable, Sequence
 from io import StringIO
 from typing import Any, Final
 
@@ -14,12 +13,12 @@ from taut.base.checks import finite_array, readable_file
 from taut.base.errors import FileError, RangeError, ShapeError, TautError
 from taut.base.fields import Field, Parts
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.trajectories.reference import JointMotion, Sample
+from taut.control.trajectories.reference import JointMotion, Sample, stacked
 from taut.control.trajectories.task_reference import TaskMotion, differences, rotated_rows
-from taut.control.trajectories.timing import MAX_OF_MOTION, Motion
+from taut.control.trajectories.timing import MAX_OF_MOTION, Motion, S
 from taut.trace.pose import Pose
 
-__all__ = ["Chunk", "Samples", "TaskSamples", "chunk", "sample_times"]
+__all__ = ["Chunk", "Sampled", "Samples", "TaskSamples", "chunk", "stated_times"]
 
 MIN_SAMPLE_GAP: Final = 1e-12  # [s]
 MAX_CSV_BYTES: Final = 32 * 2**20  # half a million samples of an arm
@@ -47,7 +46,17 @@ def sample_times(times: ArrayLike) -> Float64Array:
     return t
 
 
-def _times() -> Field:
+class Sampled(Motion[S]):
+    """Base of motions by samples at stated `times`."""
+
+    @property
+    def duration(self) -> float:
+        """Time of the last sample [s]."""
+        return float(self.__dict__["times"][-1])
+
+
+def stated_times() -> Field:
+    """The field `times` of a motion by samples."""
     return Field(unit="s", shape="k", minimum=-MAX_OF_MOTION, maximum=MAX_OF_MOTION, convert=sample_times)
 
 
@@ -55,7 +64,7 @@ def _table(unit: str, *, optional: bool = False) -> Field:
     return Field(unit=unit, shape=("k", "n"), minimum=-MAX_OF_MOTION, maximum=MAX_OF_MOTION, optional=optional)
 
 
-class Samples(Motion[JointMotion]):
+class Samples(Sampled[JointMotion]):
     """Recorded or computed samples of joints, linear in between.
 
     Args:
@@ -69,7 +78,7 @@ class Samples(Motion[JointMotion]):
         [1.0]
     """
 
-    times: Field = _times()
+    times: Field = stated_times()
     q: Field = _table("rad | m")
     v: Field = _table("rad/s | m/s", optional=True)
     a: Field = _table("rad/s^2 | m/s^2", optional=True)
@@ -98,11 +107,6 @@ class Samples(Motion[JointMotion]):
         letters = dict.fromkeys(word[0] for word in header[1:])
         parts = {letter: table[:, 1 + k * n : 1 + (k + 1) * n] for k, letter in enumerate(letters)}
         return cls(times=table[:, 0], **parts)
-
-    @property
-    def duration(self) -> float:
-        """Time of the last sample [s]."""
-        return float(self.times[-1])
 
     def rows(self, times: Float64Array) -> JointMotion:
         return JointMotion.of(JointMotion.between(times, self.times, {"q": self.q, "v": self.v, "a": self.a}))
@@ -134,7 +138,7 @@ EASE: Final = np.polynomial.Polynomial((0.0, 0.0, 3.0, -3.0, 1.0))  # from rest 
 REST_TO_REST: Final = np.polynomial.Polynomial((0.0, 0.0, 3.0, -2.0))
 
 
-class TaskSamples(Motion[TaskMotion]):
+class TaskSamples(Sampled[TaskMotion]):
     """Poses at stated times. Before the first it rests there, after the last there.
 
     Positions are a cubic spline and orientations a rotation spline with continuous acceleration (SciPy's
@@ -151,7 +155,7 @@ class TaskSamples(Motion[TaskMotion]):
         UsageError: Something that is no pose.
     """
 
-    times: Field = _times()
+    times: Field = stated_times()
     poses: Parts[tuple[Pose, ...]] = Parts(Pose)  # type: ignore[arg-type]  # a tuple of them
 
     def check(self) -> None:
@@ -187,11 +191,6 @@ class TaskSamples(Motion[TaskMotion]):
             except TautError as cause:
                 raise FileError(f"{path}, sample {number}: {cause}", name=str(path)) from cause
         return cls(times=table[:, 0], poses=poses)
-
-    @property
-    def duration(self) -> float:
-        """Time of the last sample [s]."""
-        return float(self.times[-1])
 
     def rows(self, times: Float64Array) -> TaskMotion:
         t = np.clip(times, self.times[0], self.times[-1])
@@ -234,37 +233,26 @@ def _task_columns(header: Sequence[str]) -> list[str]:
 # -------------------------------------------------------------------- chunks
 
 
-class Chunk(Motion[Sample]):
+class Chunk(Sampled[Sample]):
     """A few future samples with their times, as a learned policy emits them; made by `taut.chunk`.
 
     Between joint motions it is linear in each number, between task motions a smooth motion through their poses,
     twists and accelerations. Before its first time it rests at its first position, after its last time at its last.
     """
 
-    times: Field = _times()  # from the moment it starts
+    times: Field = stated_times()  # from the moment it starts
     samples: Parts[tuple[Sample, ...]] = Parts(Sample)  # type: ignore[arg-type]  # a tuple of them
 
     def check(self) -> None:
         if len(self.samples) != len(self.times):
             rule = f"must have one sample for each time; got {len(self.samples)} for {len(self.times)} times"
             self.refuse("targets", rule, ShapeError)
-        first = self.samples[0]
-        for k, sample in enumerate(self.samples):
-            for name in type(first).fields(1):
-                got, shape = np.shape(getattr(sample, name, 0.0)), np.shape(getattr(first, name))
-                if got != shape:
-                    rule = f"must be of one kind and size; {name} of targets[{k}] has shape {got}, not {shape}"
-                    self.refuse("targets", rule, ShapeError)
+        self.__dict__["_knots"] = stacked(self.samples)
 
     def rows(self, times: Float64Array) -> Sample:
-        kind = type(self.samples[0])
-        return kind.of(kind.between(times, self.times, self._knots))
-
-    @cached_property
-    def _knots(self) -> Mapping[str, Float64Array]:
-        """Each field at the times of the chunk (m, ...)."""
-        names = type(self.samples[0]).fields(1)
-        return {name: np.stack([getattr(sample, name) for sample in self.samples]) for name in names}
+        kind, knots = type(self.samples[0]), self.__dict__["_knots"]
+        table = {name: getattr(knots, name) for name in kind.fields(1)}
+        return kind.of(kind.between(times, self.times, table))
 
 
 def chunk(times: ArrayLike, targets: Sequence[Sample] | Sequence[Pose] | ArrayLike) -> Chunk:

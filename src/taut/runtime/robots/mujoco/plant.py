@@ -130,7 +130,7 @@ class MujocoPlant(PlantInMujoco):
         sensors: Sensors | None = None,
         environment: Environment | None = None,
     ) -> None:
-        what = adds = Adds.of(adds)
+        adds = Adds.of(adds)
         self.given = {name: value for name, value in locals().items() if name not in ("self", "arm", "__class__")}
         for name, value in (("friction", friction), ("limits", limits)):
             if value not in ("arm", None):
@@ -172,8 +172,8 @@ class MujocoPlant(PlantInMujoco):
         ):
             self._stage = JointStage(rig, numbers)
         self._touching = None if environment is None else EnvironmentStage(rig, numbers)
-        adds_torque = (what.gravity or what.coriolis) and self._stage is None
-        self._compensation = Compensation(arm, what) if adds_torque else None
+        adds_torque = (adds.gravity or adds.coriolis) and self._stage is None
+        self._compensation = Compensation(arm, adds) if adds_torque else None
         self._link, self._readings = LinkTorque(rig), SensorStage(arm, seen)
         self._ctrl = rig.data.ctrl
         motors = (rig.model.actuator(name).id for name in arm.joint_names)
