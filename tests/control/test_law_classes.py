@@ -225,7 +225,7 @@ SLIPS: dict[str, tuple[Any, str]] = {
     ),
     "memory that is no dict": (
         with_memory(lambda x, memory: (Torque(P=x.q), None)),
-        r"^L\.command must return its memory as a dict by name, with the command; got NoneType$",
+        r"^L\.command must return a taut\.Torque, .* and a dict of memory; got Torque and NoneType$",
     ),
     "memory that is no number": (
         with_memory(lambda x, memory: (Torque(P=x.q), {"z": None})),
