@@ -229,7 +229,7 @@ SLIPS: dict[str, tuple[Any, str]] = {
     ),
     "memory that is no number": (
         with_memory(lambda x, memory: (Torque(P=x.q), {"z": None})),
-        r"^z must be numbers in a rectangular array; got None$",
+        r"^law\.z must be numbers in a rectangular array; got None$",
     ),
     "memory that changes its shape": (
         with_memory(lambda x, memory: (Torque(P=x.q), {"z": np.zeros(2 if np.shape(memory.z) == (3,) else 3)})),
