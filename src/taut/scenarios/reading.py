@@ -87,7 +87,7 @@ def _too_deep(root: Table, place: str) -> ScenarioError:
 
 
 def _refuse_hostile(root: Table) -> None:
-    """What no scenario has, and what would not fit into any message."""
+    """Refuse values that no scenario has, or that would not fit into any message."""
     waiting: list[tuple[tuple[str, ...], Any]] = [((), root.values)]
     while waiting:
         path, value = waiting.pop()
@@ -282,7 +282,7 @@ def _merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _names(value: object, name: str) -> bool:
-    """Whether a value is a name, or has it among others."""
+    """True where a value is a name, or has it among others."""
     return value == name if isinstance(value, str) else isinstance(value, (list, dict)) and name in value
 
 
@@ -320,7 +320,7 @@ Reader = Callable[[Table, str], Any]
 
 
 class Argument(NamedTuple):
-    """What a class or function takes by a name."""
+    """An argument of a class or function."""
 
     required: bool
     part: type | None  # class of the object that a table describes
@@ -342,7 +342,7 @@ def reads(kind: type) -> Callable[[Reader], Reader]:
 
 
 def arguments(kind: Callable[..., Any]) -> Mapping[str, Argument]:
-    """What a class or function takes, by name."""
+    """The arguments of a class or function, by name."""
     if inspect.ismethod(kind):
         return dict(list(_arguments(kind.__func__).items())[1:])
     return _arguments(kind)

@@ -181,7 +181,7 @@ class Trial(NamedTuple):
 
     @property
     def label(self) -> str:
-        """What a message calls it."""
+        """Its name in messages."""
         return f"{self.case}: {self.law}" if self.case else self.law
 
 
@@ -201,7 +201,7 @@ class Scenario:
 
     @property
     def trials(self) -> dict[Trial, Scenario]:
-        """What is run: every law in every case."""
+        """The runs: every law in every case."""
         places = self.cases or {"": self}
         return {Trial(case, law): place for case, place in places.items() for law in self.laws}
 
