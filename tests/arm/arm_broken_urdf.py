@@ -810,14 +810,14 @@ CASES: list[Case] = [
         title="a file that is cut off",
         text=DUO[:700],
         problems=[
-            ("m.urdf", "XML", 24, "the file ends inside <joint>; it is cut off"),
+            ("m.urdf", "XML", 24, "not well-formed XML inside <joint>: unclosed token"),
         ],
     ),
     Case(
         title="a file that is cut off in a tag",
         text=DUO[:735],
         problems=[
-            ("m.urdf", "XML", 26, "the file ends inside <robot>; it is cut off"),
+            ("m.urdf", "XML", 26, "not well-formed XML inside <robot>: unclosed token"),
         ],
     ),
     Case(
@@ -825,7 +825,7 @@ CASES: list[Case] = [
         old='    </inertial>\n  </link>\n  <link name="fore">',
         new='  </link>\n  <link name="fore">',
         problems=[
-            ("m.urdf", "XML", 9, "<inertial> is closed by another tag"),
+            ("m.urdf", "XML", 9, "not well-formed XML inside <inertial>: mismatched tag"),
         ],
     ),
     Case(
@@ -840,7 +840,7 @@ CASES: list[Case] = [
         old='<mass value="2.0"/>',
         new='<mass value="2.0" value="3.0"/>',
         problems=[
-            ("m.urdf", "XML", 7, "an element inside <inertial> has the same attribute twice; delete one"),
+            ("m.urdf", "XML", 7, "not well-formed XML inside <inertial>: duplicate attribute"),
         ],
     ),
     Case(
@@ -848,7 +848,7 @@ CASES: list[Case] = [
         old='name="duo"',
         new='name="this & that"',
         problems=[
-            ("m.urdf", "XML", 2, "a character that XML does not allow: a stray < or &, or bytes that are not UTF-8"),
+            ("m.urdf", "XML", 2, "not well-formed XML: not well-formed (invalid token)"),
         ],
     ),
     Case(
@@ -856,12 +856,7 @@ CASES: list[Case] = [
         old='<link name="tool"/>',
         new='<link name="tool"/>&tool;',
         problems=[
-            (
-                "m.urdf",
-                "XML",
-                17,
-                "an entity inside <robot> is not defined; robot models need none: write the text itself",
-            ),
+            ("m.urdf", "XML", 17, "not well-formed XML inside <robot>: undefined entity"),
         ],
     ),
     Case(

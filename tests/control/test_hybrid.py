@@ -447,9 +447,9 @@ def squared(T: Pose) -> Any:
             "constraint must have up to 12 rows; it has 14",
         ),
         (
-            lambda: taut.compile(HybridMotionForce(constraint=FLOOR, motion=motion(), kfp=0.5, kfi=3000.0), ARM),
+            lambda: taut.compile(HybridMotionForce(constraint=FLOOR, motion=motion(), kfp=0.5, kfi=3300.0), ARM),
             taut.errors.RangeError,
-            r"kfi / \(1 \+ kfp\) must be below twice the rate, 2000 \[1/s\]",
+            r"kfi / \(1 \+ kfp\) must be <= 2000 \[1/s\], twice the rate",
         ),
         (
             lambda: stepped(lambda T: tm.array([T.p[2] - 0.4, T.p[2] - 0.4 + 1e-5 * T.p[0]]), FLOOR_REF),

@@ -378,7 +378,7 @@ class Arm:
         References:
             Lynch and Park, Modern Robotics (2017), sections 3.3.2, 8.2 and 8.3.
         """
-        from taut.arm.loaders.screws import arm_from_screws
+        from taut.arm.loaders.memory import arm_from_screws
 
         return arm_from_screws(cls, Mlist, Glist, Slist, gravity, name)
 

@@ -17,7 +17,7 @@ from taut.base.types import ArrayLike
 from taut.trace.pose import Pose
 
 if TYPE_CHECKING:
-    from taut.arm.loaders.pinocchio import PinocchioModel
+    from taut.arm.loaders.memory import PinocchioModel
 
 __all__ = ["arm_of", "load_arm", "open_model"]
 
@@ -146,7 +146,7 @@ def open_model(model: str | os.PathLike[str] | PinocchioModel) -> Tree:
         raise UsageError("model is an Arm already; its methods (with_tool, mounted, subset, ...) give changed copies")
     if not isinstance(model, (str, os.PathLike)):
         if hasattr(model, "jointPlacements"):
-            from taut.arm.loaders.pinocchio import pinocchio_tree
+            from taut.arm.loaders.memory import pinocchio_tree
 
             return pinocchio_tree(model)
         raise UsageError(f"model must be a name or a path; got {type(model).__name__}", name="model")

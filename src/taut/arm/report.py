@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final, TypeAlias
 
 from taut.arm.builtin import BUILT_IN
 from taut.arm.catalogue import CATALOGUE, is_installed
-from taut.arm.description import BASE, Arm, CommandKind, Joint
+from taut.arm.description import Arm, CommandKind, Joint
 from taut.arm.friction import FRICTION_FIELDS
 from taut.arm.load import arm_of, open_model
 from taut.arm.loaders.tree import Tree
@@ -18,12 +18,22 @@ from taut.arm.parts import COMMANDS
 from taut.arm.reach import reach
 from taut.arm.rules import model_doubts
 from taut.base.errors import ModelError, Problem, TautError, UsageError, count_of, quoted_list
+from taut.base.result import Table
 from taut.base.types import Float64Array
 
 __all__ = ["ArmRow", "CheckReport", "arm_rows", "check_model", "joint_table"]
 
 MORE_OF_JOINTS: Final = (*FRICTION_FIELDS[2:], "gear")  # shown in the table where a joint has it
-WORDS: Final = {"stribeck_shape": "shape"}
+NUMBERS: Final = {  # of a joint, by their names in JSON: field, and head of the column
+    "lower": ("lower", "lower"),
+    "upper": ("upper", "upper"),
+    "velocity": ("velocity", "speed"),
+    "effort": ("effort", "effort"),
+    "damping": ("viscous", "damping"),
+    "friction": ("coulomb", "friction"),
+    **{name: (name, name.replace("stribeck_shape", "shape").replace("_", " ")) for name in MORE_OF_JOINTS},
+    "rotor_inertia": ("rotor_inertia", "rotor"),
+}
 
 Json: TypeAlias = "str | float | bool | list[Json] | dict[str, Json] | None"
 
@@ -34,7 +44,7 @@ class CheckReport:
 
     name: str
     problems: tuple[Problem, ...] = ()
-    opened: Tree | None = None
+    tree: Tree | None = None
     arm: Arm | None = None
     notes: tuple[str, ...] = field(default=())
 
@@ -45,6 +55,7 @@ class CheckReport:
 
     def json(self) -> dict[str, Json]:
         """The report as plain values; None stands for "no limit" and for what is not known."""
+        arm, tree = self.arm, self.tree
         return {
             "ok": self.ok,
             "name": self.name,
@@ -52,31 +63,40 @@ class CheckReport:
                 {"object": p.object, "attribute": p.attribute, "line": p.line, "message": p.message}
                 for p in self.problems
             ],
-            "source": self._source(),
+            "source": None if tree is None else tree.source,
             "joints": [_joint_json(joint) for joint in self._joints()],
-            "locked": {} if self.opened is None else dict(self.opened.locked),
-            "bodies": [] if self.arm is None else _bodies_json(self.arm),
-            "frames": [] if self.arm is None else _frames_json(self.arm),
-            "tool": None if self.arm is None else self.arm.tool,
-            "home": None if self.arm is None else _floats(self.arm.home),
-            "gravity": None if self.arm is None else _floats(self.arm.gravity),
-            "commands": [] if self.arm is None else list(self.arm.commands),
-            "total_mass": None if self.arm is None else self.arm.total_mass,
-            "reach": None if self.arm is None else _finite(reach(self.arm)),
+            "locked": {} if tree is None else dict(tree.locked),
+            "bodies": [] if arm is None else _bodies_json(arm),
+            "frames": [] if arm is None else _frames_json(arm),
+            "tool": None if arm is None else arm.tool,
+            "home": None if arm is None else arm.home.tolist(),
+            "gravity": None if arm is None else arm.gravity.tolist(),
+            "commands": [] if arm is None else list(arm.commands),
+            "total_mass": None if arm is None else arm.total_mass,
+            "reach": None if arm is None else _finite(reach(arm)),
             "notes": list(self.notes),
         }
 
     def text(self) -> str:
         """The report for people."""
-        return "\n".join(_text(self))
-
-    def _source(self) -> str | None:
-        return None if self.opened is None else self.opened.source
+        joints = self._joints()
+        tool = "" if self.arm is None else f", tool '{self.arm.tool}'"
+        lines = [f"{self.name}: {count_of(len(joints), 'joint')}{tool}" if joints else self.name]
+        if self.tree is not None:
+            lines.append(f"read from {self.tree.source}")
+        if joints:
+            lines += ["", str(joint_table(joints))]
+        if self.arm is not None and self.tree is not None:
+            lines += _arm_text(self.arm, self.tree)
+        if self.notes:
+            lines += ["", *(f"note: {note}" for note in self.notes)]
+        lines += ["", "no problems" if self.ok else count_of(len(self.problems), "problem")]
+        return "\n".join([*lines, *(f"  {problem}" for problem in self.problems)])
 
     def _joints(self) -> Sequence[Joint]:
         if self.arm is not None:
             return self.arm.joints
-        return () if self.opened is None else tuple(self.opened.movable.values())
+        return () if self.tree is None else tuple(self.tree.movable.values())
 
 
 def check_model(model: str | os.PathLike[str]) -> CheckReport:
@@ -101,11 +121,11 @@ def check_model(model: str | os.PathLike[str]) -> CheckReport:
             arm = arm_of(opened, tool=str(ask.value))
     except TautError as wrong:
         return CheckReport(
-            name=opened.name, problems=_problems_of(wrong, opened.name), opened=opened, notes=tuple(opened.notes)
+            name=opened.name, problems=_problems_of(wrong, opened.name), tree=opened, notes=tuple(opened.notes)
         )
     doubts = () if name in BUILT_IN else model_doubts(arm)  # the chapter's own links are as light as it draws them
     said = (*notes, *arm.notes, *_without_rotors(arm), *doubts)
-    return CheckReport(name=arm.name, opened=opened, arm=arm, notes=said)
+    return CheckReport(name=arm.name, tree=opened, arm=arm, notes=said)
 
 
 def _without_rotors(arm: Arm) -> tuple[str, ...]:
@@ -127,15 +147,11 @@ def _problems_of(wrong: TautError, name: str) -> tuple[Problem, ...]:
     return (Problem(object=name, attribute=None, message=str(wrong)),)
 
 
-# -------------------------------------------------------------------- as values
+# -------------------------------------------------------------------- as values and as text
 
 
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
-
-
-def _floats(array: Float64Array) -> list[Json]:
-    return [float(value) for value in array]
+def _finite(value: float | None) -> float | None:
+    return None if value is None or not math.isfinite(value) else float(value)
 
 
 def _joint_json(joint: Joint) -> dict[str, Json]:
@@ -143,15 +159,8 @@ def _joint_json(joint: Joint) -> dict[str, Json]:
         "name": joint.name,
         "type": joint.kind,
         "unit": joint.unit,
-        "axis": _floats(joint.axis),
-        "lower": _finite(joint.lower),
-        "upper": _finite(joint.upper),
-        "velocity": _finite(joint.velocity),
-        "effort": _finite(joint.effort),
-        "damping": _finite(joint.viscous),
-        "friction": _finite(joint.coulomb),
-        **{name: None if (value := getattr(joint, name)) is None else _finite(value) for name in MORE_OF_JOINTS},
-        "rotor_inertia": _finite(joint.rotor_inertia),
+        "axis": joint.axis.tolist(),
+        **{name: _finite(getattr(joint, field)) for name, (field, _) in NUMBERS.items()},
     }
 
 
@@ -160,8 +169,8 @@ def _bodies_json(arm: Arm) -> list[Json]:
         {
             "joint": joint.name,
             "mass": body.mass,
-            "com": _floats(body.com),
-            "inertia": [_floats(row) for row in body.inertia],
+            "com": body.com.tolist(),
+            "inertia": body.inertia.tolist(),
             "links": list(body.links),
         }
         for joint, body in zip(arm.joints, arm.bodies, strict=True)
@@ -169,88 +178,56 @@ def _bodies_json(arm: Arm) -> list[Json]:
 
 
 def _frames_json(arm: Arm) -> list[Json]:
-    return [
-        {"name": frame.name, "joint": None if frame.body == BASE else arm.joint_names[frame.body]}
-        for frame in arm.frames
+    joints = (*arm.joint_names, None)  # of the base, which is the last by its index
+    return [{"name": frame.name, "joint": joints[frame.body]} for frame in arm.frames]
+
+
+def _arm_text(arm: Arm, tree: Tree) -> list[str]:
+    rows = [
+        (joint.name, f"{body.mass:.4g}", _row(body.com), ", ".join(body.links))
+        for joint, body in zip(arm.joints, arm.bodies, strict=True)
     ]
-
-
-# -------------------------------------------------------------------- as text
-
-
-def _text(report: CheckReport) -> Iterator[str]:
-    joints = report._joints()
-    source = report._source()
-    if joints:
-        tool = "" if report.arm is None else f", tool '{report.arm.tool}'"
-        yield f"{report.name}: {count_of(len(joints), 'joint')}{tool}"
-    else:
-        yield report.name
-    if source is not None:
-        yield f"read from {source}"
-    if joints:
-        yield ""
-        yield from joint_table(joints)
-    if report.arm is not None:
-        yield from _arm_text(report.arm, report.opened)
-    if report.notes:
-        yield ""
-        yield from (f"note: {note}" for note in report.notes)
-    yield ""
-    if report.ok:
-        yield "no problems"
-        return
-    yield count_of(len(report.problems), "problem")
-    yield from (f"  {problem}" for problem in report.problems)
-
-
-def _arm_text(arm: Arm, opened: Tree | None) -> Iterator[str]:
-    yield ""
-    cells: list[tuple[str, ...]] = [("moved by", "mass [kg]", "centre of mass [m]", "links")]
-    for joint, body in zip(arm.joints, arm.bodies, strict=True):
-        com = " ".join(f"{c:.4g}" for c in body.com)
-        cells.append((joint.name, f"{body.mass:.4g}", com, ", ".join(body.links)))
-    yield from _table(cells)
-    yield ""
-    if opened is not None and opened.locked:
-        held = (f"'{name}' at {position:g}" for name, position in opened.locked.items())
-        yield f"held still: {', '.join(held)}"
-    yield f"{len(arm.frames)} frames: {', '.join(arm.frame_names)}"
-    yield f"home: {' '.join(f'{q:.4g}' for q in arm.home)}"
-    yield f"gravity: {' '.join(f'{g:g}' for g in arm.gravity)} m/s^2"
+    locked = ", ".join(f"'{name}' at {position:g}" for name, position in tree.locked.items())
     far = reach(arm)
     distance = f"{far:.4g} m" if math.isfinite(far) else "without bound"
-    yield f"moving mass {arm.total_mass:.4g} kg; reach {distance} (tool from the first joint)"
-    yield f"the real arm takes: {', '.join(arm.commands)}"
-
-
-def joint_table(joints: Sequence[Joint]) -> Iterator[str]:
-    """Lines with the limits, friction, gears and rotors of joints; static friction and the like where one has any."""
-    yield from _table(_joint_cells(joints))
-
-
-def _joint_cells(joints: Sequence[Joint]) -> list[tuple[str, ...]]:
-    usual = Joint(name="", kind="revolute")
-    more = [name for name in MORE_OF_JOINTS if any(getattr(joint, name) != getattr(usual, name) for joint in joints)]
-    heads = [WORDS.get(name, name.replace("_", " ")) for name in more]
-    cells: list[tuple[str, ...]] = [
-        ("joint", "type", "axis", "lower", "upper", "speed", "effort", "damping", "friction", *heads, "rotor", "unit")
+    return [
+        "",
+        str(Table(columns=("moved by", "mass [kg]", "centre of mass [m]", "links"), rows=rows)),
+        "",
+        *([f"held still: {locked}"] if locked else []),
+        f"{len(arm.frames)} frames: {', '.join(arm.frame_names)}",
+        f"home: {_row(arm.home)}",
+        f"gravity: {_row(arm.gravity)} m/s^2",
+        f"moving mass {arm.total_mass:.4g} kg; reach {distance} (tool from the first joint)",
+        f"the real arm takes: {', '.join(arm.commands)}",
     ]
-    for joint in joints:
-        numbers = (
-            joint.lower,
-            joint.upper,
-            joint.velocity,
-            joint.effort,
-            joint.viscous,
-            joint.coulomb,
-            *(getattr(joint, name) for name in more),
-            joint.rotor_inertia,
-        )
-        axis = " ".join(f"{a:.4g}" for a in joint.axis)
-        unit = "m, N" if joint.kind == "prismatic" else "rad, N m"
-        cells.append((joint.name, joint.kind, axis, *(_cell(x) for x in numbers), unit))
-    return cells
+
+
+def _row(numbers: Float64Array) -> str:
+    return " ".join(f"{x:.4g}" for x in numbers)
+
+
+def joint_table(joints: Sequence[Joint]) -> Table:
+    """Limits, friction, gears and rotors of joints; static friction and the like where one has any."""
+    usual = Joint(name="", kind="revolute")
+    shown = [
+        (field, head)
+        for name, (field, head) in NUMBERS.items()
+        if name not in MORE_OF_JOINTS or any(getattr(joint, field) != getattr(usual, field) for joint in joints)
+    ]
+    return Table(
+        columns=("joint", "type", "axis", *(head for _, head in shown), "unit"),
+        rows=[
+            (
+                joint.name,
+                joint.kind,
+                _row(joint.axis),
+                *(_cell(getattr(joint, field)) for field, _ in shown),
+                f"{joint.unit}, {joint.effort_unit}",
+            )
+            for joint in joints
+        ],
+    )
 
 
 def _cell(value: float | None) -> str:
@@ -259,12 +236,6 @@ def _cell(value: float | None) -> str:
     if math.isnan(value):
         return "missing"
     return "none" if math.isinf(value) else f"{value:.4g}"
-
-
-def _table(cells: list[tuple[str, ...]]) -> Iterator[str]:
-    widths = [max(len(row[k]) for row in cells) for k in range(len(cells[0]))]
-    for row in cells:
-        yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
 
 
 # -------------------------------------------------------------------- the catalogue

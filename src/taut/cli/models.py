@@ -80,7 +80,7 @@ def _check(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
     from taut.arm.report import check_model
 
     report = check_model(arguments.model)
-    if report.opened is None and not arguments.json:
+    if report.tree is None and not arguments.json:
         with suppress(ModelError):  # a model that is broken has its report; a name without a model ends here
             open_model(arguments.model)
     return Answer(text=report.text(), data=report.json(), status=DONE if report.ok else WRONG)

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 from xml.parsers import expat
-from xml.parsers.expat import errors
 
 from taut.base.checks import readable_file
 from taut.base.errors import ModelError, Problem, printable
@@ -164,18 +163,7 @@ def parse_xml(data: bytes, source: str) -> Element:
 def _not_well_formed(cause: expat.ExpatError, open_tag: str | None) -> str:
     """What expat found, in words."""
     inside = "" if open_tag is None else f" inside <{open_tag}>"
-    code = cause.code
-    if code in (errors.codes[errors.XML_ERROR_NO_ELEMENTS], errors.codes[errors.XML_ERROR_UNCLOSED_TOKEN]):
-        return f"the file ends{inside or ' before its root element is closed'}; it is cut off"
-    if code == errors.codes[errors.XML_ERROR_INVALID_TOKEN]:
-        return f"a character{inside} that XML does not allow: a stray < or &, or bytes that are not UTF-8"
-    if code == errors.codes[errors.XML_ERROR_TAG_MISMATCH]:
-        return f"<{open_tag}> is closed by another tag"
-    if code == errors.codes[errors.XML_ERROR_DUPLICATE_ATTRIBUTE]:
-        return f"an element{inside} has the same attribute twice; delete one"
-    if code == errors.codes[errors.XML_ERROR_UNDEFINED_ENTITY]:
-        return f"an entity{inside} is not defined; robot models need none: write the text itself"
-    return f"not well-formed XML{inside}: {expat.ErrorString(code)}"
+    return f"not well-formed XML{inside}: {expat.ErrorString(cause.code)}"
 
 
 def _refused(source: str, attribute: str, message: str, line: int | None = None) -> ModelError:
