@@ -55,7 +55,7 @@ class ScenarioResult(Result):
 
     @property
     def verdicts(self) -> list[str]:
-        """A sentence for each pass figure and each run that it is about: how it is missed; empty where it is reached."""
+        """A sentence for each pass figure and run that it is about: how it is missed; empty where it is reached."""
         return [
             f"{trial.label}{'' if figure.part is None else f', {figure.part}'}: {text}" if text else ""
             for figure in self.scenario.figures
@@ -191,7 +191,7 @@ def _metrics_by_case(runs: Mapping[Trial, Run]) -> dict[str, Any]:
 
 
 def _shortfall(figure: PassFigure, one: Run) -> str:
-    """Sentence on how a run misses a pass figure: the run, a law beside others, or a phase; empty if it reaches it."""
+    """Sentence on how a pass figure is missed: the run, a law beside others, or a phase; empty if not."""
     if figure.part is not None and one.info.phases:
         if figure.part not in (window.name for window in one.phases):
             return "the phase did not act"
@@ -259,7 +259,7 @@ def _info(scenario: Scenario, trial: Trial) -> ScenarioInfo:
 
 @contextmanager
 def _blamed(scenario: Scenario, trial: Trial) -> Iterator[None]:
-    """Name the place of errors that loading could not see, such as code that cannot be traced or memory that is full."""
+    """Name the place of errors that loading could not see, such as code that cannot be traced or full memory."""
     try:
         yield
     except TautError as cause:
