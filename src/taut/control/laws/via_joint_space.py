@@ -133,7 +133,8 @@ class ViaJointSpace(Law):
         # Towards a limit no faster than the way that is left over the rise; from beyond one only back.
         slowest, fastest = (tm.minimum(arm.lower, q) - q) / RISE, (tm.maximum(arm.upper, q) - q) / RISE
         free = 1.0 - tm.abs(held)
-        forced = tm.where(held > 0.0, fastest, tm.where(held < 0.0, slowest, 0.0))
+        up, down = (tm.where(np.isfinite(x), s, 0.0) for x, s in ((arm.upper, fastest), (arm.lower, slowest)))
+        forced = tm.where(held > 0.0, up, tm.where(held < 0.0, down, 0.0))  # joints without limits are never held
         onward = dt * shortened(memory.v_des + 0.5 * dt * memory.a_des, arm.velocity)
         q_pred = q + tm.clip(onward, dt * slowest, dt * fastest)
         seen = self._seen(x, q_pred, ref, task, free)
