@@ -31,7 +31,7 @@ __all__ = [
 ]
 
 AntiWindup = Literal["clamping", "back-calculation", "none"]
-DAMPING: Final = 1e-5  # of a matrix ki that is inverted, relative to its trace
+TRACE_DAMPING: Final = 1e-5  # of a matrix ki that is inverted, relative to its trace
 
 
 class GainValue(np.lib.mixins.NDArrayOperatorsMixin):
@@ -421,6 +421,6 @@ def solved(ki: GainValue, cut: Vector) -> Vector:
         return out
     size = k.shape[0]
     trace = sum(k[i, i] for i in range(size))
-    damped = k @ k + ((DAMPING * trace) ** 2 + np.finfo(np.float64).tiny) * tm.eye(size)
+    damped = k @ k + ((TRACE_DAMPING * trace) ** 2 + np.finfo(np.float64).tiny) * tm.eye(size)
     inverse: Vector = k @ tm.solve_spd(damped, cut)
     return inverse

@@ -1,4 +1,4 @@
-"""What laws follow in a scenario: [reference], and [[phases]], each with its law, its reference and its guards."""
+"""References of a scenario: [reference], and [[phases]], each with its law, its reference and its guards."""
 
 from __future__ import annotations
 
