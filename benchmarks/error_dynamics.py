@@ -18,6 +18,7 @@ from rich.table import Table
 import taut
 from taut.analysis.loci import bisected
 from taut.base.plot_style import COLOURS, DASHED, INK, SMALL, WIDTH, prepared
+from taut.linear.performance import powers
 
 IMAGES = Path(__file__).parent.parent / "docs" / "images"
 CHAPTER = {"M": 0.5, "b": 0.1}
@@ -58,7 +59,7 @@ def responses(ax: Axes, points: list[float]) -> None:
     dt = 4e-3
     for k, kp in enumerate(points):
         d = joint(kp=kp, kd=10.0)
-        e = d.free_response(400, [1.0, 0.0], dt=dt)[:, d.rows("q[0]")[0]]
+        e = powers(d.C[d.rows("q[0]")[0]], d.zoh(dt).A, 400) @ np.array([1.0, 0.0])
         ax.plot(dt * np.arange(400), e, color=COLOURS[k], linewidth=1.5, label=f"{k + 1}: kp = {kp:.3g}")
     ax.axhline(0.0, color=INK, linewidth=0.6)
     ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK)

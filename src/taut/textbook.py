@@ -26,7 +26,7 @@ from taut.maths.model import model_of
 
 __all__ = ["ComputedTorque", "SimulateControl"]
 
-MAX_STEPS: Final = 100_000  # of intRes
+MAX_INTEGRATION_STEPS: Final = 100_000  # of intRes
 FAR: Final = 1e9  # [rad | m] where no arm is
 
 
@@ -185,7 +185,7 @@ def SimulateControl(
     desired = (("thetamatd", thetamatd), ("dthetamatd", dthetamatd), ("ddthetamatd", ddthetamatd))
     wanted = [length * finite_array(name, value, shape=(N, n)) for name, value in desired]
     F_tip = finite_array("Ftipmat", Ftipmat, shape=(N, 6))
-    intRes = whole_number("intRes", intRes, minimum=1, maximum=MAX_STEPS)
+    intRes = whole_number("intRes", intRes, minimum=1, maximum=MAX_INTEGRATION_STEPS)
     h = positive_scalar("dt", dt, unit="s") / intRes
     ctrl = compile(ComputedTorqueLaw(kp=Kp, ki=Ki, kd=Kd), model, rate=1.0 / dt)
     dynamics = model_of(arm)

@@ -287,7 +287,7 @@ def test_a_text_makes_the_law_that_it_says() -> None:
         "PID(kp=100, kd=20)": laws.PID(kp=100.0, kd=20.0),
         "a: PID(kp=[1, 2])": laws.PID(kp=[1.0, 2.0]),
         "FeedForward() + PID(kp=3)": laws.FeedForward() + laws.PID(kp=3.0),
-        "ViaJointSpace(inner=PID(kp=3), steps=2)": taut.via_joint_space(laws.PID(kp=3.0), steps=2),
+        "ViaJointSpace(inner=PID(kp=3), speed=2)": taut.via_joint_space(laws.PID(kp=3.0), speed=2.0),
         "Impedance(K=(800, 30), zeta=0.7, null=None)": laws.Impedance(K=(800.0, 30.0), zeta=0.7, null=None),
     }.items():
         assert repr(law_of_text(text)[1]) == repr(law)

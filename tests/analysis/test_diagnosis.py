@@ -549,7 +549,7 @@ def test_a_run_that_is_not_whole_is_examined_as_far_as_it_goes() -> None:
 def test_what_is_not_a_run_is_refused() -> None:
     with pytest.raises(taut.errors.UsageError, match=r"doctor takes a Run from taut\.run or taut\.load_run; got str"):
         taut.doctor("run.mcap")  # type: ignore[arg-type]
-    with pytest.raises(taut.errors.MatchError, match="the run is of joints panda_joint1"):
+    with pytest.raises(taut.errors.MatchError, match="arm 'ur10' does not have the joints of the run"):
         taut.doctor(heavy(), arm=taut.load_arm("ur10"))
     with pytest.raises(taut.errors.UsageError, match=r"checks are taut\.analysis\.Check; got function"):
         taut.doctor(heavy(), checks=[too_fast])  # type: ignore[list-item]

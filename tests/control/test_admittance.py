@@ -255,7 +255,7 @@ class TestRefused:
             ({"inner": taut.laws.PID(kp=1.0)}, r"^inner must be a law that follows a TaskMotion, such as .*; PID "
              r"follows a JointMotion$"),
             ({"inner": 3.0}, r"^inner must be a Law; got 3.0$"),
-            ({"tool": "tool0"}, r"^tool must be that of the inner law, which moves the frame of the arm's tool"),
+            ({"tool": "tool0"}, r"^tool must be that of the inner law, which moves the tool of the arm"),
             ({"model": "mine"}, r"^model must be one of 'own', 'measured'; got 'mine'$"),
             ({"frame": "base"}, r"^frame must be one of 'world', 'task', 'tool'; got 'base'$"),
             ({"error_max": 0.1}, r"^error_max must be \(linear, angular\)"),
@@ -268,19 +268,16 @@ class TestRefused:
             taut.laws.Admittance(**{name: value for name, value in given.items() if value is not None})
 
     def test_an_inertia_that_turns_round_within_a_tick(self) -> None:
-        words = (
-            r"^D is too small for 500 Hz: it must be >= B dt / 2 \+ K dt\^2 / 4 in every direction, or the virtual "
-            r"mass turns round within a tick; make it 2 times larger, B and K smaller, or the rate higher$"
-        )
+        words = r"^\(B dt / 2 \+ K dt\^2 / 4\) / D at 500 Hz must be <= 1 .*; got 2$"
         with pytest.raises(taut.errors.RangeError, match=words):
             taut.compile(law("velocity", D=(0.01, 1.0)), UR10, rate=RATE)
         taut.compile(law("velocity", D=(0.0201, 1.0)), UR10, rate=RATE)
         ctrl = taut.compile(law("velocity"), UR10, rate=RATE)
-        with pytest.raises(taut.errors.RangeError, match=r"^D is too small for 500 Hz"):
+        with pytest.raises(taut.errors.RangeError, match=words):
             ctrl.parameters["law.D"] = (0.01, 1.0)
 
     def test_the_chapters_form_where_its_sampled_loop_grows(self) -> None:
-        words = r"^with model='measured' the loop sampled at 1000 Hz grows by the factor 1\.0"
+        words = r"growth in a tick of model='measured' at 1000 Hz must be <= 1"
         with pytest.raises(taut.errors.RangeError, match=words):
             taut.compile(law("torque", model="measured", K=(2000.0, 200.0), B=(0.5, 0.05)), UR10)
 
@@ -292,6 +289,6 @@ class TestRefused:
 
     def test_feedback_that_is_faster_than_the_rate(self) -> None:
         with pytest.raises(
-            taut.errors.RangeError, match=r"^kp must be at most the rate, 500 \[1/s\], with which the error"
+            taut.errors.RangeError, match=r"^kp must be <= 500 \[1/s\], the rate, with which the error"
         ):
             taut.compile(taut.laws.TaskPosition(kp=600.0), UR10, rate=RATE)

@@ -150,12 +150,12 @@ class TestTheTrackingRate:
 
     def test_cannot_be_faster_than_the_rate(self) -> None:
         law = L.PID(kp=1.0, integral=taut.laws.Integral(anti_windup="back-calculation", tracking=300.0))
-        text = "tracking must be <= the rate, 200 [1/s], or the integral oscillates; got 300"
+        text = "tracking must be <= 200 [1/s], or the integral oscillates; got 300"
         with pytest.raises(taut.errors.RangeError) as caught:
             taut.compile(law, ARM, rate=200.0)
         assert str(caught.value) == text
         ctrl = taut.compile(law, ARM, rate=1000.0)
-        with pytest.raises(taut.errors.RangeError, match="<= the rate, 1000"):
+        with pytest.raises(taut.errors.RangeError, match="<= 1000"):
             ctrl.parameters["law.integral.tracking"] = 2000.0
         assert ctrl.parameters["law.integral.tracking"] == 300.0
 

@@ -279,7 +279,7 @@ MESSAGES: Any = [
     (lambda: L.ForceControl(feedback="motor"), "feedback must be one of 'wrench', 'joint_torque', 'none'; got 'motor'"),
     (lambda: L.ForceControl(feedback="none", kfp=0.5), "kfp is for a force that is fed back, and feedback is 'none'; leave it out"),
     (lambda: L.ForceControl(null=L.PID(kp=1.0)), "null must be a law that follows no reference, such as taut.laws.Posture(); PID follows a JointMotion"),
-    (lambda: taut.compile(L.ForceControl(kfi=3000.0), PANDA), "kfi / (1 + kfp) must be below twice the rate, 2000 [1/s], or the force oscillates on any contact; got 3000; a pole of 1 to 20 1/s is usual"),
+    (lambda: taut.compile(L.ForceControl(kfi=3000.0), PANDA), "kfi / (1 + kfp) must be <= 2000 [1/s], twice the rate, or the force oscillates on any contact; a pole of 1 to 20 1/s is usual; got 3000"),
     (lambda: taut.compile(L.ForceControl(tool="panda_link3"), PANDA), "the wrist sensor of 'panda' is at its tool 'panda_hand_tcp', and 'panda_link3' is on another link, of which it knows nothing; control a frame of the tool's link, or load the arm with that tool"),
     (lambda: stepped(L.ForceControl(kfp=0.1), F_ext=F_EXT, F_app=F_EXT), "step takes F_ext or F_app, not both: one is minus the other"),
     (lambda: stepped(L.ForceControl(kfp=0.1)), "step needs F_ext, which the law asks for: pass F_ext= or F_app=; got none"),

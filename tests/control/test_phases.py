@@ -595,7 +595,7 @@ def test_what_is_no_task_is_refused_in_a_sentence() -> None:
         (lambda: [Move(PD, name="my phase")], taut.errors.UsageError, "the name of a phase must be a word of letters, digits and _, as it stands in the paths of gains, and none of stop, phase, next, ticks, ended, begin, lasted; got 'my phase'"),
         (lambda: [Move(PD, name="stop")], taut.errors.UsageError, "the name of a phase must be a word of letters, digits and _, as it stands in the paths of gains, and none of stop, phase, next, ticks, ended, begin, lasted; got 'stop'"),
         (lambda: [Move(PD, until=True)], taut.errors.UsageError, "until must be a function of the snapshot, such as lambda x: taut.guards.contact(x, 2.0); got True"),  # type: ignore[arg-type]
-        (lambda: [Move(PD, tool, name="a")], taut.errors.UsageError, "phase 'a': the law follows JointMotion; the reference is a TaskMotion"),
+        (lambda: [Move(PD, tool, name="a")], taut.errors.UsageError, "phase 'a': the law follows JointMotion; the reference gives TaskMotion"),
         (lambda: [Move(PD, "home", name="a")], taut.errors.UsageError, "a reference is a sample such as taut.JointMotion(q=...), taut.hold(), a trajectory with at(t), taut.stream(...) or taut.chunk(...); got str"),  # type: ignore[arg-type]
         (lambda: [Move(PD, until=lambda x: x.q)], taut.errors.UsageError, "until of phase 'phase1' must give a condition, such as x.F_ext[2] > 2.0; got ndarray"),
         (lambda: [Move(PD, until=lambda x: x.q > 0.0)], taut.errors.ShapeError, "until of phase 'phase1' must give one condition; got an array of shape (3,); combine them with & or |, or compare taut.math.norm(...)"),
@@ -618,7 +618,7 @@ def test_what_is_no_task_is_refused_in_a_sentence() -> None:
         (lambda: taut.run([a], plant, Q, duration=1.0), taut.errors.UsageError, "each phase of a task has its own reference, as in taut.Phase(law, reference); leave ref out"),
         (lambda: taut.run([Move(PD, taut.stream(period=0.1))], plant, duration=1.0), taut.errors.UsageError, "phase 'phase1': a stream in a simulation needs source=, a function that gives the next sample"),
         (lambda: taut.run([Move(PD, lambda x: 7)], plant, duration=1.0), taut.errors.UsageError, "phase 'phase1': a reference is a sample such as taut.JointMotion(q=...), taut.hold(), a trajectory with at(t), taut.stream(...) or taut.chunk(...); got int"),  # type: ignore[arg-type, return-value]
-        (lambda: taut.run([Move(PD, lambda x: tool)], plant, duration=1.0), taut.errors.UsageError, "phase 'phase1': the law follows JointMotion; the reference is a TaskMotion"),
+        (lambda: taut.run([Move(PD, lambda x: tool)], plant, duration=1.0), taut.errors.UsageError, "phase 'phase1': the law follows JointMotion; the reference gives TaskMotion"),
         (lambda: taut.run([Move(PD, lambda x: 1 / 0)], plant, duration=1.0), taut.errors.UsageError, "phase 'phase1': its reference fails: ZeroDivisionError: division by zero"),  # type: ignore[arg-type, return-value]
         (lambda: taut.compile([a], PLANAR).bind(), taut.errors.UsageError, "bind is for a law, whose reference is written from outside; the references of a task are made as its phases begin: take ctrl.step"),
         (lambda: taut.compile(PD, PLANAR).phase, taut.errors.UsageError, "a controller of one law has no phases; compile a list of taut.Phase"),

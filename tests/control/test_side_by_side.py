@@ -126,7 +126,7 @@ def test_references_of_other_names_are_told_with_both_lists(baxter: taut.Arm) ->
     for given, sentence in (
         (
             taut.together(left=still, rihgt=still),
-            "the law follows Together(left=TaskMotion, right=TaskMotion); the reference is a "
+            "the law follows Together(left=TaskMotion, right=TaskMotion); the reference gives "
             "Together(left=TaskMotion, rihgt=TaskMotion)",
         ),
         (

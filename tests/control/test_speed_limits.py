@@ -157,7 +157,7 @@ class TestASpeedLimit:
         x = taut.snapshot(ARM, [0.0, 0.0], [0.5, 0.5])
         tau = ctrl.step([0.0, 0.0], [0.5, 0.5], wanting(x.M @ np.array([50.0, 50.0]) + x.h))
         np.testing.assert_allclose(x.forward_dynamics(tau), 0.0, atol=1e-9)
-        with pytest.raises(taut.errors.RangeError, match=r"limits\.v_gain must be at most the rate, 1000 \[1/s\]"):
+        with pytest.raises(taut.errors.RangeError, match=r"limits\.v_gain must be <= 1000 \[1/s\], the rate"):
             ctrl.parameters["limits.v_gain"] = 1001.0
 
 
@@ -195,7 +195,7 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "v_gain without end": (lambda: Limits(v=1.0, v_gain=np.inf), "v_gain must be finite [1/s]; got inf"),
     "v_gain above the rate": (
         lambda: taut.compile(Asked(), ARM, rate=100.0, limits=Limits(v=1.0, v_gain=[10.0, 200.0])),
-        "limits.v_gain must be at most the rate, 100 [1/s], or a joint would overshoot its speed limit; got 200",
+        "limits.v_gain must be <= 100 [1/s], the rate, or a joint overshoots; got 200",
     ),
     "v of three": (
         lambda: taut.compile(Asked(), ARM, limits=Limits(v=[1.0, 2.0, 3.0])),

@@ -206,7 +206,7 @@ CASES: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (
         lambda: task(null=L.Posture(q=[0.0, 0.0])),
         taut.errors.ShapeError,
-        "q must have shape (7,) (7 joints); got shape (2,)",
+        "null.q must be a number or (7,) [rad | m] for 7 joints; got shape (2,)",
     ),
     (lambda: L.Posture(q=[0.0, np.nan]), taut.errors.RangeError, "q[1] must be finite [rad | m]; got nan"),
     (
@@ -228,7 +228,7 @@ CASES: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (
         lambda: task(integral=taut.laws.Integral(anti_windup="back-calculation", tracking=1e5), ki=1.0),
         taut.errors.RangeError,
-        "tracking must be <= the rate, 1000 [1/s], or the integral oscillates; got 100000",
+        "tracking must be <= 1000 [1/s], or the integral oscillates; got 100000",
     ),
     (
         lambda: step(taut.JointMotion(q=PANDA.home)),

@@ -168,7 +168,7 @@ class TestTheMotionOfTheJoints:
 
     def test_is_the_same_in_native_code_and_in_plain_python(self) -> None:
         arm = taut.load_arm("ur10")
-        law, ref = taut.via_joint_space(LAW, steps=2), Circle(home(arm))
+        law, ref = taut.via_joint_space(LAW), Circle(home(arm))
         native, plain = (taut.compile(law, arm, engine=engine) for engine in ("native", "float"))  # type: ignore[arg-type]
         for k in range(5):
             got, wanted = (c.step(arm.home, np.zeros(6), ref.at(k / RATE)) for c in (native, plain))
@@ -389,9 +389,6 @@ def test_the_record_stands_in_a_log_and_in_runs_of_other_plants(tmp_path: Any) -
          "inner must be a Law; got 'PID'"),
         (lambda: taut.via_joint_space(taut.via_joint_space(LAW)), taut.errors.UsageError,
          "inner must be a law of joint motion, such as ComputedTorque; ViaJointSpace follows a TaskMotion"),
-        (lambda: taut.via_joint_space(LAW, steps=0), taut.errors.UsageError, "steps must be one of 1, .*; got 0"),
-        (lambda: taut.via_joint_space(LAW, steps=1.5), taut.errors.UsageError,  # type: ignore[arg-type]
-         "steps must be one of 1, .*; got 1.5"),
         (lambda: taut.via_joint_space(LAW, directions="six"), taut.errors.UsageError,  # type: ignore[arg-type]
          "directions must be one of 'all', 'pointing', 'position'; got 'six'"),
         (lambda: taut.via_joint_space(LAW, speed=np.eye(7)), taut.errors.ShapeError,

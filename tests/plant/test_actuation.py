@@ -128,7 +128,7 @@ class TestTorqueLoop:
         plant = taut.RigidPlant(self.ARM, actuation=drives, environment=Wall(), substeps=10)
         p = {path: value.copy() if value.ndim else value[()] for path, value in plant.parameters.items()}
         memory = plant.start(np.zeros(1), np.zeros(1), p, 1e-3)
-        for k in range(500):
+        for k in range(150):
             memory = plant.command(np.array([10.0]), memory, k * 1e-3)
             for _ in range(10):
                 memory = plant.advance(memory, p, 1e-4)
@@ -331,7 +331,7 @@ class TestStepsThatAreTooLong:
             p = {path: value.copy() if value.ndim else value[()] for path, value in plant.parameters.items()}
             mild = {**p, "actuation.torque_loop.kp": np.float64(0.1)}  # else the start is refused
             memory = plant.start(np.zeros(1), np.zeros(1), mild, 1e-3)
-            for k in range(2000):
+            for k in range(800):
                 memory = plant.advance(plant.command(np.ones(1), memory, k * 1e-3), p, 1e-3)
             assert bool(abs(memory["tau"][0]) < 10.0) is stable
 

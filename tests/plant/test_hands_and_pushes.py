@@ -29,7 +29,7 @@ def two_masses(m: float, b: float, k: float, grip: float) -> Float64Array:
 
 
 class TestAHandle:
-    @pytest.mark.parametrize(("m", "b", "k"), [(0.5, 0.0, 200.0), (2.0, 15.0, 300.0), (1.0, 4.0, 0.0)])
+    @pytest.mark.parametrize(("m", "b", "k"), [(0.5, 0.0, 200.0), (2.0, 15.0, 300.0)])
     def test_moves_as_two_masses_do(self, m: float, b: float, k: float) -> None:
         """First order: half the error with half the step."""
         A = two_masses(m, b, k, 300.0)
@@ -68,7 +68,7 @@ class TestAHandle:
 
 
 class TestAHand:
-    @pytest.mark.parametrize("frequency", [0.5, 1.0, 2.5])
+    @pytest.mark.parametrize("frequency", [0.5, 2.5])
     @pytest.mark.parametrize("what", ["motion", "force"])
     def test_drives_the_arm_at_the_amplitude_of_the_closed_form(self, what: str, frequency: float) -> None:
         m, b, k = 1.0, 20.0, 300.0

@@ -237,7 +237,7 @@ class TestPlay:
             return [v, pull / M, v_m, (-kp * q - kd * v - pull) / B]
 
         t = np.arange(0.0, 12.0, 2e-4)
-        exact = solve_ivp(motion, (0.0, 12.0), [0.2, 0.0, 0.2, 0.0], t_eval=t, rtol=1e-9, atol=1e-11, max_step=5e-4)
+        exact = solve_ivp(motion, (0.0, 12.0), [0.2, 0.0, 0.2, 0.0], t_eval=t, rtol=1e-9, atol=1e-11, max_step=1e-3)
         expected, ours = cycle_of(t, exact.y[0]), cycle_of(t, self.cycle(kp, kd).q[: len(t), 0])
         assert expected[0] > 0.01  # it does not die out
         assert ours == pytest.approx(expected, rel=0.02)

@@ -12,11 +12,16 @@ from scipy.spatial.transform import Rotation
 
 import taut
 from taut.maths.model import Chain, model_of
-from taut.record.metrics import METRICS, names_that_need
+from taut.record.metrics import METRICS
 from taut.record.plain import plain, restored
 from taut.record.run_plot import is_task_run
 
 FIELDS = ("p", "R", "twist", "acceleration")
+
+
+def of_needs(*needs: str) -> list[str]:
+    """The metrics that have a meaning only where the reference asks for one of these."""
+    return [name for name, one in METRICS.items() if one.needs in needs]
 
 
 def six_joints() -> taut.Arm:
@@ -110,7 +115,7 @@ class TestTaskSide:
         np.testing.assert_allclose(out.task.p[0], T0.p)
         assert out.task.position_error is None
         assert out.task.rotation_error is None
-        assert all(np.isnan(out.metrics.overall[name]) for name in names_that_need("task motion"))
+        assert all(np.isnan(out.metrics.overall[name]) for name in of_needs("task motion"))
         assert not is_task_run(out)
 
     def test_a_run_that_was_made_by_hand_says_that_it_does_not_know(self, make_run: Any) -> None:
@@ -134,7 +139,7 @@ class TestMetrics:
         np.testing.assert_array_equal([m.final_x, m.final_y, m.final_z], task.p[-1])
         assert np.isnan([m.peak_force, m.peak_moment]).all()  # nothing recorded a force
         assert run.error is None
-        for name in names_that_need("set-point", "joint motion"):
+        for name in of_needs("set-point", "joint motion"):
             assert np.isnan(m.overall[name])
             assert m.json()[name]["overall"] is None
         assert m.json()["task_peak"] == {"unit": "m", "overall": m.task_peak}
@@ -154,7 +159,7 @@ class TestMetrics:
 
     def test_the_table_has_a_row_for_each_number_of_the_tool(self, run: taut.Run) -> None:
         rows = {row[0]: row[1] for row in run.metrics.content().tables[0].rows}
-        for name in names_that_need("task motion"):
+        for name in of_needs("task motion"):
             if name not in ("impedance_error", "apparent_mass"):  # of laws that state an impedance
                 assert rows[METRICS[name].title] == run.metrics[name]
 

@@ -271,8 +271,8 @@ def broken(q: list[float]) -> taut.JointMotion:
 
 
 CASES: list[tuple[object, type[taut.TautError], str]] = [
-    (OtherSample(), taut.errors.UsageError, "the law follows JointMotion; the reference is a OtherSample"),
-    (taut.hold(OtherSample()), taut.errors.UsageError, "the law follows JointMotion; the reference is a OtherSample"),
+    (OtherSample(), taut.errors.UsageError, "the law follows JointMotion; the reference gives OtherSample"),
+    (taut.hold(OtherSample()), taut.errors.UsageError, "the law follows JointMotion; the reference gives OtherSample"),
     (Gives(OtherSample()), taut.errors.UsageError, "the law follows JointMotion; the reference gives OtherSample"),
     (Gives(None), taut.errors.UsageError, "the law follows JointMotion; the reference gives NoneType"),
     (taut.JointMotion(q=[0.0]), taut.errors.ShapeError, "ref.q must have shape (2,); the reference gives (1,)"),

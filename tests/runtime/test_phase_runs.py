@@ -270,8 +270,7 @@ def test_what_a_later_phase_follows_is_looked_at_before_the_run_or_where_it_begi
     assert run(lambda x: taut.pressing(taut.TaskMotion(pose=x.T()), 5.0)).outcome.ok
 
 
-@pytest.mark.parametrize("kind", ["fused", "hosted"])
-@pytest.mark.parametrize(("off", "tolerance"), [(0.02, 0.01), (-0.003, 0.001)])
+@pytest.mark.parametrize(("kind", "off", "tolerance"), [("fused", 0.02, 0.01), ("hosted", -0.003, 0.001)])
 def test_a_phase_that_begins_off_its_surface_states_the_distance_and_the_tolerance(
     kind: str, off: float, tolerance: float
 ) -> None:

@@ -203,7 +203,7 @@ BROKEN: dict[str, tuple[dict[str, Any], str]] = {
     "samples without a file": ({"kind": "task-samples", "file": "no.csv"}, "[reference] file: CSV file '"),
     "a reference of joints": (
         SET_POINT,
-        "[reference] kind: the law follows TaskMotion; the reference is a JointMotion",
+        "[reference] kind: the law follows TaskMotion; the reference gives JointMotion",
     ),
 }
 

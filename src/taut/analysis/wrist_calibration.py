@@ -12,7 +12,6 @@ import numpy as np
 from taut.arm.description import STANDARD_GRAVITY, Arm
 from taut.base.checks import finite_array, one_of, positive_scalar, read_only, vector, whole_number
 from taut.base.errors import NumericalError, RangeError, ShapeError, UsageError
-from taut.base.fields import Declared, Field
 from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.sensing import Wrist
@@ -89,7 +88,6 @@ def calibrate_wrist(
     axes: Literal["sensor", "world"] = "sensor",
     frame: str | None = None,
     gravity: ArrayLike | None = None,
-    noise: ArrayLike | None = None,
     range: ArrayLike | None = None,
 ) -> WristCalibration:
     """Bias of a wrist sensor, and mass and centre of the tool beyond it, by least squares.
@@ -110,7 +108,6 @@ def calibrate_wrist(
             runs record it, in world axes at the tool's origin, which needs the arm.
         frame: The sensor's frame, one of the tool's body; the tool's own if None. With the arm only.
         gravity: (3,) in the world [m/s^2]; the arm's, or 9.81 m/s^2 downwards.
-        noise: (6,) or (force, moment), standard deviation of a reading; from the residual if None.
         range: (6,) or (force, moment), range of the sensor [N, N m]: readings there are refused, and
             `WristCalibration.wrist` has it.
 
@@ -149,24 +146,10 @@ def calibrate_wrist(
     g = vector("gravity", default if gravity is None else gravity, 3, unit="m/s^2")
     if not g.any():
         raise RangeError("gravity must not be zero: without it a tool has no weight to read", name="gravity")
-    sensor = _Readings(range=range, noise=noise)
-    if sensor.range is not None:
-        _require_within(F, sensor.range)
-    return _fitted(F, np.array([turn.T @ g for turn in R]), sensor.noise, frame, sensor.range)
-
-
-class _Readings(Declared):
-    """The numbers of the sensor that a calibration takes."""
-
-    range: Field = Field(unit=FORCE_AND_MOMENT, shape=6, accepts=("pair",), above=0.0, infinite=True, optional=True)
-    noise: Field = Field(
-        unit=FORCE_AND_MOMENT,
-        shape=6,
-        accepts=("pair",),
-        above=0.0,
-        optional=True,
-        hint="leave it out to take it from the residual",
-    )
+    end = Wrist(range=range).range
+    if end is not None:
+        _require_within(F, end)
+    return _fitted(F, np.array([turn.T @ g for turn in R]), frame, end)
 
 
 # -------------------------------------------------------------------- readings and orientations
@@ -224,9 +207,7 @@ def _require_within(F: Float64Array, end: Float64Array) -> None:
 # -------------------------------------------------------------------- the fit
 
 
-def _fitted(
-    F: Float64Array, g: Float64Array, noise: Float64Array | None, frame: str | None, end: Float64Array | None
-) -> WristCalibration:
+def _fitted(F: Float64Array, g: Float64Array, frame: str | None, end: Float64Array | None) -> WristCalibration:
     """Least squares of force and of moment, which share no unknown but the mass that divides m c."""
     size = float(np.linalg.norm(g[0]))
     spread = _require_determined(g / size)
@@ -234,10 +215,7 @@ def _fitted(
 
     def fit(unknowns: slice) -> tuple[Any, Any, Float64Array]:
         """Of force and moment: the solutions, their variances, and the residuals."""
-        parts = [
-            _least_squares(A[:, unknowns], y, None if noise is None else noise[part])
-            for A, y, part in ((force, F[:, :3], slice(0, 3)), (moment, F[:, 3:], slice(3, 6)))
-        ]
+        parts = [_least_squares(A[:, unknowns], y) for A, y in ((force, F[:, :3]), (moment, F[:, 3:]))]
         return [part[0] for part in parts], [part[1] for part in parts], np.hstack([part[2] for part in parts])
 
     x, variance, residual = fit(slice(None))
@@ -279,15 +257,12 @@ def _regressors(g: Float64Array) -> tuple[Float64Array, Float64Array]:
     return force, moment
 
 
-def _least_squares(A: Float64Array, y: Float64Array, std: Float64Array | None) -> tuple[Any, Any, Float64Array]:
+def _least_squares(A: Float64Array, y: Float64Array) -> tuple[Any, Any, Float64Array]:
     """The solution, its variances, and (k, 3) the residuals."""
-    weights = np.ones(y.size) if std is None else np.tile(1.0 / std, len(y))
-    W = A * weights[:, np.newaxis]
-    x = np.linalg.lstsq(W, y.ravel() * weights, rcond=None)[0]
+    x = np.linalg.lstsq(A, y.ravel(), rcond=None)[0]
     residual = y - (A @ x).reshape(y.shape)
-    free = y.size - A.shape[1]
-    variance = float(np.sum(residual**2)) / free if std is None else 1.0
-    return x, variance * np.diag(np.linalg.inv(W.T @ W)), residual
+    variance = float(np.sum(residual**2)) / (y.size - A.shape[1])
+    return x, variance * np.diag(np.linalg.inv(A.T @ A)), residual
 
 
 def _require_determined(u: Float64Array) -> tuple[float, float]:

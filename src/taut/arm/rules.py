@@ -41,7 +41,7 @@ OTHER_KINDS: Final = {
     "ball": "a ball joint is not one of an arm; write it as three hinges",
 }
 MIN_EIGENVALUE: Final = 1e-12  # of M scaled to a unit diagonal; rounding is 1e-16 of its entries
-POSES: Final = 10  # random ones, at which M is looked at
+RANDOM_POSES: Final = 10  # random ones, at which M is looked at
 MAX_ENTRIES: Final = 20_000  # of all matrices M: fewer poses of an arm of many joints
 MAX_LENGTH: Final = 1e4  # [m] between two joints, or of a slide; what is farther is a slip, and its square is lost
 MAX_ROTOR_FACTOR: Final = 100.0  # of the inertia of all links; a wrong unit is off by 1e4 to 1e7
@@ -272,7 +272,7 @@ def indefinite(arm: Arm) -> float | None:
 
     It is what rounding has to stay below, for M to be positive definite in floats too.
     """
-    poses = max(1, min(POSES, MAX_ENTRIES // arm.n**2))
+    poses = max(1, min(RANDOM_POSES, MAX_ENTRIES // arm.n**2))
     rng = np.random.default_rng(0)
     low, high = np.maximum(arm.lower, -math.pi), np.minimum(arm.upper, math.pi)
     q = np.where(low < high, rng.uniform(np.minimum(low, high), np.maximum(low, high), (poses, arm.n)), arm.home)

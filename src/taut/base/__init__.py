@@ -1,3 +1,3 @@
-"""What every room may use: errors, checks, declared fields, paths, results; and the version of the package."""
+"""The tools of every room: errors, checks, declared fields, paths, results; and the version of the package."""
 
 __version__ = "0.1.0"

@@ -1,4 +1,4 @@
-"""What a caller hands in is checked here, once, and kept as a read-only copy."""
+"""Checks of the numbers, words and files that a caller hands in, with the error sentences in one place."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def _unit(unit: str) -> str:
 
 
 def entry_names(name: str, index: Sequence[int], joints: Sequence[str] | None = None) -> str:
-    """How an entry of an array is called in a message: kp[2], or kp[2] (joint 'elbow')."""
+    """Name of an entry of an array in a message: kp[2], or kp[2] (joint 'elbow')."""
     if not len(index):
         return name
     joint = f" (joint '{joints[index[0]]}')" if joints is not None and len(index) == 1 else ""
@@ -305,7 +305,7 @@ def in_compiled_shape(path: str, value: Float64Array, shape: tuple[int, ...]) ->
     if value.ndim == 0:
         return np.full(shape, float(value))
     raise ShapeError(
-        f"{path} was compiled with shape {shape}; got shape {value.shape}; compile the law with a value of the "
+        f"{path} has shape {shape}; got shape {value.shape}; compile the law, or make the plant, with a value of the "
         "new shape",
         name=path,
     )

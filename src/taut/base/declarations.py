@@ -97,7 +97,7 @@ class Declaration(Generic[T]):
         return None if value is None and self.optional else self.stored(self.checked(self.converted(value), owner))
 
     def converted(self, value: Any) -> Any:
-        """What `convert` makes of a given value. Raises TautError."""
+        """The value that `convert` makes of a given one. Raises TautError."""
         if self.convert is None:
             return value
         try:

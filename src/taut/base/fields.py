@@ -299,7 +299,7 @@ class Declared:
             part.check_size(joints, f"{prefix}{self._below(name)}")
 
     def _as_by_default(self, name: str) -> bool:
-        """Whether a field has the value of its default; a copy of a part may be another object of the same text."""
+        """True where a field has the value of its default; a copy of a part may be another object of equal text."""
         stored, default = self.__dict__[name], self.declared[name].default
         return _same(stored, default) or (isinstance(stored, Declared) and repr(stored) == repr(default))
 
@@ -317,7 +317,7 @@ def _shown(value: Any) -> str:
 
 
 def _same(stored: Any, default: Any) -> bool:
-    """Whether a stored value is the default of its field."""
+    """True where a stored value is the default of its field."""
     if stored is default:
         return True
     if stored is None or default is None or default is REQUIRED:

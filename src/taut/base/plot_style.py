@@ -1,4 +1,4 @@
-"""How figures look: colours that colour-blind readers tell apart, letters that stay legible in a paper.
+"""Style of figures: colours that colour-blind readers tell apart, letters that stay legible in a paper.
 
 Nothing here touches matplotlib's global state: every size and colour is given where it is used.
 """
@@ -51,7 +51,7 @@ DASHED: Final = (0.0, (4.0, 3.0))
 DOTTED: Final = (0.0, (1.0, 1.5))
 BROKEN: Final = (0.0, (6.0, 1.0, 1.0, 1.0))
 LETTER: Final = 0.58  # width of a letter in parts of its size
-MOST_POINTS: Final = 4000  # of a line; more than any page can show
+MAX_POINTS: Final = 4000  # of a line; more than any page can show
 
 
 def colour(i: int) -> str:
@@ -118,7 +118,7 @@ def line(
 
 def thinned(t: Float64Array, y: Float64Array) -> tuple[Float64Array, Float64Array]:
     """At most a few thousand points of a curve: the least and the greatest of each stretch, in their order."""
-    stretch = -(-2 * len(t) // MOST_POINTS)
+    stretch = -(-2 * len(t) // MAX_POINTS)
     whole = len(t) // stretch * stretch if stretch > 2 else 0
     if not whole:
         return t, y
@@ -130,7 +130,7 @@ def thinned(t: Float64Array, y: Float64Array) -> tuple[Float64Array, Float64Arra
 
 
 def legend_rows(labels: Sequence[str]) -> int:
-    """How many lines a legend has that is as wide as the page allows."""
+    """Number of lines of a legend that is as wide as the page allows."""
     sizes = np.array([3.6 * SMALL + LETTER * SMALL * len(label) for label in labels])
     rows = 1
     while rows < len(sizes):

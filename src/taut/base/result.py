@@ -53,7 +53,7 @@ class Table:
 
     @property
     def text_columns(self) -> tuple[bool, ...]:
-        """Of each column, whether it holds texts alone."""
+        """True for each column that holds texts alone."""
         return tuple(all(isinstance(row[i], str) for row in self.rows) for i in range(len(self.columns)))
 
     def json(self) -> list[dict[str, Any]]:
@@ -91,7 +91,7 @@ class Content:
 
 
 class Result(ABC):
-    """What an analysis gives. A subclass is a frozen dataclass with the numbers as fields."""
+    """Result of an analysis. A subclass is a frozen dataclass with the numbers as fields."""
 
     @abstractmethod
     def content(self) -> Content:

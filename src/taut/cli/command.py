@@ -32,7 +32,7 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """What a command found: text for people, data for `--json`, the exit status, and remarks on standard error."""
+    """Answer of a command: text for people, data for `--json`, the exit status, and remarks on standard error."""
 
     text: str
     data: Any
@@ -142,7 +142,7 @@ def load_law(place: str, gains: Mapping[str, Any] | None) -> Law:
 
 @contextlib.contextmanager
 def _blamed(what: str, file: str) -> Iterator[None]:
-    """What a user's code raises, were it the end of the process, becomes a sentence; only Ctrl-C stays what it is."""
+    """Errors of a user's code become a sentence, were it the end of the process; only Ctrl-C stays what it is."""
     try:
         yield
     except KeyboardInterrupt:

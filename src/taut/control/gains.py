@@ -17,10 +17,21 @@ from taut.trace import math as tm
 from taut.trace.array import Traced, traced_array
 from taut.trace.scalar import Symbol
 
-__all__ = ["AntiWindup", "Gain", "GainValue", "Integral", "LawMemory", "Memory", "MemoryView", "Remembers", "solved"]
+__all__ = [
+    "AntiWindup",
+    "Gain",
+    "GainValue",
+    "Integral",
+    "LawMemory",
+    "Memory",
+    "MemoryView",
+    "Remembers",
+    "require_at_most",
+    "solved",
+]
 
 AntiWindup = Literal["clamping", "back-calculation", "none"]
-DAMPING: Final = 1e-5  # of a matrix ki that is inverted, relative to its trace
+TRACE_DAMPING: Final = 1e-5  # of a matrix ki that is inverted, relative to its trace
 
 
 class GainValue(np.lib.mixins.NDArrayOperatorsMixin):
@@ -349,13 +360,8 @@ class Integral(Remembers):
 
     def check_rate(self, rate: float) -> None:
         """An integral cannot be driven back faster than the rate [Hz]."""
-        largest = 0.0 if self.tracking is None else float(np.max(self.tracking.as_array()))
-        if largest > rate:
-            raise RangeError(
-                f"tracking must be <= the rate, {rate:g} [1/s], or the integral oscillates; got {largest:g}",
-                name="tracking",
-                value=largest,
-            )
+        if self.tracking is not None:
+            require_at_most("tracking", self.tracking, rate, "1/s", "or the integral oscillates")
 
     def step(
         self,
@@ -386,6 +392,26 @@ class Integral(Remembers):
         return after, {"e_int": after}
 
 
+def require_at_most(name: str, values: Any, maximum: float, unit: str, reason: str) -> None:
+    """A number that a sampled loop can take, such as a rate below its own.
+
+    Args:
+        name: What messages call it.
+        values: The numbers.
+        maximum: The largest that is allowed.
+        unit: Of them.
+        reason: What happens beyond, for the message.
+
+    Raises:
+        RangeError: It is larger.
+    """
+    largest = float(np.max(np.asarray(values, dtype=np.float64)))
+    if largest > maximum:
+        raise RangeError(
+            f"{name} must be <= {maximum:g} [{unit}], {reason}; got {largest:g}", name=name, value=largest
+        )
+
+
 def solved(ki: GainValue, cut: Vector) -> Vector:
     """(n,) ki^-1 cut; nothing for joints, or in directions, that have no integral."""
     k = ki.as_array()
@@ -395,6 +421,6 @@ def solved(ki: GainValue, cut: Vector) -> Vector:
         return out
     size = k.shape[0]
     trace = sum(k[i, i] for i in range(size))
-    damped = k @ k + ((DAMPING * trace) ** 2 + np.finfo(np.float64).tiny) * tm.eye(size)
+    damped = k @ k + ((TRACE_DAMPING * trace) ** 2 + np.finfo(np.float64).tiny) * tm.eye(size)
     inverse: Vector = k @ tm.solve_spd(damped, cut)
     return inverse

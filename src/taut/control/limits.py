@@ -10,10 +10,11 @@ from typing import Any, Final
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.base.errors import MatchError, ModelError, Problem, RangeError, UsageError
+from taut.base.errors import MatchError, ModelError, Problem, UsageError
 from taut.base.fields import Declared, Field
 from taut.base.types import Array, Float64Array, Vector
 from taut.control.command import Command, Torque, Velocity
+from taut.control.gains import require_at_most
 from taut.maths.snapshot import Snapshot
 from taut.trace import math as tm
 
@@ -110,14 +111,8 @@ class Limits(Declared):
             ShapeError, RangeError: They do not fit.
         """
         self.check_size(arm.joint_names, "limits.")
-        fastest = 0.0 if self.v_gain is None else float(np.max(self.v_gain))
-        if fastest > rate:
-            raise RangeError(
-                f"limits.v_gain must be at most the rate, {rate:g} [1/s], or a joint would overshoot its speed "
-                f"limit; got {fastest:g}",
-                name="limits.v_gain",
-                value=fastest,
-            )
+        if self.v_gain is not None:
+            require_at_most("limits.v_gain", self.v_gain, rate, "1/s", "the rate, or a joint overshoots")
 
     def completed(self, rate: float, kind: str) -> Limits:
         """The same limits with the default of v_gain, where a speed limit of torques at a rate [Hz] needs it."""

@@ -290,7 +290,15 @@ def check_filter(part: Declared, path: str, rate: float, joints: Sequence[str] |
         RangeError: A frequency at half the rate or above.
     """
     part.check_size(joints, f"{path}.")
-    entries = None if isinstance(joints, int) else joints
+    check_frequencies(part, path, rate, None if isinstance(joints, int) else joints)
+
+
+def check_frequencies(part: Declared, path: str, rate: float, entries: Sequence[str] | None = None) -> None:
+    """Every number in Hz is below half the rate.
+
+    Raises:
+        RangeError: One is not.
+    """
     for name, values in part.parameters().items():
         if part.units()[name] == "Hz" and np.any(values >= 0.5 * rate):
             index = [int(i) for i in np.argwhere(values >= 0.5 * rate)[0]]

@@ -183,15 +183,8 @@ def judge(loop: Loop, *, at: ArrayLike | None = None, gains: Iterable[str] = ())
         >>> found.stable, [*found.largest]
         (False, ['law.kd'])
     """
-    plant = loop.plant
-    q = plant.arm.home if at is None else np.asarray(at, dtype=np.float64)
-    if any(path.endswith(RESOLUTION) for path in plant.parameters):
-        name = f"{plant.name} without quantisation"
-        loop = _smooth_loop(loop, plant, loop.parameters)
-    else:
-        name = plant.name
-    with np.errstate(all="ignore"):  # numbers that no float can hold are refused where a run meets them
-        return _judged(Period(loop, q), name, tuple(gains))
+    q = loop.plant.arm.home if at is None else np.asarray(at, dtype=np.float64)
+    return _judged_at(loop, loop.plant, q, EMPTY, tuple(gains))
 
 
 def judge_start(ctrl: HasLawSide, plant: AnyPlant, q: Float64Array, changes: Changes = EMPTY) -> Judgement | str:
@@ -207,21 +200,28 @@ def judge_start(ctrl: HasLawSide, plant: AnyPlant, q: Float64Array, changes: Cha
     """
     if ctrl.engine != "native":
         return "not judged: plain Python is for debugging, and the loop is judged where it is compiled"
-    name = plant.name
     try:
-        if isinstance(ctrl, Loop) and not any(path.endswith(RESOLUTION) for path in plant.parameters):
-            loop = ctrl
-        else:
-            loop = _smooth_loop(ctrl, plant, {**plant.parameters, **ctrl.parameters})
-            changes = {path: value for path, value in changes.items() if path in loop.parameters}
-            same = isinstance(plant, RigidPlant)
-            name = f"{plant.name} without quantisation" if same else f"{loop.plant.name} in place of {plant.name}"
-        with np.errstate(all="ignore"):
-            return _judged(Period(loop, q, changes), name)
+        return _judged_at(ctrl, plant, q, changes)
     except np.linalg.LinAlgError:
         return "not judged: the derivative of a period is no matrix that has eigenvalues"
     except TautError as error:
         return f"not judged: {error}"
+
+
+def _judged_at(
+    ctrl: HasLawSide, plant: AnyPlant, q: Float64Array, changes: Changes, limits: tuple[str, ...] | None = None
+) -> Judgement:
+    """The judgement of a loop, or of a controller with a model plant without quantisation in place of its plant."""
+    name = plant.name
+    if isinstance(ctrl, Loop) and not any(path.endswith(RESOLUTION) for path in plant.parameters):
+        loop = ctrl
+    else:
+        loop = _smooth_loop(ctrl, plant, {**plant.parameters, **ctrl.parameters})
+        changes = {path: value for path, value in changes.items() if path in loop.parameters}
+        same = isinstance(plant, RigidPlant)
+        name = f"{plant.name} without quantisation" if same else f"{loop.plant.name} in place of {plant.name}"
+    with np.errstate(all="ignore"):  # numbers that no float can hold are refused where a run meets them
+        return _judged(Period(loop, q, changes), name, limits)
 
 
 # One for each plant, so that a controller which runs again on it is not traced again; a loop does not hold its key.

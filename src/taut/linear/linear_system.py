@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from taut.base.checks import finite_array, finite_scalar, positive_scalar, read_only, whole_number
+from taut.base.checks import finite_array, finite_scalar, positive_scalar, read_only
 from taut.base.errors import RangeError, ShapeError, UsageError, missing_extra, unknown_name
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
@@ -554,31 +554,6 @@ class LinearSystem(Result):
         """
         gain = np.asarray(self.frequency_response(0.0, input=input, output=output)[0])
         return gain.real if gain.ndim else float(gain.real)
-
-    def free_response(self, count: int, state: ArrayLike, *, dt: float | None = None) -> Float64Array:
-        """(count, outputs) from a deviation of the states, without inputs.
-
-        Args:
-            count: Samples, the first at the start.
-            state: (n,) at the start.
-            dt: Time between samples [s], in continuous time only; a sampled system has its own.
-
-        Raises:
-            UsageError: Not a number of samples, or no dt where one is needed.
-            ShapeError: Not one number for each state.
-        """
-        count = whole_number("count", count, minimum=1)
-        if (dt is None) == (self.dt is None):
-            raise UsageError("dt= is the time between samples of a continuous system, and of no other", name="dt")
-        import scipy.linalg
-
-        step = self.A if dt is None else np.asarray(scipy.linalg.expm(self.A * positive_scalar("dt", dt, unit="s")))
-        x = np.array(finite_array("state", state, shape=(len(self.states),)))
-        out = np.zeros((count, len(self.outputs)))
-        for k in range(count):
-            out[k] = self.C @ x
-            x = step @ x
-        return out
 
     def step(self, *, input: str = "ref.q[0]", output: str = "q[0]") -> StepInfo:
         """Overshoot, settling, rise and peak time of one output after a step of one input.

@@ -145,7 +145,7 @@ def _model(map_: LoopMap, rest: Rest, start: Float64Array) -> LinearSystem:
     for path in ("plant.q", "plant.v"):  # also of an arm in stiction
         needed[map_.state_coordinates.places[path]] = True
     keep = [int(i) for i in np.flatnonzero(needed)]
-    found, kinks = _smooth(map_, point, found, keep)  # the fewer states are moved, the more exact
+    found, non_smooth = _smooth(map_, point, found, keep)  # the fewer states are moved, the more exact
     left = {name: NOT_DRIVEN if observed[i] else NO_EFFECT for i, name in enumerate(names) if not needed[i]}
     q = np.array(map_.memory.views(point.memory)["plant.q"])
     return LinearSystem(
@@ -153,7 +153,7 @@ def _model(map_: LoopMap, rest: Rest, start: Float64Array) -> LinearSystem:
         states=[names[i] for i in keep], inputs=map_.input_coordinates.names, outputs=outputs,
         point=OperatingPoint(
             joints=map_.side.arm.joint_names, q=read_only(q), moved=read_only(q - start),
-            branches=(*_branches(map_, point, found), *kinks), left_out=left, drifting=rest.drifting,
+            branches=(*_branches(map_, point, found), *non_smooth), left_out=left, drifting=rest.drifting,
         ),
     )  # fmt: skip
 

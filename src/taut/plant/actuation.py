@@ -35,13 +35,7 @@ MAX_TAPS: Final = 1000
 PARTS: Final = ("motor", "ripple", "transmission", "torque_loop")
 
 
-def lagged(command: Vector, output: Vector, bandwidth: Any, dt: Any) -> Vector:
-    """(n,) output of a first-order lag after dt, exact for a command that is held."""
-    moved: Vector = output + (1.0 - tm.exp(-bandwidth * dt)) * (command - output)
-    return moved
-
-
-def mean_lagged(command: Vector, state: Vector, bandwidth: Any, dt: Any) -> tuple[Vector, Vector]:
+def lagged(command: Vector, state: Vector, bandwidth: Any, dt: Any) -> tuple[Vector, Vector]:
     """(n,) mean over dt of a first-order lag's output for a command that is held, exact; and the output after dt."""
     left = tm.exp(-bandwidth * dt)
     mean: Vector = command + (state - command) * ((1.0 - left) / (bandwidth * dt))
@@ -130,7 +124,7 @@ class Motor(MotorModel):
         tau = self._limited(x.tau, x)
         cut, after = 0.0 if tau is x.tau else x.tau - tau, {}
         if x.bandwidth is not None:
-            mean, after["motor"] = mean_lagged(tau, x.memory["motor"], x.bandwidth, x.dt)
+            mean, after["motor"] = lagged(tau, x.memory["motor"], x.bandwidth, x.dt)
             tau = self._limited(mean, x)
         return MotorStep(tau=tau * x.ripple, memory=after, cut=cut)
 
@@ -214,7 +208,7 @@ class ElectricMotor(MotorModel):
         goal = target if bandwidth is None else target + (i - target) * tm.exp(-bandwidth * dt)
         emf = k * x.v
         if self.inductance is None:
-            mean = goal if bandwidth is None else mean_lagged(target, i, bandwidth, dt)[0]
+            mean = goal if bandwidth is None else lagged(target, i, bandwidth, dt)[0]
             after, unlimited = goal, mean
             if self.voltage is not None:
                 low, high = (-p["voltage"] - emf) / R, (p["voltage"] - emf) / R
@@ -437,9 +431,8 @@ def aim(
     Law:          a velocity is followed as a first-order lag, a position as a critically damped second-order one
     """
     if takes == "velocity":
-        # The exact integral of the exponential approach.
-        way = wanted * dt + (v - wanted) * ((1.0 - tm.exp(-bandwidth * dt)) / bandwidth)
-        return q + way, lagged(wanted, v, bandwidth, dt)
+        mean, after = lagged(wanted, v, bandwidth, dt)
+        return q + mean * dt, after
     # e(t) = (e0 + (v + omega e0) t) exp(-omega t).
     e = -arm.difference(wanted, q)  # a continuous joint goes the short way round
     rate = v + bandwidth * e

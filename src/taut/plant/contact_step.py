@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any, Final
 
 import numpy as np
@@ -193,8 +194,8 @@ def contact_step(
     after: dict[str, Any] = {
         "lam": -shown[:k],
         "on": tm.array([choose(both(acts[i], opposite(bounce.happens[i])), 1.0, 0.0) for i in range(k)]),
-        "drift": _largest([choose(on[i], tm.abs(here.phi[i]), 0.0) for i in range(k)]),
-        "correction": _largest([tm.abs(total[i] / dt - shown[i]) for i in range(k)]),
+        "drift": reduce(tm.maximum, [choose(on[i], tm.abs(here.phi[i]), 0.0) for i in range(k)]),
+        "correction": reduce(tm.maximum, [tm.abs(total[i] / dt - shown[i]) for i in range(k)]),
         "force": total / dt,
     }
     if contacts.rubbing:
@@ -358,10 +359,3 @@ def _across(n: Vector) -> Matrix:
 
 def _part(W: Matrix, rows: Sequence[int], columns: Sequence[int]) -> Matrix:
     return tm.array([[W[i, j] for j in columns] for i in rows])
-
-
-def _largest(values: Sequence[Any]) -> Any:
-    out = values[0]
-    for value in values[1:]:
-        out = tm.maximum(out, value)
-    return out

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from functools import cached_property
 from typing import Any, Final, Literal
 
@@ -89,18 +89,17 @@ class RigidPlant:
 
     arm: Arm
     friction: Literal["arm"] | FrictionLaw | None = "arm"
-    integrator: Integrator = field(default="semi-implicit-euler", kw_only=True)
-    substeps: int = field(default=1, kw_only=True)
-    takes: CommandKind = field(default="torque", kw_only=True)
-    actuation: Actuation = field(default_factory=Actuation, kw_only=True)
-    sensors: Sensors = field(default_factory=Sensors, kw_only=True)
-    environment: Environment | None = field(default=None, kw_only=True)
-    contact: RigidContact | Constraint | Sequence[RigidContact | Constraint] | None = field(
-        default=None, kw_only=True
-    )
-    adds: Adds | Iterable[str] | Mapping[str, Payload | None] = field(default=(), kw_only=True)
-    sweeps: int = field(default=FRICTION_SWEEPS, kw_only=True)
-    energy: bool = field(default=False, kw_only=True)
+    _: KW_ONLY
+    integrator: Integrator = "semi-implicit-euler"
+    substeps: int = 1
+    takes: CommandKind = "torque"
+    actuation: Actuation = field(default_factory=Actuation)
+    sensors: Sensors = field(default_factory=Sensors)
+    environment: Environment | None = None
+    contact: RigidContact | Constraint | Sequence[RigidContact | Constraint] | None = None
+    adds: Adds | Iterable[str] | Mapping[str, Payload | None] = ()
+    sweeps: int = FRICTION_SWEEPS
+    energy: bool = False
 
     def __post_init__(self) -> None:
         one_of("integrator", self.integrator, INTEGRATORS)

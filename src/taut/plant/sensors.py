@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from functools import reduce
 from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
@@ -119,10 +120,7 @@ def saturated(x: Array, limit: Array) -> tuple[Array, Any]:
     """x cut at +-limit, and 1.0 where that took something from any entry, else 0.0."""
     bound = limit + np.zeros(len(x)) if np.ndim(limit) == 0 else limit
     over = tm.abs(x) - bound
-    largest = over[0]
-    for each in over[1:]:
-        largest = tm.maximum(largest, each)
-    return tm.clip(x, -bound, bound), tm.where(largest > 0.0, 1.0, 0.0)
+    return tm.clip(x, -bound, bound), tm.where(reduce(tm.maximum, over) > 0.0, 1.0, 0.0)
 
 
 class ShaftSensor(FaultySensor):

@@ -17,7 +17,7 @@ import numpy as np
 
 from taut.arm.description import Arm
 from taut.base.checks import finite_array, positive_scalar, whole_number
-from taut.base.errors import FileError, MatchError, MissingExtraError, RangeError, UsageError, warn
+from taut.base.errors import FileError, MissingExtraError, RangeError, UsageError, warn
 from taut.base.types import Float64Array
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.model import Chain, model_of
@@ -114,14 +114,7 @@ def _checked_arm(run: Run, arm: Arm | None) -> Arm:
         name = run.info.arm
         example = f"taut.load_arm({name!r})" if name else "taut.load_arm(...)"
         raise UsageError(f"the run does not know its arm, as a log keeps none; pass arm={example}", name="arm")
-    if not isinstance(shown, Arm):
-        raise UsageError(f"arm must be an Arm from taut.load_arm; got {type(shown).__name__}", name="arm")
-    if shown.joint_names != run.joint_names:
-        raise MatchError(
-            f"arm '{shown.name}' does not have the joints of the run: {', '.join(shown.joint_names)} against "
-            f"{', '.join(run.joint_names)}",
-            name="arm",
-        )
+    run.require_arm(shown)
     return shown
 
 

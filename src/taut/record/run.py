@@ -15,7 +15,7 @@ import numpy as np
 from taut.arm.description import Arm
 from taut.arm.parts import short_way
 from taut.base.checks import finite_scalar
-from taut.base.errors import RangeError, UsageError, count_of
+from taut.base.errors import MatchError, RangeError, UsageError, count_of
 from taut.base.paths import Named
 from taut.base.types import Float64Array
 from taut.control.trajectories.reference import Sample
@@ -144,6 +144,22 @@ class Run:
         if controller is None or plant is None:
             raise UsageError("the run does not hold the arms that it was made with; it is no run of taut.run")
         return controller, plant
+
+    def require_arm(self, arm: Arm) -> None:
+        """Require that an arm has the joints of the run.
+
+        Raises:
+            UsageError: It is no arm.
+            MatchError: It has others.
+        """
+        if not isinstance(arm, Arm):  # callers without a type checker
+            raise UsageError(f"arm must be an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
+        if arm.joint_names != self.joint_names:
+            raise MatchError(
+                f"arm '{arm.name}' does not have the joints of the run: {', '.join(arm.joint_names)} against "
+                f"{', '.join(self.joint_names)}",
+                name="arm",
+            )
 
     def content(self) -> Content:
         """The description of the run that `taut.report` writes.

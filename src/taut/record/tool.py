@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 __all__ = [
     "Deviation",
     "TaskSide",
-    "applied_wrench",
     "estimated_normal",
     "expected_deviation",
     "force_error",
@@ -112,18 +111,12 @@ def wanted_wrench(run: Run) -> Float64Array | None:
     return np.asarray(run.reference.in_world(run.task.R), dtype=np.float64)
 
 
-def applied_wrench(run: Run) -> Float64Array | None:
-    """(k, 6) F_app of the arm on the environment at the arm's tool, world axes; None where nothing could touch it."""
-    return -np.asarray(run.extra["F_ext"], dtype=np.float64) if "F_ext" in run.extra else None
-
-
 def force_error(run: Run) -> Float64Array | None:
     """(k, 6) wanted less applied wrench [N, N m]; what nothing touches applies nothing."""
     wanted = wanted_wrench(run)
     if wanted is None:
         return None
-    applied = applied_wrench(run)
-    return wanted if applied is None else wanted - applied
+    return wanted + np.asarray(run.extra["F_ext"]) if "F_ext" in run.extra else wanted
 
 
 def true_normal(run: Run) -> tuple[Float64Array, Float64Array] | None:

@@ -297,7 +297,8 @@ class HostedRun(OngoingRun):
 
     def _tick(self, k: int) -> Outcome | None:
         tape, plant, kernel = self.tape, self._plant, self._kernel
-        before = self._apply(self._events.at(k))
+        new = self._events.at(k)
+        before = self._apply(new) if new else None
         out = tape.outputs
         out["q"][k], out["v"][k] = plant.state()
         measured = plant.measure()

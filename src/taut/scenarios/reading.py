@@ -45,14 +45,6 @@ TEXT_OR_COMMENT: Final = re.compile(
     r'"""(?:\\.|[^\\])*?"""|\'\'\'.*?\'\'\'|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*', re.DOTALL
 )
 DOTTED: Final = re.compile(rf"(?<![^\s.,=\[\]{{}}])(?:[^\s.,=\[\]{{}}]+[ \t]*+\.[ \t]*+){{{TABLE_DEPTH}}}")
-PARAMETERS: Final = {
-    "sensors": "plant.sensors",
-    "actuation": "plant.actuation",
-    "environment": "plant.environment",
-    "sensing": "control",
-    "limits": "control.limits",
-}
-"""Where parameters of a loop stand in a file, by the first word of their paths."""
 
 
 # -------------------------------------------------------------------- files
@@ -95,7 +87,7 @@ def _too_deep(root: Table, place: str) -> ScenarioError:
 
 
 def _refuse_hostile(root: Table) -> None:
-    """What no scenario has, and what would not fit into any message."""
+    """Refuse values that no scenario has, or that would not fit into any message."""
     waiting: list[tuple[tuple[str, ...], Any]] = [((), root.values)]
     while waiting:
         path, value = waiting.pop()
@@ -290,7 +282,7 @@ def _merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _names(value: object, name: str) -> bool:
-    """Whether a value is a name, or has it among others."""
+    """True where a value is a name, or has it among others."""
     return value == name if isinstance(value, str) else isinstance(value, (list, dict)) and name in value
 
 
@@ -305,40 +297,21 @@ def shown(value: object) -> str:
 
 
 def with_values(root: Table, values: Mapping[str, Any]) -> Table:
-    """A file with other values of some keys, by their paths: {"run.duration": 2.0}; rows of [[event]] have numbers.
-
-    Paths of parameters are known too: "law.kp" in each of the laws, "law.touch.kp" in the law of a phase,
-    "sensors.position.noise", "limits.tau".
+    """A file with other values of some keys, by their paths: {"run.duration": 2.0}.
 
     Raises:
         ScenarioError: A path below something that is no table.
     """
     table = copy.deepcopy(root.values)
     for path, value in values.items():
-        for *above, last in _places(root, path.split(".")):
-            at: Any = table
-            for word in above:
-                if isinstance(at, list):
-                    at = at[int(word) - 1] if word.isdigit() and 1 <= int(word) <= len(at) else None
-                else:
-                    at = at.setdefault(word, {}) if isinstance(at, dict) else None
-            if not isinstance(at, dict):
-                raise ScenarioError(f"{root.where} has no table '{'.'.join(above)}' for '{path}'", name=path)
-            at[last] = value
+        *above, last = path.split(".")
+        at: Any = table
+        for word in above:
+            at = at.setdefault(word, {}) if isinstance(at, dict) else None
+        if not isinstance(at, dict):
+            raise ScenarioError(f"{root.where} has no table '{'.'.join(above)}' for '{path}'", name=path)
+        at[last] = value
     return root.at(root.path, table)
-
-
-def _places(root: Table, words: list[str]) -> list[list[str]]:
-    """Where a path stands in the file."""
-    first, *rest = words
-    if first != "law":
-        return [[*PARAMETERS.get(first, first).split("."), *rest]]
-    if "phases" not in root:
-        return [["laws", label, *rest] for label in root.table("laws").values]
-    names = [row.get("name", f"phase{i}") for i, row in enumerate(root.tables("phases"), start=1)]
-    if not rest or rest[0] not in names:
-        raise ScenarioError(f"{root.where} has the phases {quoted_list(names)}; write law.{names[0]}.kp", name="law")
-    return [["phases", str(1 + names.index(rest[0])), "law", *rest[1:]]]
 
 
 # -------------------------------------------------------------------- the walker
@@ -347,7 +320,7 @@ Reader = Callable[[Table, str], Any]
 
 
 class Argument(NamedTuple):
-    """What a class or function takes by a name."""
+    """An argument of a class or function."""
 
     required: bool
     part: type | None  # class of the object that a table describes
@@ -369,7 +342,7 @@ def reads(kind: type) -> Callable[[Reader], Reader]:
 
 
 def arguments(kind: Callable[..., Any]) -> Mapping[str, Argument]:
-    """What a class or function takes, by name."""
+    """The arguments of a class or function, by name."""
     if inspect.ismethod(kind):
         return dict(list(_arguments(kind.__func__).items())[1:])
     return _arguments(kind)

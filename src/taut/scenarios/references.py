@@ -1,4 +1,4 @@
-"""What laws follow in a scenario: [reference], and [[phases]], each with its law, its reference and its guards."""
+"""References of a scenario: [reference], and [[phases]], each with its law, its reference and its guards."""
 
 from __future__ import annotations
 
@@ -16,8 +16,17 @@ from taut.base.errors import TautError, quoted_list
 from taut.base.fields import Declared, Field, Part, Whole
 from taut.base.types import Array, ArrayLike, Float64Array
 from taut.control.law import Law
-from taut.control.tasks.guards import Guard, GuardView, contact, lasting, moved, no_contact, settled
-from taut.control.tasks.phase import Phase, PhaseReference
+from taut.control.tasks.phase import (
+    Guard,
+    GuardView,
+    Phase,
+    PhaseReference,
+    contact,
+    lasting,
+    moved,
+    no_contact,
+    settled,
+)
 from taut.control.tasks.task import Task
 from taut.control.trajectories.force_reference import TaskForce, hybrid_kind, pressing
 from taut.control.trajectories.reference import Hold, JointMotion, Reference, Stream

@@ -46,7 +46,7 @@ COLUMNS = (
 
 @dataclass(frozen=True, kw_only=True)
 class ScenarioResult(Result):
-    """What a scenario gave."""
+    """Result of a scenario: its runs, the files that were made, and what was missed."""
 
     scenario: Scenario
     runs: Mapping[Trial, Run]
@@ -55,7 +55,7 @@ class ScenarioResult(Result):
 
     @property
     def verdicts(self) -> list[str]:
-        """Of each pass figure and each run that it is about, how it is missed; empty where it is reached."""
+        """A sentence for each pass figure and run that it is about: how it is missed; empty where it is reached."""
         return [
             f"{trial.label}{'' if figure.part is None else f', {figure.part}'}: {text}" if text else ""
             for figure in self.scenario.figures
@@ -71,11 +71,11 @@ class ScenarioResult(Result):
 
     @property
     def ok(self) -> bool:
-        """Whether every run went to its end, every pass figure was reached and every file was made."""
+        """True where every run went to its end, every pass figure was reached and every file was made."""
         return not self.missed and not self.skipped and all(one.outcome.ok for one in self.runs.values())
 
     def json(self) -> dict[str, Any]:
-        """As plain values."""
+        """The result as plain values."""
         return {
             "scenario": self.scenario.name,
             "metrics": _metrics_by_case(self.runs),
@@ -191,7 +191,7 @@ def _metrics_by_case(runs: Mapping[Trial, Run]) -> dict[str, Any]:
 
 
 def _shortfall(figure: PassFigure, one: Run) -> str:
-    """How a run misses a pass figure: the run, a law beside others, or a phase; empty if it reaches it."""
+    """Sentence on how a pass figure is missed: the run, a law beside others, or a phase; empty if not."""
     if figure.part is not None and one.info.phases:
         if figure.part not in (window.name for window in one.phases):
             return "the phase did not act"
@@ -248,7 +248,7 @@ def run_scenario(
 
 
 def _info(scenario: Scenario, trial: Trial) -> ScenarioInfo:
-    """What a run keeps of the scenario that made it."""
+    """The scenario as a run keeps it."""
     return ScenarioInfo(
         name=scenario.name,
         **trial._asdict(),
@@ -259,7 +259,7 @@ def _info(scenario: Scenario, trial: Trial) -> ScenarioInfo:
 
 @contextmanager
 def _blamed(scenario: Scenario, trial: Trial) -> Iterator[None]:
-    """What loading could not see, such as code that cannot be traced or memory that is full, names its place."""
+    """Name the place of errors that loading could not see, such as code that cannot be traced or full memory."""
     try:
         yield
     except TautError as cause:
@@ -341,7 +341,7 @@ def _save_plot(scenario: Scenario, runs: Mapping[Trial, Run], path: Path) -> Non
 
 
 def _plot_label(trial: Trial, laws: Sequence[str]) -> str:
-    """What a line is called: without the law where there is only one."""
+    """Label of a line: without the law where there is only one."""
     if len(laws) > 1:
         return trial.label
     part = trial.law.removeprefix(laws[0]).removeprefix(": ")

@@ -181,7 +181,7 @@ class Trial(NamedTuple):
 
     @property
     def label(self) -> str:
-        """What a message calls it."""
+        """Its name in messages."""
         return f"{self.case}: {self.law}" if self.case else self.law
 
 
@@ -201,7 +201,7 @@ class Scenario:
 
     @property
     def trials(self) -> dict[Trial, Scenario]:
-        """What is run: every law in every case."""
+        """The runs: every law in every case."""
         places = self.cases or {"": self}
         return {Trial(case, law): place for case, place in places.items() for law in self.laws}
 
@@ -248,8 +248,8 @@ def load_scenario(
     Args:
         name: Name or path.
         own_laws: Laws that take the place of the scenario's own, by the place that they were loaded from.
-        values: Keys that get another value, by their path in the file: {"run.duration": 2.0, "laws.PD.kp": 5.0}.
-            "law.kp" is a gain of the scenario's only law.
+        values: Keys that get another value, by their path in the file, {"run.duration": 2.0, "laws.PD.kp": 5.0}, and
+            parameters of the loop of each law from the start, by theirs: {"law.kp": 5.0}.
 
     Raises:
         ScenarioError: The file breaks the schema, or its parts do not fit; the message names file, section and key.
@@ -257,8 +257,13 @@ def load_scenario(
         UnknownNameError: There is no such scenario.
     """
     path = scenario_file(name)
-    root = with_values(read_toml(path, f"scenario '{name}'"), values or {})
-    root.only([*OF_A_CASE, *OF_ALL_CASES, "cases", "spread"])
+    keys = (*OF_A_CASE, *OF_ALL_CASES, "cases", "spread")
+    of_file = {place: value for place, value in (values or {}).items() if place.partition(".")[0] in keys}
+    parameters = {place: value for place, value in (values or {}).items() if place not in of_file}
+    root = with_values(read_toml(path, f"scenario '{name}'"), of_file)
+    root.only(keys)
+    if parameters:
+        root.values["event"] = [{"t": 0.0, "set": parameters}, *root.get("event", [])]
     text = path.read_text(encoding="utf-8-sig")
     outputs, figures = root.table("outputs"), root.tables("pass")
     common: dict[str, Any] = {

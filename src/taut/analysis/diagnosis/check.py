@@ -30,14 +30,6 @@ if TYPE_CHECKING:
 __all__ = ["MODEL_TERMS", "NEEDS", "Check", "ExaminedRun", "Finding", "Need", "Number", "Threshold"]
 
 Need = Literal["length", "torque", "error", "effort", "model"]
-NEEDS: Final[Mapping[Need, str]] = {
-    "length": "the run is too short",
-    "torque": "the law does not command torques",
-    "error": "the error of the joints is not known from this law and its reference",
-    "effort": "the effort limits of the arm are not known",
-    "model": "the model of the arm, or a contact force on it, is not known",
-}
-"""What a check may need, and why it was left out where a run does not have it."""
 TITLE_LETTERS: Final = 100  # of a line of a figure's title
 MODEL_TERMS: Final = frozenset(
     {"gravity", "nonlinear", "feedforward", "friction", "inertia", "curvature", "chain", "force_nonlinear", "force"}
@@ -220,14 +212,8 @@ class ExaminedRun:
 
     def lacks(self, need: Need) -> str | None:
         """Why a check with this need is left out; None where the run has it."""
-        there: dict[Need, Callable[[], bool]] = {
-            "length": lambda: len(self.run) >= self.threshold["duration"] * self.run.rate,
-            "torque": lambda: self.of_torque,
-            "error": lambda: self.error is not None,
-            "effort": lambda: self.effort_limit is not None,
-            "model": lambda: self.fit is not None,
-        }
-        return None if there[need]() else NEEDS[need]
+        why, there = NEEDS[need]
+        return None if there(self) else why
 
     @property
     def n(self) -> int:
@@ -496,3 +482,19 @@ class ExaminedRun:
     def oscillation(self) -> Oscillation | None:
         """The oscillation of the feedback, classified by the work on it; None where there is none."""
         return find_oscillation(self) if self.of_torque else None
+
+
+NEEDS: Final[Mapping[Need, tuple[str, Callable[[ExaminedRun], bool]]]] = {
+    "length": ("the run is too short", lambda run: len(run.run) >= run.threshold["duration"] * run.run.rate),
+    "torque": ("the law does not command torques", lambda run: run.of_torque),
+    "error": (
+        "the error of the joints is not known from this law and its reference",
+        lambda run: run.error is not None,
+    ),
+    "effort": ("the effort limits of the arm are not known", lambda run: run.effort_limit is not None),
+    "model": (
+        "the model of the arm, or a contact force on it, is not known",
+        lambda run: run.fit is not None,
+    ),
+}
+"""What a check may need: why it was left out where a run does not have it, and whether it does."""

@@ -135,7 +135,7 @@ def _held_by_friction(run: ExaminedRun) -> Array:
     """(n,) joints that end off their target and are held there by dry friction.
 
     What is beyond model and load is within the dry friction that the motion of the joint showed; or the joint rests,
-    and it never moved by what is tolerated.
+    and it never moved by what is tolerated, or not enough to show its friction.
     """
     record, limit, end = run.run, run.threshold, run.end
     assert run.error is not None
@@ -144,6 +144,7 @@ def _held_by_friction(run: ExaminedRun) -> Array:
     by_friction = (np.abs(feedback - carried) < np.abs(carried)) & (np.abs(carried) <= limit["dry friction"] * dry)
     at_rest = run.resting[end].all(axis=0)
     still = at_rest & (np.ptp(record.q, axis=0) <= run.tolerance)
+    still |= at_rest & (False if run.fit is None else ~run.fit.moved)
     off = np.abs(run.error[end].mean(axis=0)) > run.tolerance
     at_target = np.any(run.reference_speed[end]) | ~off
     return np.asarray(~at_target & (still | (by_friction & (at_rest | run.settled))))

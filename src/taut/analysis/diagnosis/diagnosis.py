@@ -14,7 +14,7 @@ from taut.analysis.diagnosis.check import Check, ExaminedRun, Finding
 from taut.analysis.diagnosis.checks import CHECKS, SHARED
 from taut.analysis.diagnosis.model import model_of_run
 from taut.arm.description import Arm
-from taut.base.errors import MatchError, UsageError
+from taut.base.errors import UsageError
 from taut.base.result import Content, Result, Table
 from taut.record.run import Run
 
@@ -25,7 +25,6 @@ __all__ = ["Diagnosis", "doctor"]
 
 TOO_FAST: Final = 1e3  # [rad/s | m/s] no arm is as fast
 BEYOND_LIMITS: Final = 10.0  # times the limits of torque and speed: the loop ran away
-WITHIN_LIMITS: Final = 0.05  # [s] after which an earlier excess is over
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -124,14 +123,7 @@ def doctor(run: Run, *, arm: Arm | None = None, checks: Sequence[Check] = CHECKS
     if not isinstance(run, Run):
         raise UsageError(f"doctor takes a Run from taut.run or taut.load_run; got {type(run).__name__}", name="run")
     if arm is not None:
-        if not isinstance(arm, Arm):  # callers without a type checker
-            raise UsageError(f"doctor takes arm= from taut.load_arm; got {type(arm).__name__}", name="arm")
-        if arm.joint_names != run.joint_names:
-            raise MatchError(
-                f"the run is of joints {', '.join(run.joint_names)}, and arm '{arm.name}' has "
-                f"{', '.join(arm.joint_names)}; give the arm that the controller was compiled for",
-                name="arm",
-            )
+        run.require_arm(arm)
     wrong = [type(check).__name__ for check in checks if not isinstance(check, Check)]
     if wrong:
         raise UsageError(f"checks are taut.analysis.Check; got {wrong[0]}", name="checks")
@@ -259,22 +251,15 @@ def _before_running_away(run: Run, min_ticks: int) -> Run:
     """The ticks before the loop ran away: what comes after says nothing of the arm.
 
     It did where a command is not a number or a joint is faster than any arm; of a run that ended so or in a fault,
-    what is ten times beyond the limits of torque or speed is left out too, with less than 50 ms within them between.
+    what follows ten times the limits of torque or speed is left out too.
     """
     speed, effort = (
         np.array([run.info.limits.get(kind, {}).get(joint, np.inf) for joint in run.joint_names])
         for kind in ("velocity", "effort")
     )
-    wild = np.flatnonzero((np.abs(run.v) > TOO_FAST).any(axis=1) | ~np.isfinite(run.command).all(axis=1))
-    beyond = np.abs(run.v) > BEYOND_LIMITS * speed
-    if run.kind == "torque":
-        beyond |= np.abs(run.command) > BEYOND_LIMITS * effort
-    away = np.flatnonzero(beyond.any(axis=1))
-    pause = WITHIN_LIMITS * run.rate
-    ends = wild[:1].tolist()
-    if away.size and (ends or not run.outcome.ok) and len(run) - 1 - away[-1] < pause:
-        pauses = np.flatnonzero(np.diff(away) > pause)
-        ends.append(int(away[pauses[-1] + 1 if pauses.size else 0]))
-    if not ends:
-        return run
-    return run.between(float(run.t[0]), float(run.t[min(max(min(ends), min_ticks), len(run)) - 1]))
+    away = (np.abs(run.v) > TOO_FAST).any(axis=1) | ~np.isfinite(run.command).all(axis=1)
+    if away.any() or not run.outcome.ok:
+        away |= (np.abs(run.v) > BEYOND_LIMITS * speed).any(axis=1)
+        if run.kind == "torque":
+            away |= (np.abs(run.command) > BEYOND_LIMITS * effort).any(axis=1)
+    return run.ticks(slice(0, max(int(np.argmax(away)), min_ticks))) if away.any() else run

@@ -169,6 +169,7 @@ class Fit:
         covariance: (4, 4) of mass [kg] and centre of mass [m].
         viscous: (n,) viscous friction [N m s/rad | N s/m].
         coulomb: (n,) dry friction [N m | N]; 0 of joints without motion.
+        moved: (n,) joints that moved enough to show their friction.
     """
 
     kind: Literal["none", "gravity", "payload"]
@@ -181,6 +182,7 @@ class Fit:
     covariance: Float64Array
     viscous: Float64Array
     coulomb: Float64Array
+    moved: Array
 
 
 def fit_residual(model: ArmModel, scale: Float64Array, threshold: Mapping[str, float]) -> Fit:
@@ -236,6 +238,7 @@ def _fit(model: ArmModel, scale: Float64Array, threshold: Mapping[str, float], u
             unexplained=after / whole if whole > 0.0 else 0.0,
             viscous=by[:n],
             coulomb=by[n:],
+            moved=np.asarray(used.any(axis=0) & in_motion),
             **{**none, **numbers},
         )
 

@@ -8,14 +8,14 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from taut.base.errors import RangeError, UsageError
+from taut.base.errors import UsageError
 from taut.base.fields import Choice
 from taut.base.types import Float64Array, Matrix, Rotation, Twist, Vector, Vector3, Wrench
 from taut.control.closed_loop import ApparentImpedance, ClosedLoop
 from taut.control.command import Command, Terms, Torque
-from taut.control.gains import Gain, GainValue, MemoryView
+from taut.control.gains import Gain, GainValue, MemoryView, require_at_most
 from taut.control.law import Law, call
-from taut.control.laws.task_error import FRAMES, GainFrame, pulled
+from taut.control.laws.task_error import FRAMES, GainFrame, inwards, outwards, pulled
 from taut.control.laws.task_space import (
     Bound,
     TaskSpace,
@@ -28,7 +28,7 @@ from taut.control.laws.task_space import (
 )
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.snapshot import Snapshot
-from taut.maths.spatial import left_jacobian_inverse, rotated, rotation_exp, rotation_log
+from taut.maths.spatial import left_jacobian_inverse, rotation_exp, rotation_log
 from taut.trace import math as tm
 
 __all__ = ["Admittance"]
@@ -113,7 +113,7 @@ class Admittance(Law):
             follows = f"{type(inner).__name__} follows a {inner.reference.__name__}"
             self.refuse("inner", f"must be a law that follows a TaskMotion, such as TaskVelocity; {follows}")
         if tool != self.tool:
-            self.refuse("tool", f"must be that of the inner law, which moves the frame {_frame(tool)}")
+            self.refuse("tool", f"must be that of the inner law, which moves {tool or 'the tool of the arm'}")
         check_damping(self, self.K, self.B, self.zeta, self.D)
 
     def check_rate(self, rate: float) -> None:
@@ -304,19 +304,11 @@ def _axes(frame: GainFrame, body: Body, ref: TaskMotion) -> Rotation | None:
     return {"world": None, "task": ref.R, "tool": body.R}[frame]
 
 
-def _in_axes(R: Rotation | None, six: Any) -> Any:
-    return six if R is None else rotated(R.T, six)
-
-
-def _to_world(R: Rotation | None, six: Any) -> Any:
-    return six if R is None else rotated(R, six)
-
-
 def answered(model: Model, frame: GainFrame, body: Body, ref: TaskMotion, F: Wrench) -> Twist:
     """(6,) the acceleration of a body that the model would give it, world axes: equation 10.50."""
     R = _axes(frame, body, ref)
-    X, U = _in_axes(R, body.offset(ref)), _in_axes(R, body.velocity(ref))
-    return body.acceleration(ref, _to_world(R, model.rate(X, U, _in_axes(R, F))))
+    X, U = inwards(R, body.offset(ref)), inwards(R, body.velocity(ref))
+    return body.acceleration(ref, outwards(R, model.rate(X, U, inwards(R, F))))
 
 
 def integrated(model: Model, frame: GainFrame, body: Body, ref: TaskMotion, F: Wrench, dt: Any) -> tuple[Twist, Body]:
@@ -335,13 +327,13 @@ def integrated(model: Model, frame: GainFrame, body: Body, ref: TaskMotion, F: W
         dt: Length of the tick [s].
     """
     R = _axes(frame, body, ref)
-    X, U, F = (_in_axes(R, six) for six in (body.offset(ref), body.velocity(ref), F))
+    X, U, F = (inwards(R, six) for six in (body.offset(ref), body.velocity(ref), F))
     mean = model.step(X, U, F, dt)
     allowed = model.energy(X, U) + dt * (F @ mean - mean @ (model.B @ mean))
-    new = moved(body, ref, _to_world(R, mean), _to_world(R, 2.0 * mean - U), dt)
+    new = moved(body, ref, outwards(R, mean), outwards(R, 2.0 * mean - U), dt)
     beside = _later(ref, dt)
     R = _axes(frame, new, beside)
-    share = model.share(allowed, _in_axes(R, new.offset(beside)), _in_axes(R, new.velocity(beside)))
+    share = model.share(allowed, inwards(R, new.offset(beside)), inwards(R, new.velocity(beside)))
     still = moved(body, ref, np.zeros(6), np.zeros(6), dt)
     stays = share < 0.0
     carried = new.carried(beside, beside.twist)
@@ -366,24 +358,14 @@ def _later(ref: TaskMotion, dt: Any) -> TaskMotion:
 # -------------------------------------------------------------------- checks
 
 
-def _frame(name: str | None) -> str:
-    return "of the arm's tool" if name is None else f"'{name}'"
-
-
 def _check_own(D: Float64Array, B: Float64Array, K: Float64Array, rate: float) -> None:
     """The model must be slower than the rate: D >= B dt / 2 + K dt^2 / 4, so that nothing turns round in a tick."""
     dt = 1.0 / rate
     L = np.linalg.cholesky(D)
     inverse = np.linalg.inv(L)
     most = float(np.linalg.eigvalsh(inverse @ (0.5 * dt * B + 0.25 * dt * dt * K) @ inverse.T)[-1])
-    if most > 1.0 + 1e-9:
-        raise RangeError(
-            f"D is too small for {rate:g} Hz: it must be >= B dt / 2 + K dt^2 / 4 in every direction, or the virtual "
-            f"mass turns round within a tick; make it {most:.3g} times larger, B and K smaller, or the rate higher",
-            name="D",
-            value=most,
-            rule=">= B dt / 2 + K dt^2 / 4",
-        )
+    name, why = f"(B dt / 2 + K dt^2 / 4) / D at {rate:g} Hz", "or the virtual mass turns round within a tick"
+    require_at_most(name, most, 1.0 + 1e-9, "1", f"{why}: make D larger, B and K smaller, or the rate higher")
 
 
 def _check_measured(D: Float64Array, B: Float64Array, K: Float64Array, rate: float) -> None:
@@ -393,11 +375,5 @@ def _check_measured(D: Float64Array, B: Float64Array, K: Float64Array, rate: flo
     drift = np.block([[np.eye(6), dt * np.eye(6)], [np.zeros((6, 6)), np.eye(6)]])
     feedback = np.linalg.solve(D, np.hstack([K, B]))
     radius = float(np.abs(np.linalg.eigvals(drift - hold @ feedback)).max())
-    if radius > 1.0 + 1e-6:
-        raise RangeError(
-            f"with model='measured' the loop sampled at {rate:g} Hz grows by the factor {radius:.6g} in a tick; B "
-            "must be above K dt / 2 and well below 2 D / dt: change B, or take model='own'",
-            name="B",
-            value=radius,
-            rule="<= 1",
-        )
+    name, why = f"the growth in a tick of model='measured' at {rate:g} Hz", "or the loop is unstable"
+    require_at_most(name, radius, 1.0 + 1e-6, "1", f"{why}: B must be above K dt / 2 and well below 2 D / dt")

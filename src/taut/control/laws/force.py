@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
 
 import numpy as np
 
 from taut.base.checks import positive_scalar, vector
-from taut.base.errors import RangeError
 from taut.base.fields import Choice, Part
 from taut.base.types import ArrayLike, Matrix, Rotation, Vector, Wrench
 from taut.control.closed_loop import ClosedLoop, PlacedGains
 from taut.control.command import Command, Terms, Torque
-from taut.control.gains import Gain, GainValue, Integral, MemoryView
+from taut.control.gains import Gain, GainValue, Integral, MemoryView, require_at_most
 from taut.control.law import Law
 from taut.control.laws.null_space import Posture, check_null, with_null_space
+from taut.control.laws.task_error import inwards, outwards
 from taut.control.laws.task_space import bounded_inertia, check_sensor, task_gain, tool_loop, wrench_at
 from taut.control.trajectories.force_reference import HybridMotion, TaskForce
 from taut.control.trajectories.task_reference import FRAMES, Axes
@@ -23,7 +24,7 @@ from taut.maths import dynamics as dyn
 from taut.maths.constraints.constraint import Constraint
 from taut.maths.constraints.rows import ConstraintRows
 from taut.maths.snapshot import Snapshot
-from taut.maths.spatial import rotated, rotated_matrix
+from taut.maths.spatial import rotated_matrix
 from taut.maths.task_inertia import TaskInertia
 from taut.trace import math as tm
 
@@ -214,16 +215,16 @@ class ForceControl(Law):
         R = T.R if self.frame == "tool" else None
         inertia = bounded_inertia(x, J)
         F_des = ref.in_world(T.R)
-        w = Terms(feedforward=_inwards(R, F_des))
+        w = Terms(feedforward=inwards(R, F_des))
         e_int = memory.integral.e_int
         if self.measures:
-            F_e = _inwards(R, _movable(x, self.tool, F_des - self._applied(x, inertia)))
+            F_e = inwards(R, _movable(x, self.tool, F_des - self._applied(x, inertia)))
             e_int = self._integral(x, memory, F_e, R, inertia, dt)
             w = w + Terms(P=self.kfp @ F_e, I=self.kfi @ e_int)
         if self.kdamp is not None:
             mobility = inertia.mobility if R is None else rotated_matrix(R.T, inertia.mobility)
-            w = w + Terms(D=-damping_force(self.kdamp.matrix(6), mobility, _inwards(R, J @ x.v), dt))
-        tau = J.T @ w.mapped(lambda F: F if R is None else rotated(R, F)) + Terms(gravity=x.g)
+            w = w + Terms(D=-damping_force(self.kdamp.matrix(6), mobility, inwards(R, J @ x.v), dt))
+        tau = J.T @ w.mapped(functools.partial(outwards, R)) + Terms(gravity=x.g)
         tau, null = with_null_space(self, tau, x, ref, memory, dt, inertia, 6)
         return Torque(tau), {"integral": {"e_int": e_int}, **null}
 
@@ -232,7 +233,7 @@ class ForceControl(Law):
     ) -> Vector:
         """The integral after this tick, each part no longer than e_int_max."""
         grown, _ = self.integral.step(
-            memory.integral, F_e, dt, ki=self.kfi, cut=lambda: _inwards(R, inertia.wrench(x.tau_cut))
+            memory.integral, F_e, dt, ki=self.kfi, cut=lambda: inwards(R, inertia.wrench(x.tau_cut))
         )
         out = []
         for part, most in ((grown[:3], self.e_int_max[0]), (grown[3:], self.e_int_max[1])):
@@ -242,8 +243,8 @@ class ForceControl(Law):
     def missing(self, x: Snapshot, ref: TaskForce, contact: Any) -> Vector:
         """(2,) 1 where more force, or moment, than `contact` is asked for and less is measured along it, else 0."""
         F_des, F_app = ref.in_world(x.T(self.tool).R), self._applied(x, bounded_inertia(x, x.J(self.tool)))
-        parts = [(F_des[3 * k : 3 * k + 3], F_app[3 * k : 3 * k + 3], contact[k]) for k in (0, 1)]
-        return tm.array([misses(tm.norm(asked), asked @ there, least) for asked, there, least in parts])
+        parts = [(F_des[k : k + 3], F_app[k : k + 3]) for k in (0, 3)]
+        return tm.array([misses(tm.norm(F), F @ got, least) for (F, got), least in zip(parts, contact, strict=True)])
 
     def _applied(self, x: Snapshot, inertia: TaskInertia) -> Wrench:
         """(6,) F_app as it is measured."""
@@ -262,11 +263,6 @@ def _movable(x: Snapshot, tool: str | None, F: Wrench) -> Wrench:
     """A wrench without the directions in which the arm never moves, as a planar one: its bearings carry them."""
     anywhere = dyn.jacobian(x.model, np.cos(1.7 * np.arange(x.n) + 0.3), tool)  # what is zero here is so in any pose
     return tm.array([F[i] if np.any(np.abs(row) > STILL) else 0.0 for i, row in enumerate(anywhere)])
-
-
-def _inwards(R: Rotation | None, six: Vector) -> Vector:
-    """What stands in world axes, in those of the gains."""
-    return six if R is None else rotated(R.T, six)
 
 
 def _numbers(gain: GainValue) -> Matrix:
@@ -301,15 +297,13 @@ def check_force_pole(kfp: Matrix, kfi: Matrix, rate: float) -> None:
     """
     gains = [np.asarray(gain, dtype=np.float64) for gain in (kfp, kfi)]
     fastest = np.linalg.solve(np.eye(len(gains[0])) + gains[0], gains[1])
-    pole = float(np.max(np.abs(np.linalg.eigvals(fastest))))
-    if pole >= 2.0 * rate:
-        raise RangeError(
-            f"kfi / (1 + kfp) must be below twice the rate, {2.0 * rate:g} [1/s], or the force oscillates on any "
-            f"contact; got {pole:g}; a pole of 1 to 20 1/s is usual",
-            name="kfi",
-            value=pole,
-            rule="kfi / (1 + kfp) < 2 rate",
-        )
+    require_at_most(
+        "kfi / (1 + kfp)",
+        np.abs(np.linalg.eigvals(fastest)),
+        2.0 * rate,
+        "1/s",
+        "twice the rate, or the force oscillates on any contact; a pole of 1 to 20 1/s is usual",
+    )
 
 
 # -------------------------------------------------------------------- multipliers, and whether they are there

@@ -10,7 +10,7 @@ import numpy as np
 
 from taut.base.errors import UsageError
 from taut.base.fields import Choice, Field, Part, Plain
-from taut.base.types import Vector
+from taut.base.types import Float64Array, Vector
 from taut.control.closed_loop import ClosedLoop, PlacedGains
 from taut.control.command import Command, Terms, Torque
 from taut.control.gains import Gain, Memory, MemoryView
@@ -174,24 +174,21 @@ class HybridMotionForce(Law):
 
     def check_rate(self, rate: float) -> None:
         """The slow mode of the force, -kfi / (1 + kfp), must be slower than the rate on any contact."""
-        if self.kfi is not None:
-            k = self.rows
-            check_force_pole(
-                self.kfp.matrix(k) if self.kfp is not None else np.zeros((k, k)), self.kfi.matrix(k), rate
-            )
+        check_force_pole(*self._force_gains(), rate)
 
     def force_loop_gain(self, dt: float, touch: object) -> float:  # noqa: ARG002
         """The largest eigenvalue of kfp + kfi dt / 2: from 1 on, a force a tick old is unstable on rigid contacts.
 
         0 where no force is fed back.
         """
-        k = self.rows
-        gains = [
-            np.asarray(gain.matrix(k), dtype=np.float64) * factor
-            for name, factor in (("kfp", 1.0), ("kfi", 0.5 * dt))
-            if (gain := self.gains().get(name)) is not None
-        ]
-        return float(np.max(np.abs(np.linalg.eigvals(sum(gains))))) if gains else 0.0
+        kfp, kfi = self._force_gains()
+        return float(np.max(np.abs(np.linalg.eigvals(kfp + 0.5 * dt * kfi))))
+
+    def _force_gains(self) -> tuple[Float64Array, Float64Array]:
+        """(k, k) kfp and kfi, zero where they are left out."""
+        gains = (np.zeros((self.rows, self.rows)) if k is None else k.matrix(self.rows) for k in (self.kfp, self.kfi))
+        kfp, kfi = (np.asarray(gain, dtype=np.float64) for gain in gains)
+        return kfp, kfi
 
     def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
         check_constraint(self.constraint, x)
@@ -222,8 +219,7 @@ class HybridMotionForce(Law):
 
     def closed_loop(self, x: Snapshot) -> ClosedLoop | None:
         """That of its motion, along the constraint; against it (I + kfp) lam_e + kfi int(lam_e) = const."""
-        motion, eye = self.motion.closed_loop(x), np.eye(self.rows)
-        kfp, kfi = (0.0 * eye if gain is None else gain.matrix(self.rows) for gain in (self.kfp, self.kfi))
+        motion, eye, (kfp, kfi) = self.motion.closed_loop(x), np.eye(self.rows), self._force_gains()
 
         def gains(motion: Law, g: PlacedGains) -> Law:
             fed: dict[str, Any] = {} if g.force is None else {"kfi": g.force * (eye + kfp)}
@@ -255,8 +251,12 @@ class HybridMotionForce(Law):
             tau = tau + Terms(
                 chain=held.along(held.brought_along(x, self.motion.controlled_frame, command.terms.total))
             )
-        multipliers = lam.total if self.curvature else lam.total + curved
-        return Torque(tau), {"motion": motion, "lam": multipliers, "phi": rows.phi, "e_int": e_int}
+        return Torque(tau), {
+            "motion": motion,
+            "lam": lam.total if self.curvature else lam.total + curved,
+            "phi": rows.phi,
+            "e_int": e_int,
+        }
 
     def _along(self, x: Snapshot, rows: ConstraintRows, motion: Sample) -> tuple[Snapshot, Sample]:
         """What the law of motion sees and follows: of a tool that is constrained, without what is against that."""

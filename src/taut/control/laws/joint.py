@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from taut.base.errors import MatchError, RangeError
+from taut.base.errors import MatchError
 from taut.base.fields import Choice, Part
 from taut.base.types import Array, Vector
 from taut.control.command import Command, Terms, Torque, Velocity
 from taut.control.gains import Gain, Integral, MemoryView
 from taut.control.law import Law, call
+from taut.control.sensing import check_frequencies
 from taut.control.trajectories.reference import JointMotion, Sample
 from taut.maths.friction import FrictionValues, dry_limit
 from taut.maths.snapshot import Snapshot
@@ -41,7 +42,6 @@ __all__ = [
 
 RAISED: Final = ("kp", "kd")
 INTEGRAL: Final = "e_int"
-TRACKING: Final = "tracking"  # how fast limits drive an integral back [1/s]
 SPREAD: Final = 3.0  # widths over which an excess that falls at once is given: tanh is near 1 there, and s is too
 
 
@@ -302,14 +302,7 @@ class Dither(Law):
     frequency: Gain = Gain(unit="Hz", accepts=("scalar",), above=0.0)
 
     def check_rate(self, rate: float) -> None:
-        largest = float(np.max(self.frequency.as_array()))
-        if largest >= rate / 2.0:
-            raise RangeError(
-                f"frequency of a Dither must be below {rate / 2.0:g} [Hz], half the rate of {rate:g} Hz; got "
-                f"{largest:g}; lower it, or compile with a higher rate",
-                name="frequency",
-                value=largest,
-            )
+        check_frequencies(self, "Dither", rate)
 
     def command(self, x: Snapshot, ref: JointMotion) -> Command:  # noqa: ARG002
         cycles = np.ones(x.n) * (self.frequency.as_array() * x.t)
@@ -321,11 +314,11 @@ class RaisedGains(Law):
     """Larger gains near zero velocity, against sticking: holds a law and raises its gains where the arm rests.
 
     Law:          that of the law it holds, with s kp and s kd in place of kp and kd, and int(s e) in place of int(e)
-                  s = 1 + (factor - 1) exp(-(v* / width)^2), joint by joint, v* the measured or the desired velocity
-    Closed loop:  that of the law it holds where |v*| is some widths; at rest that with kp, kd and ki times the factor
+                  s = 1 + (factor - 1) exp(-(v / width)^2), joint by joint, v the measured velocity
+    Closed loop:  that of the law it holds where |v| is some widths; at rest that with kp, kd and ki times the factor
                   there dry friction leaves an error of up to mu / (factor kp) in place of mu / kp
                   the integral changes faster near rest, and does not jump or breathe with v; neither does the torque
-                  at="meas": v* changes with the motion, and s kp e is a stiffness that falls as the joint moves off
+                  s kp e is a stiffness that falls as the joint moves off
 
     It raises gains named kp and kd, also of the laws in a sum, and what is integrated into a memory named e_int;
     other gains are left as they are. A matrix K becomes S K S with S the root of diag(s).
@@ -337,35 +330,14 @@ class RaisedGains(Law):
     inner: Law
     factor: Gain = Gain(unit="1", accepts=("scalar",), minimum=1.0)
     width: Gain = Gain(0.05, unit="rad/s | m/s", accepts=("scalar",), above=0.0)
-    at: Choice[str] = Choice("meas", "ref")
 
     def check(self) -> None:
-        inner, follows = type(self.inner).__name__, self.inner.reference
         if not _raised(self.inner):
-            self.refuse("inner", f"must have kp or kd, which are raised; {inner} has neither")
-        if self.at == "ref" and follows is not JointMotion:
-            self.refuse(
-                "at",
-                f"'ref' is for a law of JointMotion, and {inner} follows a {follows.__name__}; use 'meas'",
-            )
-        self.__dict__["reference"] = follows
-
-    def check_rate(self, rate: float) -> None:
-        """The integral is driven back faster too, and not faster than the rate [Hz]."""
-        factor = float(np.max(self.factor.as_array()))
-        rates = [gain for path, gain in self.inner.parameters().items() if path.rpartition(".")[2] == TRACKING]
-        largest = max((float(np.max(gain)) for gain in rates), default=0.0)
-        if factor * largest > rate:
-            raise RangeError(
-                f"tracking of a law whose gains are raised must be at most the rate over the factor, "
-                f"{rate / factor:g} [1/s], or its integral would oscillate near rest; got {largest:g}",
-                name="inner.tracking",
-                value=largest,
-            )
+            self.refuse("inner", f"must have kp or kd, which are raised; {type(self.inner).__name__} has neither")
+        self.__dict__["reference"] = self.inner.reference
 
     def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
-        v = ref.v if self.at == "ref" else x.v
-        ratio = v / self.width.as_array()
+        ratio = x.v / self.width.as_array()
         s = 1.0 + (self.factor.as_array() - 1.0) * tm.exp(-ratio * ratio)
         raised = {path: _scaled(gain, s) for path, gain in _raised(self.inner).items()}
         inner = self.inner.bound({**self.inner.parameters(), **raised})

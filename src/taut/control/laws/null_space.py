@@ -174,35 +174,24 @@ def with_null_space(
         ref: What it follows.
         memory: Its memory.
         dt: Period [s].
-        inertia: What projects a torque on the free motion.
+        inertia: What projects a torque on the free motion, by the dynamically consistent projector.
         dimensions: Directions of the task.
         weight: Of the torque of `null`.
     """
     null: Law | None = vars(law)["null"]
-    if null is None:
-        return tau, {}
-    if x.n <= dimensions:
-        return tau, {"null": memory["null"]}
-    free, after = _null_torque(null, x, ref, memory["null"], dt, inertia)
-    return tau + weight * free, {"null": after}
-
-
-def _null_torque(
-    null: Law, x: Snapshot, ref: Any, memory: Any, dt: Any, inertia: TaskInertia | ResolvedMotion
-) -> tuple[Terms, dict[str, Any]]:
-    """The torque of a law for the free motion, through the dynamically consistent projector, as one term."""
+    if null is None or x.n <= dimensions:
+        return tau, {} if null is None else {"null": memory["null"]}
     own = x.with_own_record()
-    command, after = call(null, own, ref, memory, dt)
+    command, after = call(null, own, ref, memory["null"], dt)
     if not isinstance(command, Torque):
         raise UsageError(
             f"null must be a law that gives a torque, and {type(null).__name__} gives a {command.kind}", name="null"
         )
-    twice = sorted(own.used & {"gravity", "coriolis", "friction"})
-    if twice:
+    for name in sorted(own.used & {"gravity", "coriolis", "friction"}):
         raise UsageError(
-            f"null: {type(null).__name__} compensates {twice[0]}, which the law around it adds already; use a law "
+            f"null: {type(null).__name__} compensates {name}, which the law around it adds already; use a law "
             "without, such as taut.laws.Posture()",
             name="null",
         )
     x.used.update(own.used)
-    return Terms(null=inertia.project(command.total)), after
+    return tau + Terms(null=weight * inertia.project(command.total)), {"null": after}

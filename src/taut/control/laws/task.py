@@ -8,12 +8,11 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from taut.base.errors import RangeError
 from taut.base.fields import Choice, Part
 from taut.base.types import Vector
 from taut.control.closed_loop import ClosedLoop
 from taut.control.command import Command, Position, Terms, Torque, Velocity
-from taut.control.gains import Gain, GainValue, Integral, Memory, MemoryView
+from taut.control.gains import Gain, GainValue, Integral, Memory, MemoryView, require_at_most
 from taut.control.law import Law
 from taut.control.laws.null_space import Posture, check_free, check_null, with_null_space
 from taut.control.laws.task_error import TaskError, task_error
@@ -242,10 +241,5 @@ def check_feedback(kp: GainValue, rate: float) -> None:
         RangeError: It is asked to.
     """
     values = np.asarray(kp.as_array(), dtype=np.float64)
-    largest = float(np.linalg.eigvalsh(values)[-1]) if values.ndim == 2 else float(values.max())
-    if largest > rate:
-        raise RangeError(
-            f"kp must be at most the rate, {rate:g} [1/s], with which the error is gone in one tick; got {largest:g}",
-            name="kp",
-            value=largest,
-        )
+    largest = np.linalg.eigvalsh(values) if values.ndim == 2 else values
+    require_at_most("kp", largest, rate, "1/s", "the rate, with which the error is gone in one tick")

@@ -57,11 +57,11 @@ class TaskError:
 
     def inwards(self, six: Array) -> Array:
         """What stands in the coordinates of the error, in the axes of the gains."""
-        return six if self.R is None else rotated(self.R.T, six)
+        return inwards(self.R, six)
 
     def outwards(self, six: Array) -> Array:
         """The way back."""
-        return six if self.R is None else rotated(self.R, six)
+        return outwards(self.R, six)
 
     def impedance(self, D: Matrix, B: Matrix, K: Matrix) -> ApparentImpedance:
         """The impedance in world axes of inertia, damping and stiffness in the axes of the gains."""
@@ -84,6 +84,16 @@ class TaskError:
             return pulled(self.X, force, turning=self.frame == "tool")
         out: Wrench = pose_log_rate(self.X if self.kind == "body" else -self.X).T @ force
         return out
+
+
+def inwards(R: Rotation | None, six: Array) -> Array:
+    """(6,) what stands in world axes, in those of the gains."""
+    return six if R is None else rotated(R.T, six)
+
+
+def outwards(R: Rotation | None, six: Array) -> Array:
+    """(6,) the way back."""
+    return six if R is None else rotated(R, six)
 
 
 def pulled(X: Vector, force: Vector, *, turning: bool) -> Wrench:
@@ -200,8 +210,8 @@ def task_error(
     R = {"world": None, "task": ref.R, "tool": T.R}[frame]
     X, V = tm.array([*(ref.p - T.p), *rotation_log(ref.R @ T.R.T)]), ref.twist - x.twist(tool)
     return TaskError(
-        X=X if R is None else rotated(R.T, X),
-        V=V if R is None else rotated(R.T, V),
+        X=inwards(R, X),
+        V=inwards(R, V),
         acceleration=ref.acceleration,
         J=x.J(tool),
         Jdot_v=x.Jdot_v(tool),

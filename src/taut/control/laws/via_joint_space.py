@@ -30,10 +30,10 @@ from taut.maths.ik import (
 )
 from taut.maths.snapshot import Snapshot
 from taut.trace import math as tm
+from taut.trace.graph import LARGEST
 
 __all__ = ["ViaJointSpace", "via_joint_space"]
 
-MAX_STEPS: Final = 10
 PULL: Final = 1.0  # [1/s] at which redundant joints go to their posture
 DAMPING: Final = 0.1  # [-] of J J^T at a singularity, as the singular value that it is the square of
 RISE: Final = 0.1  # [s] in which the speed of joints that catch up is reached from rest
@@ -45,13 +45,13 @@ MIN_DIVISOR: Final = 1e-30  # keeps a quotient finite
 class ViaJointSpace(Law):
     """Task-space motion by inverse kinematics: holds a law of joint motion and gives it the joints' motion.
 
-    Law:          q_des = f^-1(T_des), by `steps` damped Newton steps from the last solution      eq. 10.28
+    Law:          q_des = f^-1(T_des), by a damped Newton step from the last solution             eq. 10.28
                   v_des = J^-1 V_des                                                              eq. 10.29
                   a_des = J^-1 (V_des-dot - J-dot v_des)                                          eq. 10.30
                   then that of the law it holds, at this q_des, v_des, a_des
     Closed loop:  that of the law it holds, around these: e_ddot + kd e_dot + kp e = 0 of ComputedTorque, joint by
                   joint; the tool's error is J e to first order, so its directions are coupled by J
-                  q_des itself is off by c |q_pred - q*|^2 after one step, c about 1 [1/rad], with q_pred the last
+                  q_des itself is off by c |q_pred - q*|^2, c about 1 [1/rad], with q_pred the last
                   solution carried on by v_des and a_des: dt^3/6 times the joints' jerk from what is wanted
 
     J^-1 is the inverse, for redundant joints the pseudo-inverse, with too few least squares (a radian counts as much
@@ -71,7 +71,6 @@ class ViaJointSpace(Law):
 
     Args:
         inner: A law of joint motion, or a sum of them.
-        steps: Newton steps in a tick. One is enough where the reference has twist and acceleration.
         tool: The frame that is to follow; the arm's tool if left out.
         directions: "all" six; "position"; "pointing", for tools that may spin: position, and where z points.
         posture: (n,) where redundant joints go; where they started if left out.
@@ -84,7 +83,6 @@ class ViaJointSpace(Law):
 
     reference: ClassVar[type[Sample]] = TaskMotion
     inner: Law
-    steps: Choice[int] = Choice(*range(1, MAX_STEPS + 1))
     tool: str | None = None
     directions: Choice[Directions] = Choice(*DIRECTIONS)
     posture: Field = Field(unit="rad | m", shape="n", optional=True, run_time=False)
@@ -135,26 +133,24 @@ class ViaJointSpace(Law):
         # Towards a limit no faster than the way that is left over the rise; from beyond one only back.
         slowest, fastest = (tm.minimum(arm.lower, q) - q) / RISE, (tm.maximum(arm.upper, q) - q) / RISE
         free = 1.0 - tm.abs(held)
-        forced = tm.where(held > 0.0, fastest, tm.where(held < 0.0, slowest, 0.0))
+        up, down = (tm.where(np.isfinite(x), s, 0.0) for x, s in ((arm.upper, fastest), (arm.lower, slowest)))
+        forced = tm.where(held > 0.0, up, tm.where(held < 0.0, down, 0.0))  # joints without limits are never held
         onward = dt * shortened(memory.v_des + 0.5 * dt * memory.a_des, arm.velocity)
         q_pred = q + tm.clip(onward, dt * slowest, dt * fastest)
-        at = q_pred
-        for _ in range(self.steps - 1):
-            at = at + self._seen(x, at, ref, task, free).step
-        seen = self._seen(x, at, ref, task, free)
-        ahead = at - q_pred + seen.step
+        seen = self._seen(x, q_pred, ref, task, free)
+        ahead = seen.step
         share, pace = self._paced(ahead, memory.pace, arm.velocity, dt)
         moved = shortened(q_pred - q + share * ahead, arm.velocity * dt)
         q_new = q + tm.clip(moved, dt * slowest, dt * fastest)
 
-        rates = self._rates(x, at, ref, task, seen, free, forced, memory.posture)
+        rates = self._rates(x, q_pred, ref, task, seen, free, forced, memory.posture)
         pushed = rates.wish + seen.J.T @ seen.solved.multipliers(seen.e) / dt  # where a held joint would go
         wish = tm.where(free > 0.5, rates.v + share * ahead / dt, pushed)
         held = tm.where(wish > fastest, 1.0, tm.where(wish < slowest, -1.0, 0.0))
         v = tm.clip(rates.v, slowest, fastest)
         a = tm.where(held > 0.0, -fastest / RISE, tm.where(held < 0.0, -slowest / RISE, rates.a))
 
-        left = tm.array(task.left(seen.T, ref.pose, dyn.jacobian(x.model, at, self.tool) @ (q_new - at)))
+        left = tm.array(task.left(seen.T, ref.pose, dyn.jacobian(x.model, q_pred, self.tool) @ (q_new - q_pred)))
         new = {
             "q_des": q_new,
             "v_des": v,
@@ -217,7 +213,9 @@ class ViaJointSpace(Law):
         slowed = 1.0 / tm.maximum(1.0, worst)
         v = slowed * fast
         J_W = dyn.jacobian(x.model, q, self.tool)
-        J_W_rate = tm.jacobian(lambda s: dyn.jacobian(x.model, q + s[0] * v, self.tool), [0.0])[..., 0]
+        # No number in the random states of a compile's check, where a joint without a speed limit may be held.
+        onward = tm.where(tm.abs(v) <= LARGEST, v, 0.0)
+        J_W_rate = tm.jacobian(lambda s: dyn.jacobian(x.model, q + s[0] * onward, self.tool), [0.0])[..., 0]
         J_rate = task.seen_rate(T, J_W[3:] @ v, J_W, J_W_rate)
         wanted = task.seen_rate(T, J_W[3:] @ v, slowed * ref.twist, slowed * slowed * ref.acceleration)
         if redundant:
@@ -260,7 +258,6 @@ def _outcome(left: Array, held: Vector, damping: Any, motion: Vector, task: Task
 def via_joint_space(
     law: Law,
     *,
-    steps: int = 1,
     tool: str | None = None,
     directions: Directions = "all",
     posture: ArrayLike | None = None,
@@ -282,4 +279,4 @@ def via_joint_space(
         >>> bool(np.abs(run.q[-1] - arm.home - 0.2).max() < 1e-3)
         True
     """
-    return ViaJointSpace(inner=law, steps=steps, tool=tool, directions=directions, posture=posture, speed=speed)
+    return ViaJointSpace(inner=law, tool=tool, directions=directions, posture=posture, speed=speed)

@@ -23,8 +23,7 @@ from taut.base.fields import Declared, Plain
 from taut.control.command import Command, Position, Terms, Torque, Velocity
 from taut.control.gains import Gain, LawMemory, MemoryView
 from taut.control.law import Law, call, initial_memory
-from taut.control.tasks.guards import Guard, GuardView, Lasting, condition
-from taut.control.tasks.phase import STOP, Phase, named_phases
+from taut.control.tasks.phase import STOP, Guard, GuardView, Lasting, Phase, condition, named_phases
 from taut.control.trajectories.compound import PhaseSample, phase_sample
 from taut.control.trajectories.reference import Hold, JointMotion, Reference, Sample, Stream, Trajectory, as_reference
 from taut.maths.snapshot import Snapshot

@@ -69,10 +69,6 @@ class ReferenceFeed(Feed):
         self._fade: Fade | None = None  # from the answer before
         if isinstance(ref, Hold):
             self._ref = at_rest if ref.sample is None else ref.sample
-        if isinstance(self._ref, Sample) and not isinstance(self._ref, kind):
-            raise UsageError(
-                f"the law follows {kind.described()}; the reference is a {self._ref.described()}", name="ref"
-            )
         if isinstance(ref, Stream) and ref.source is None:
             raise UsageError(
                 "a stream in a simulation needs source=, a function that gives the next sample", name="ref"

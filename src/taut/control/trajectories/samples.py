@@ -15,7 +15,7 @@ from taut.base.fields import Field, Parts
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.trajectories.reference import JointMotion, Sample, stacked
 from taut.control.trajectories.task_reference import TaskMotion, differences, rotated_rows
-from taut.control.trajectories.timing import MAX_OF_MOTION, Motion, S
+from taut.control.trajectories.timing import COEFFICIENTS, MAX_OF_MOTION, Motion, S
 from taut.trace.pose import Pose
 
 __all__ = ["Chunk", "Sampled", "Samples", "TaskSamples", "chunk", "stated_times"]
@@ -135,7 +135,6 @@ ROTATION_COLUMNS: Final = {  # in a file
     "rpy": ("roll", "pitch", "yaw"),
 }
 EASE: Final = np.polynomial.Polynomial((0.0, 0.0, 3.0, -3.0, 1.0))  # from rest to an even run
-REST_TO_REST: Final = np.polynomial.Polynomial((0.0, 0.0, 3.0, -2.0))
 
 
 class TaskSamples(Sampled[TaskMotion]):
@@ -211,7 +210,7 @@ class TaskSamples(Sampled[TaskMotion]):
         """
         knots = self.times
         s, rate, second = times.copy(), np.ones((len(times), 1)), np.zeros((len(times), 1))
-        ease = EASE if len(knots) > 2 else REST_TO_REST
+        ease = EASE if len(knots) > 2 else COEFFICIENTS["cubic"]
         for end, inner, forwards in ((knots[0], knots[1], True), (knots[-1], knots[-2], False)):
             h = inner - end
             here = (times <= inner) if forwards else (times > inner)

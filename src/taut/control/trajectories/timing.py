@@ -14,7 +14,7 @@ from taut.base.fields import Declared
 from taut.base.types import Float64Array
 from taut.control.trajectories.reference import Sample
 
-__all__ = ["MAX_OF_MOTION", "Motion", "S", "Scaling", "ScalingKind", "Size", "Timing"]
+__all__ = ["COEFFICIENTS", "MAX_OF_MOTION", "Motion", "S", "Scaling", "ScalingKind", "Size", "Timing"]
 
 S = TypeVar("S", bound=Sample)
 Scaling: TypeAlias = tuple[Float64Array, Float64Array, Float64Array]

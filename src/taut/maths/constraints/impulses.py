@@ -16,7 +16,7 @@ CONTACT_SWEEPS: Final = 4  # of block Gauss-Seidel where several contacts act to
 SLIDING_ROUNDS: Final = 3  # of the direction of sliding, which depends on the normal force and the other way round
 CONTACT_NEWTON_STEPS: Final = 3  # of Newton's method for all contacts at once
 SLACK: Final = 1e-11  # of the diagonal, so that contacts that share a load need not be independent
-JAMMED: Final = 1e-3  # least share of a normal mobility that friction leaves; below it rigid bodies jam
+JAMMED: Final = 1e-3  # smallest fraction of a normal mobility that friction leaves; below it rigid bodies jam
 MIN_SLIDING: Final = 1e-30  # of squares of velocities: keeps quotients finite at rest
 
 
@@ -137,7 +137,7 @@ class _Block:
         return cls(
             touch=touch,
             held=factor_spd(inner),
-            all=factor_spd(_firm(_part(W, rows, rows))),
+            all=factor_spd(_regularised(_part(W, rows, rows))),
             across=_part(W, held, tangents),
             plane=_part(W, tangents, tangents),
         )
@@ -189,8 +189,8 @@ def _sliding(W: Matrix, z: Sequence[Any], c: Any, speed: Any) -> tuple[tuple[Any
     s, and exactly so where W is the same in all directions.
     """
     size = tm.sqrt(z[0] * z[0] + z[1] * z[1])
-    least = 1e-12 * size + MIN_SLIDING
-    s = tm.maximum(size - c * (W[0, 0] + W[1, 1]) if speed is None else speed, least)
+    smallest = 1e-12 * size + MIN_SLIDING
+    s = tm.maximum(size - c * (W[0, 0] + W[1, 1]) if speed is None else speed, smallest)
 
     def solved(b: Sequence[Any]) -> tuple[Any, Any]:
         a00, a01, a11 = s + c * W[0, 0], c * W[0, 1], s + c * W[1, 1]
@@ -201,19 +201,19 @@ def _sliding(W: Matrix, z: Sequence[Any], c: Any, speed: Any) -> tuple[tuple[Any
     slower = solved(d)
     square = d[0] * d[0] + d[1] * d[1]
     fall = d[0] * slower[0] + d[1] * slower[1]
-    s = tm.maximum(s + (tm.sqrt(square) - 1.0) * square / (fall + MIN_SLIDING), least)
+    s = tm.maximum(s + (tm.sqrt(square) - 1.0) * square / (fall + MIN_SLIDING), smallest)
     d = solved(z)
     size = 1.0 / tm.sqrt(d[0] * d[0] + d[1] * d[1] + MIN_SLIDING)
     return (d[0] * size, d[1] * size), s
 
 
-def _turn(W: Matrix, r: Vector, touch: Touch, p: list[Any], most: Any) -> None:
+def _turn(W: Matrix, r: Vector, touch: Touch, p: list[Any], limit: Any) -> None:
     """Write the impulse that stops a contact's spin, as far as its friction can."""
     s = touch.spin
     assert s is not None
-    size = tm.abs(most * p[touch.normal])
+    size = tm.abs(limit * p[touch.normal])
     turns = _sum(r[s], ((W[s, j], p[j]) for j in range(len(r)) if j != s))
-    p[s] = tm.clip(-turns / _firm_entry(W, s), -size, size)
+    p[s] = tm.clip(-turns / _diagonal(W, s), -size, size)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,13 +221,13 @@ class _Mode:
     """Behaviour of a contact at some impulses, and what Newton's method needs of it.
 
     With z = p_t - step u_t its friction is z where |z| is within the cone, and else shortened to its border:
-    p_t = share z = most d.
+    p_t = fraction z = limit d.
     """
 
     on: Any  # whether it touches
     sticks: Any
     d: tuple[Any, Any] = (0.0, 0.0)  # z / |z|
-    share: Any = 0.0
+    fraction: Any = 0.0
     step: Any = 0.0  # impulse per velocity
     mu: Any = 0.0  # with the sign of the normal impulse
     spins: Any = False  # whether it turns about its normal
@@ -243,7 +243,7 @@ class _Mode:
         d = [choose(holds, a, b) for a, b in zip(self.d, other.d, strict=True)]
         numbers = {
             name: choose(holds, getattr(self, name), getattr(other, name))
-            for name in ("share", "step", "mu", "moment")
+            for name in ("fraction", "step", "mu", "moment")
         }
         return _Mode(d=(d[0], d[1]), **flags, **numbers)
 
@@ -275,21 +275,21 @@ def _modes(
         if touch.tangents:
             if not touch.one_sided:
                 signed = choose(p[n] < 0.0, -friction, friction)
-            step = 2.0 / _sum(0.0, ((_firm_entry(W, i), 1.0) for i in touch.tangents))
+            step = 2.0 / _sum(0.0, ((_diagonal(W, i), 1.0) for i in touch.tangents))
             z = [p[i] - step * u[i] for i in touch.tangents]
             size = tm.sqrt(z[0] * z[0] + z[1] * z[1] + MIN_SLIDING)
-            share = tm.maximum(signed * p[n], 0.0) / size
-            sticks = both(on, share >= 1.0)
-            missed += [p[i] - choose(on, tm.minimum(share, 1.0) * z[k], 0.0) for k, i in enumerate(touch.tangents)]
+            fraction = tm.maximum(signed * p[n], 0.0) / size
+            sticks = both(on, fraction >= 1.0)
+            missed += [p[i] - choose(on, tm.minimum(fraction, 1.0) * z[k], 0.0) for k, i in enumerate(touch.tangents)]
             spins, moment = False, 0.0
             if touch.spin is not None:
-                turn, most = p[touch.spin] - u[touch.spin] / _firm_entry(W, touch.spin), far * signed * p[n]
-                spins = both(on, tm.abs(turn) > most)
+                turn, limit = p[touch.spin] - u[touch.spin] / _diagonal(W, touch.spin), far * signed * p[n]
+                spins = both(on, tm.abs(turn) > limit)
                 moment = choose(turn < 0.0, -far * signed, far * signed)
                 missed.append(p[touch.spin] - choose(on, choose(spins, moment * p[n], turn), 0.0))
             mode = _Mode(
-                on=on, sticks=sticks, d=(z[0] / size, z[1] / size), share=share, step=step, mu=signed, spins=spins,
-                moment=moment,
+                on=on, sticks=sticks, d=(z[0] / size, z[1] / size), fraction=fraction, step=step, mu=signed,
+                spins=spins, moment=moment,
             )  # fmt: skip
         out.append(mode)
         miss = _sum(miss, ((part, part) for part in missed))
@@ -304,7 +304,7 @@ def _newton(W: Matrix, r: Vector, touches: Sequence[Touch], modes: Sequence[_Mod
 
     def stopped(i: int, holds: Any) -> None:
         for j in range(m):
-            A[i][j] = choose(holds, _firm_entry(W, i) if i == j else W[i, j], 1.0 if i == j else 0.0)
+            A[i][j] = choose(holds, _diagonal(W, i) if i == j else W[i, j], 1.0 if i == j else 0.0)
         rhs[i] = choose(holds, -r[i], 0.0)
 
     for touch, now in zip(touches, modes, strict=True):
@@ -313,15 +313,15 @@ def _newton(W: Matrix, r: Vector, touches: Sequence[Touch], modes: Sequence[_Mod
         slides = both(now.on, opposite(now.sticks))
         for k, i in enumerate(touch.tangents):
             stopped(i, now.sticks)
-            # p_t - share P (p_t - step u_t) - mu d p_n = 0 with P = 1 - d d^T, across the direction of sliding
+            # p_t - fraction P (p_t - step u_t) - mu d p_n = 0 with P = 1 - d d^T, across the direction of sliding
             across = [(1.0 if e == k else 0.0) - now.d[k] * now.d[e] for e in range(2)]
-            pull = now.share * now.step
+            pull = now.fraction * now.step
             for j in range(m):
                 entry = _sum(0.0, ((pull * across[e], W[t, j]) for e, t in enumerate(touch.tangents)))
                 if j == touch.normal:
                     entry = entry - now.mu * now.d[k]
                 if j in touch.tangents:
-                    entry = entry + (1.0 if i == j else 0.0) - now.share * across[touch.tangents.index(j)]
+                    entry = entry + (1.0 if i == j else 0.0) - now.fraction * across[touch.tangents.index(j)]
                 A[i][j] = choose(slides, entry, A[i][j])
             lost = _sum(0.0, ((pull * across[e], r[t]) for e, t in enumerate(touch.tangents)))
             rhs[i] = choose(slides, -lost, rhs[i])
@@ -339,16 +339,15 @@ def _part(W: Matrix, rows: Sequence[int], columns: Sequence[int]) -> Matrix:
     return tm.array([[W[i, j] for j in columns] for i in rows])
 
 
-def _firm(W: Matrix) -> Matrix:
-    """W with a little more on its diagonal, also where no joint moves a row."""
-    mean = _sum(0.0, ((W[i, i], 1.0 / len(W)) for i in range(len(W))))
-    for i in range(len(W)):
-        W[i, i] = W[i, i] + SLACK * mean
+def _regularised(W: Matrix) -> Matrix:
+    """W with its `_diagonal`."""
+    for i, value in enumerate([_diagonal(W, i) for i in range(len(W))]):
+        W[i, i] = value
     return W
 
 
-def _firm_entry(W: Matrix, i: int) -> Any:
-    """An entry of its diagonal with a little more, also where no joint moves the row."""
+def _diagonal(W: Matrix, i: int) -> Any:
+    """An entry of the diagonal with a little more, also where no joint moves the row."""
     mean = _sum(0.0, ((W[j, j], 1.0 / len(W)) for j in range(len(W))))
     return W[i, i] + SLACK * mean
 

@@ -20,7 +20,7 @@ from taut.base.types import Float64Array
 if TYPE_CHECKING:
     from taut.record.run import Run
 
-__all__ = ["METRICS", "Metric", "Metrics", "names_that_need"]
+__all__ = ["METRICS", "Metric", "Metrics"]
 
 Numbers: TypeAlias = Float64Array | float
 Together: TypeAlias = "Literal['sum', 'largest', 'norm'] | Callable[[Run, Sequence[int]], float]"
@@ -139,11 +139,6 @@ METRICS: Final[dict[str, Metric]] = {}
 
 def _place(function: object) -> tuple[object, object]:
     return getattr(function, "__module__", None), getattr(function, "__qualname__", None)
-
-
-def names_that_need(*needs: Needs) -> tuple[str, ...]:
-    """The metrics that have a meaning only where the reference asks for one of these."""
-    return tuple(name for name, one in METRICS.items() if one.needs in needs)
 
 
 class JointsTogether(Mapping[str, float]):

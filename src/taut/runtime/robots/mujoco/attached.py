@@ -26,7 +26,7 @@ MAX_DISTANCE: Final = 1e-3  # [m] of an axis; files round their numbers
 MAX_ROTATION: Final = 1e-3  # [rad] of an axis
 MAX_RELATIVE: Final = 1e-3  # relative, of inertias and torques of gravity
 MAX_GRAVITY_DIFFERENCE: Final = 1e-3  # [m/s^2]
-POSES: Final = 3  # at which the dynamics are compared
+COMPARED_POSES: Final = 3  # at which the dynamics are compared
 FINITE: Final = (
     "body_mass",
     "body_inertia",
@@ -325,7 +325,7 @@ def _compare_dynamics(rig: Rig) -> None:
             name="gravity",
         )
     rng, dofs, full = np.random.default_rng(0), list(rig.dofs), np.zeros((model.nv, model.nv))
-    for k in range(POSES):
+    for k in range(COMPARED_POSES):
         q = arm.home + min(k, 1) * rng.uniform(-1.0, 1.0, arm.n)
         there = _at(model, rig.data, rig.q, q)
         mujoco.mj_fullM(model, there, full)

@@ -7,7 +7,7 @@ shapes has mass, but a tip that gives way.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -119,12 +119,12 @@ def built(parts: PlantParts, tool: ToolShape, scene: Scene | None, scene_at: Pos
         p_tool=np.zeros(3),
         adds=parts.adds,
     )
-    put_parameters(rig, parts, parts.values)
+    put_parameters(rig, parts, parts.values, parts.values)
     return rig
 
 
-def put_parameters(rig: Rig, parts: PlantParts, values: Mapping[str, Float64Array]) -> None:
-    """Bring the plant's parameters into the model, and let MuJoCo compute what depends on them."""
+def put_parameters(rig: Rig, parts: PlantParts, values: Mapping[str, Float64Array], changed: Collection[str]) -> None:
+    """Bring parameters of the plant that changed into the model, and let MuJoCo compute what depends on them."""
     import mujoco
 
     model, body, rigid = rig.model, rig.tool_body, list(parts.drivetrain.rigid)
@@ -134,8 +134,10 @@ def put_parameters(rig: Rig, parts: PlantParts, values: Mapping[str, Float64Arra
         ("plant.friction.coulomb", model.dof_frictionloss),
         ("plant.rotor_inertia", model.dof_armature),
     ):
-        if path in values:
+        if path in changed:
             numbers[dofs] = np.broadcast_to(values[path], (rig.arm.n,))[rigid]
+    if not any(path.startswith("plant.payload.") or path == "plant.rotor_inertia" for path in changed):
+        return
     mass, com, inertia = (values[f"plant.payload.{name}"] for name in ("mass", "com", "inertia"))
     moments, T_axes = _principal(inertia_matrix(inertia), com)
     model.body_mass[body], model.body_inertia[body] = mass, moments

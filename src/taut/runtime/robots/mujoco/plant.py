@@ -258,7 +258,7 @@ class MujocoPlant(PlantInMujoco):
         checked = {path: self.checked_parameter(path, value) for path, value in values.items()}
         self.check_together({**self.parameters, **checked})
         self._values = {**self._values, **checked}
-        put_parameters(self._rig, self._parts, self._values)
+        put_parameters(self._rig, self._parts, self._values, checked)
         for stage in (self._stage, self._touching, self._readings):
             if stage is not None:
                 stage.take(self._values)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from taut.analysis.design.achieved import Achieved, Limit, Requirement, Steps
-from taut.analysis.design.specification import Specification, place_poles, square
+from taut.analysis.design_achieved import Achieved, Limit, Requirement, Steps
+from taut.analysis.design_specification import Specification, place_poles, square
 from taut.arm.description import Arm
 from taut.arm.friction import Friction
 from taut.arm.parts import require_radians
