@@ -255,7 +255,7 @@ class TestRefused:
             ({"inner": taut.laws.PID(kp=1.0)}, r"^inner must be a law that follows a TaskMotion, such as .*; PID "
              r"follows a JointMotion$"),
             ({"inner": 3.0}, r"^inner must be a Law; got 3.0$"),
-            ({"tool": "tool0"}, r"^tool must be that of the inner law, which moves the frame of the arm's tool"),
+            ({"tool": "tool0"}, r"^tool must be that of the inner law, which moves the tool of the arm"),
             ({"model": "mine"}, r"^model must be one of 'own', 'measured'; got 'mine'$"),
             ({"frame": "base"}, r"^frame must be one of 'world', 'task', 'tool'; got 'base'$"),
             ({"error_max": 0.1}, r"^error_max must be \(linear, angular\)"),

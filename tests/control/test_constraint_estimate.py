@@ -201,6 +201,14 @@ def around(constraint: taut.Constraint) -> taut.laws.NormalEstimate:
     return taut.laws.NormalEstimate(law=taut.laws.HybridMotionForce(constraint=constraint, motion=MOTION))
 
 
+def test_loss_of_contact_wraps_an_estimate_and_brakes_against_the_estimated_surface() -> None:
+    board = board_law()
+    both = taut.laws.LossOfContact(law=taut.laws.NormalEstimate(law=board), patience=0.02)
+    assert set(both.parameters()) == {*board.parameters(), "rate", "speed", "force", "most", "contact", "patience"}
+    ctrl = taut.compile(both, taut.load_arm("panda"), engine="float")
+    assert {"law.lost", "law.normal", "law.lam"} <= set(ctrl.side.recorded)
+
+
 OTHER = (
     "NormalEstimate is of a surface's normal at the frame that moves, 'panda_hand_tcp': put the surface first, "
     "of that frame, or leave the estimate out"

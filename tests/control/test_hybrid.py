@@ -363,7 +363,7 @@ def squared(T: Pose) -> Any:
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose())), np.array(ARM.home)),
             taut.errors.RangeError,
-            r"must start on its constraint, and row 0 has phi = 0\.\d+ there, .*; start from taut\.dynamics\.onto",
+            r"must start on its constraint, and it is 0\.\d+ off it in row 0, .*; start from taut\.dynamics\.onto",
         ),
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose()), F_app=[0, 3.0, -9.0, 0, 0, 0])),

@@ -225,11 +225,11 @@ SLIPS: dict[str, tuple[Any, str]] = {
     ),
     "memory that is no dict": (
         with_memory(lambda x, memory: (Torque(P=x.q), None)),
-        r"^L\.command must return its memory as a dict by name, with the command; got NoneType$",
+        r"^L\.command must return a taut\.Torque, .* and a dict of memory; got Torque and NoneType$",
     ),
     "memory that is no number": (
         with_memory(lambda x, memory: (Torque(P=x.q), {"z": None})),
-        r"^z must be numbers in a rectangular array; got None$",
+        r"^law\.z must be numbers in a rectangular array; got None$",
     ),
     "memory that changes its shape": (
         with_memory(lambda x, memory: (Torque(P=x.q), {"z": np.zeros(2 if np.shape(memory.z) == (3,) else 3)})),

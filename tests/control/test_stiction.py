@@ -252,7 +252,7 @@ def test_a_frequency_is_checked_when_it_changes_too() -> None:
         ctrl.parameters["law.Dither.frequency"] = 700.0
     assert ctrl.parameters["law.Dither.frequency"] == 60.0
     event = taut.Event(t=0.1, set={"law.Dither.frequency": 700.0})
-    with pytest.raises(taut.errors.RangeError, match="half the rate"):
+    with pytest.raises(taut.errors.RangeError, match="half the controller"):
         taut.run(ctrl, taut.RigidPlant(ARM), duration=0.2, events=[event])
 
 

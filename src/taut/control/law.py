@@ -244,18 +244,11 @@ def call(law: Law | Task, x: Snapshot, ref: Sample, memory: LawMemory, dt: Any) 
     who = type(law).__name__
     run: Callable[..., Any] = law.command  # type: ignore[union-attr]  # each subclass declares its own
     result = run(x, ref, MemoryView(memory, who), dt) if law.uses_memory else run(x, ref)
-    after: Mapping[str, Any] = {}
-    if isinstance(result, tuple) and len(result) == 2:
-        result, after = result
-    if not isinstance(result, Command):
+    result, after = result if isinstance(result, tuple) and len(result) == 2 else (result, {})
+    if not isinstance(result, Command) or not isinstance(after, Mapping):
         raise UsageError(
             f"{who}.command must return a taut.Torque, Velocity or Position"
-            f"{' and a dict of memory' if law.uses_memory else ''}; got {_described(result)}",
-            name=who,
-        )
-    if not isinstance(after, Mapping):
-        raise UsageError(
-            f"{who}.command must return its memory as a dict by name, with the command; got {_described(after)}",
+            f"{' and a dict of memory' if law.uses_memory else ''}; got {_described(result, after)}",
             name=who,
         )
     for name in after:
@@ -265,7 +258,9 @@ def call(law: Law | Task, x: Snapshot, ref: Sample, memory: LawMemory, dt: Any) 
                 "Memory(0.0), or return it from start(self, x, ref)",
                 name=name,
             )
-    missing = [name for name in memory if name not in after and not _is_empty(memory[name])]
+    missing = [
+        name for name in memory if name not in after and not (isinstance(memory[name], Mapping) and not memory[name])
+    ]
     if missing:
         raise UsageError(
             f"{who}.command does not return its memory '{missing[0]}'; return {{'{missing[0]}': ...}} "
@@ -282,14 +277,10 @@ def call(law: Law | Task, x: Snapshot, ref: Sample, memory: LawMemory, dt: Any) 
     return result, dict(after)
 
 
-def _is_empty(value: Any) -> bool:
-    return isinstance(value, Mapping) and not value
-
-
-def _described(result: Any) -> str:
+def _described(result: Any, after: Any) -> str:
     if isinstance(result, np.ndarray):
         return f"an unnamed array of shape {result.shape}; write taut.Torque(P=...)"
-    return type(result).__name__
+    return type(result).__name__ + (f" and {type(after).__name__}" if after != {} else "")
 
 
 def as_array(value: Any, name: str) -> Any:

@@ -113,7 +113,7 @@ class Admittance(Law):
             follows = f"{type(inner).__name__} follows a {inner.reference.__name__}"
             self.refuse("inner", f"must be a law that follows a TaskMotion, such as TaskVelocity; {follows}")
         if tool != self.tool:
-            self.refuse("tool", f"must be that of the inner law, which moves the frame {_frame(tool)}")
+            self.refuse("tool", f"must be that of the inner law, which moves {tool or 'the tool of the arm'}")
         check_damping(self, self.K, self.B, self.zeta, self.D)
 
     def check_rate(self, rate: float) -> None:
@@ -356,10 +356,6 @@ def _later(ref: TaskMotion, dt: Any) -> TaskMotion:
 
 
 # -------------------------------------------------------------------- checks
-
-
-def _frame(name: str | None) -> str:
-    return "of the arm's tool" if name is None else f"'{name}'"
 
 
 def _check_own(D: Float64Array, B: Float64Array, K: Float64Array, rate: float) -> None:

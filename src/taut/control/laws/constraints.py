@@ -64,15 +64,8 @@ def check_place(constraint: Constraint, x: Snapshot, tolerance: float) -> None:
         RangeError: It is farther away than the tolerance.
     """
     phi = np.asarray(constraint.at(x).phi, dtype=np.float64)
-    row = int(np.argmax(np.abs(phi)))
-    if abs(phi[row]) > tolerance:
-        raise RangeError(
-            f"a hybrid run must start on its constraint, and row {row} has phi = {phi[row]:.4g} there, more than the "
-            f"tolerance of {tolerance:g}; start from taut.dynamics.onto(constraint, arm, q), or approach first",
-            name="q0",
-            value=float(phi[row]),
-            rule=f"<= {tolerance:g}",
-        )
+    advice = "start from taut.dynamics.onto(constraint, arm, q), or approach first"
+    _check_on(phi, constraint.one_sided, tolerance, "q0", "a hybrid run must start on its constraint, and", advice)
 
 
 def check_reference(
@@ -110,7 +103,8 @@ def check_reference(
             known = not later or not np.any(phi != constraint.of_pose(pose, now + ELSEWHEN))
             if known:
                 A = constraint.of_twist(pose, now)[0]
-                _check_on(phi, constraint.one_sided, t, tolerance)
+                subject = f"the motion must keep to the constraint, and at t = {t:g} s"
+                _check_on(phi, constraint.one_sided, tolerance, "ref", subject, "give poses with phi = 0")
         if known and A is not None and np.any(F_app):
             _check_admitted(np.asarray(A, dtype=np.float64), F_app, constraint.one_sided, t)
 
@@ -133,15 +127,17 @@ def _check_force(constraint: Constraint, sample: HybridMotion, *, presses: bool)
         )
 
 
-def _check_on(phi: Float64Array, one_sided: Sequence[bool], t: float, tolerance: float) -> None:
-    """A motion keeps to the constraint."""
+def _check_on(
+    phi: Float64Array, one_sided: Sequence[bool], tolerance: float, name: str, subject: str, advice: str
+) -> None:
+    """Where an arm is, or is to be, is on the constraint."""
     row = int(np.argmax(np.abs(phi)))
     if abs(phi[row]) > tolerance:
         side = "into" if phi[row] < 0.0 and one_sided[row] else "off"
         raise RangeError(
-            f"the motion must keep to the constraint, and at t = {t:g} s it is {abs(phi[row]):.4g} {side} it in row "
-            f"{row}, more than the tolerance of {tolerance:g}; give poses with phi = 0",
-            name="ref",
+            f"{subject} it is {abs(phi[row]):.4g} {side} it in row {row}, more than the tolerance of {tolerance:g}; "
+            f"{advice}",
+            name=name,
             value=float(phi[row]),
             rule=f"<= {tolerance:g}",
         )

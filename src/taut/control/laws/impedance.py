@@ -130,7 +130,7 @@ class Impedance(TaskLaw):
             raise RangeError(
                 "feedback='acceleration' uses the acceleration of the tick before, which is stable where the "
                 "eigenvalues of Lambda^-1 (D + B dt / 2) are above 0 and below 2; at this pose they are "
-                f"{low:.3g} to {high:.3g}; {_advice(low, high, given=self.B is not None)}, or take "
+                f"{low:.3g} to {high:.3g}; make D and B smaller, or positive in every direction, or take "
                 "feedback='wrench' with a wrist sensor",
                 name="D",
                 value=high,
@@ -218,14 +218,6 @@ class Impedance(TaskLaw):
         bounded = F.total + away.clear * (within_speed(x, inertia, pull) - F.total)
         tau = c.J.T @ F.up_to(bounded, "reach") + Terms(reach=-(away.clear * RATE) * (x.M @ x.v))
         return tau, 1.0 - away.clear
-
-
-def _advice(low: float, high: float, *, given: bool) -> str:
-    """What would be stable; a designed B falls with the root of D only."""
-    if low <= 0.0:
-        return "make D and B positive in every direction"
-    factor = 1.9 / high if given else (1.9 / high) ** 2
-    return f"{'D and B' if given else 'D'} times {np.floor(100.0 * factor) / 100.0:g} would do there"
 
 
 class Stiffness(TaskLaw):

@@ -30,6 +30,7 @@ from taut.maths.ik import (
 )
 from taut.maths.snapshot import Snapshot
 from taut.trace import math as tm
+from taut.trace.graph import LARGEST
 
 __all__ = ["ViaJointSpace", "via_joint_space"]
 
@@ -132,7 +133,8 @@ class ViaJointSpace(Law):
         # Towards a limit no faster than the way that is left over the rise; from beyond one only back.
         slowest, fastest = (tm.minimum(arm.lower, q) - q) / RISE, (tm.maximum(arm.upper, q) - q) / RISE
         free = 1.0 - tm.abs(held)
-        forced = tm.where(held > 0.0, fastest, tm.where(held < 0.0, slowest, 0.0))
+        up, down = (tm.where(np.isfinite(x), s, 0.0) for x, s in ((arm.upper, fastest), (arm.lower, slowest)))
+        forced = tm.where(held > 0.0, up, tm.where(held < 0.0, down, 0.0))  # joints without limits are never held
         onward = dt * shortened(memory.v_des + 0.5 * dt * memory.a_des, arm.velocity)
         q_pred = q + tm.clip(onward, dt * slowest, dt * fastest)
         seen = self._seen(x, q_pred, ref, task, free)
@@ -211,7 +213,9 @@ class ViaJointSpace(Law):
         slowed = 1.0 / tm.maximum(1.0, worst)
         v = slowed * fast
         J_W = dyn.jacobian(x.model, q, self.tool)
-        J_W_rate = tm.jacobian(lambda s: dyn.jacobian(x.model, q + s[0] * v, self.tool), [0.0])[..., 0]
+        # No number in the random states of a compile's check, where a joint without a speed limit may be held.
+        onward = tm.where(tm.abs(v) <= LARGEST, v, 0.0)
+        J_W_rate = tm.jacobian(lambda s: dyn.jacobian(x.model, q + s[0] * onward, self.tool), [0.0])[..., 0]
         J_rate = task.seen_rate(T, J_W[3:] @ v, J_W, J_W_rate)
         wanted = task.seen_rate(T, J_W[3:] @ v, slowed * ref.twist, slowed * slowed * ref.acceleration)
         if redundant:

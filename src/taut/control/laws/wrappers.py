@@ -100,7 +100,7 @@ class EnergyTank(Wrapper):
         before = memory["now"]
         fraction = dt / tm.maximum(self.settle.as_array(), dt)
         step = {name: (gain - before[name]) * fraction for name, gain in self._wanted(x).items()}
-        cost = self._energy(x, ref, step)  # energy is linear in the gains
+        cost = self.law.bound(step).energy(x, ref)  # energy is linear in the gains
         short = cost > memory.energy
         paid = tm.where(short, memory.energy / tm.where(short, cost, 1.0), 1.0)
         now = {name: before[name] + paid * change for name, change in step.items()}
@@ -109,9 +109,6 @@ class EnergyTank(Wrapper):
         gained = tm.maximum(law.dissipation(x, ref), 0.0) * dt
         energy = tm.clip(memory.energy - paid * cost + gained, 0.0, self.capacity.as_array())
         return command, {**after, "energy": energy, "now": now}
-
-    def _energy(self, x: Snapshot, ref: Any, gains: Mapping[str, Any]) -> Any:
-        return self.law.bound(gains).energy(x, ref)
 
     def _gains(self) -> dict[str, Any]:
         """The gains whose change the tank pays for."""
