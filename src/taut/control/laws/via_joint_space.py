@@ -30,6 +30,7 @@ from taut.maths.ik import (
 )
 from taut.maths.snapshot import Snapshot
 from taut.trace import math as tm
+from taut.trace.graph import LARGEST
 
 __all__ = ["ViaJointSpace", "via_joint_space"]
 
@@ -212,7 +213,9 @@ class ViaJointSpace(Law):
         slowed = 1.0 / tm.maximum(1.0, worst)
         v = slowed * fast
         J_W = dyn.jacobian(x.model, q, self.tool)
-        J_W_rate = tm.jacobian(lambda s: dyn.jacobian(x.model, q + s[0] * v, self.tool), [0.0])[..., 0]
+        # No number in the random states of a compile's check, where a joint without a speed limit may be held.
+        onward = tm.where(tm.abs(v) <= LARGEST, v, 0.0)
+        J_W_rate = tm.jacobian(lambda s: dyn.jacobian(x.model, q + s[0] * onward, self.tool), [0.0])[..., 0]
         J_rate = task.seen_rate(T, J_W[3:] @ v, J_W, J_W_rate)
         wanted = task.seen_rate(T, J_W[3:] @ v, slowed * ref.twist, slowed * slowed * ref.acceleration)
         if redundant:
