@@ -23,9 +23,8 @@ from taut.control.trajectories.reference import Hold, Reference, as_reference
 from taut.controller import Controller, compile
 from taut.linear.judgement import Judgement, judge_start
 from taut.loop import AnyPlant, Loop, ModelPlant, check_fit, duration_of_ticks, require_no_reference, state_at_start
-from taut.maths.chain import Chain
 from taut.maths.constraints.rows import Surface
-from taut.maths.model import PayloadValues
+from taut.maths.model import Chain, PayloadValues
 from taut.maths.snapshot import Snapshot
 from taut.plant.contact import each_contact
 from taut.plant.rigid import RigidPlant

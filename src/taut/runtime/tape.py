@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from taut.control.trajectories.samples import Chunk
 from taut.loop import AnyPlant
 from taut.maths.snapshot import Snapshot
 from taut.record.info import Outcome, RunInfo
-from taut.record.parts import outcome_with_phases, windows
+from taut.record.parts import PhaseWindow, outcome_with_phases, windows
 from taut.record.run import Run
 
 __all__ = ["Tape"]
@@ -119,7 +119,21 @@ class Tape:
             return outcome
         rows = slice(outcome.tick + 1)
         phase, ended = (self.outputs[name][rows] for name in ("phase", "phase_ended"))
-        return outcome_with_phases(windows(self._phases, phase, ended, self.inputs["t"][rows]), outcome)
+        return outcome_with_phases(
+            windows(self._phases, phase, ended, self.inputs["t"][rows]), outcome, self._contact_at
+        )
+
+    def _contact_at(self, window: PhaseWindow) -> str:
+        """What a phase that began without contact measured in that tick, in words."""
+        row = {name: column[window.first] for name, column in self.outputs.items()}
+        seen: dict[str, Any] = {
+            name: row.get(f"sensed.{name}", row[name]) for name in ("q", "v", "F_ext") if name in row
+        }
+        if "F_ext" in self._side.needs and "F_ext" not in seen:  # a plant of the user's that does not record it
+            return ""
+        x = Snapshot(self._side.model, q=seen["q"], v=seen["v"], t=window.start, measured=seen)
+        assert self._side.task is not None
+        return self._side.task.phases[window.name].contact_state(x)
 
     def _remarks(self, ticks: int) -> str:
         """Which sensors were at their range in the first ticks of the run, and what the law has to say of them."""
