@@ -75,9 +75,6 @@ def chosen_engine(engine: EngineChoice) -> Engine:
     return "float"
 
 
-# -------------------------------------------------------------------- one evaluation
-
-
 def plain(
     function: Function, inputs: Block, parameters: Block, memory: Block, *, new: Block, outputs: Block
 ) -> Evaluate:
@@ -108,9 +105,6 @@ def machine_code(address: int) -> Evaluate:
         function(*(part.ctypes.data for part in flat))
 
     return evaluate
-
-
-# -------------------------------------------------------------------- that both agree
 
 
 def verified(
