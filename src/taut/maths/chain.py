@@ -47,8 +47,6 @@ class Chain:
         name = model.arm.frame(frame).name
         return cls(frame=name, n=model.n, R_WB=model.R_WB, p_WB=model.p_WB, links=tuple(reversed(links)), R=R, p=p)
 
-    # ---------------------------------------------------------------- where the frame is
-
     def poses(self, q: Float64Array) -> tuple[Float64Array, Float64Array]:
         """R (k, 3, 3) and p (k, 3) of the frame in the world, at joint positions (k, n)."""
         return self._walked(q)[0]

@@ -1,9 +1,9 @@
 """Rotations and rigid motions: logarithm, exponential, adjoint and their rates, for floats and symbols.
 
 6-vectors have the linear part first. Everything is smooth through the identity and accurate up to rotations by pi,
-where the axis has two signs and one is chosen. Of many rotations R = exp(r), one a row, the body rate is
-omega = J_r(r) r_dot and its own rate alpha = J_r(r) r_ddot + J_r_dot r_dot, with the right Jacobian J_r of SO(3):
-both directions are here, for rotation vectors shorter than 2 pi.
+where the axis has two signs and one is chosen. Of many rotations R = exp(r), one a row, the body rate is omega =
+J_r(r) r_dot and its own rate alpha = J_r(r) r_ddot + J_r_dot r_dot, with the right Jacobian J_r of SO(3): both
+directions, for rotation vectors shorter than 2 pi.
 
 References:
     Lynch and Park, Modern Robotics (2017), chapter 3; Barfoot, State Estimation for Robotics (2017), section 7.1.5.
@@ -56,9 +56,6 @@ def rotated_matrix(R: Rotation, C: Matrix) -> Matrix:
         for j in (0, 3):
             out[i : i + 3, j : j + 3] = R @ C[i : i + 3, j : j + 3] @ R.T
     return out
-
-
-# -------------------------------------------------------------------- rotations
 
 
 def _half_angle(R: Rotation) -> tuple[Vector3, Any, Any]:
@@ -142,9 +139,6 @@ def left_jacobian_inverse(w: Vector3) -> Matrix:
     return tm.eye(3) - 0.5 * W + c * (W @ W)  # type: ignore[no-any-return]
 
 
-# -------------------------------------------------------------------- rigid motions
-
-
 def adjoint(T: Pose) -> Matrix:
     """(6, 6) Ad of T_AB: takes a twist of B's numbers to A's, linear part first."""
     out = tm.zeros((6, 6))
@@ -191,9 +185,6 @@ def pose_log_rate(xi: Twist) -> Matrix:
     out[:3, :3] = out[3:, 3:] = inverse
     out[:3, 3:] = -(inverse @ Q @ inverse)
     return out
-
-
-# -------------------------------------------------------------------- many rotations at once, one a row
 
 
 Coefficients = tuple[Float64Array, Float64Array, Float64Array, Float64Array]
