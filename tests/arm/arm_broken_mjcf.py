@@ -643,7 +643,7 @@ CASES: list[Case] = [
         title="a file that is cut off",
         text=PAIR[:400],
         problems=[
-            ("m.xml", "XML", 9, "not well-formed XML inside <body>: unclosed token"),
+            ("m.xml", "XML", 9, "the XML is damaged inside <body>: unclosed token"),
         ],
     ),
     Case(

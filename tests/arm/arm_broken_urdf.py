@@ -810,14 +810,14 @@ CASES: list[Case] = [
         title="a file that is cut off",
         text=DUO[:700],
         problems=[
-            ("m.urdf", "XML", 24, "not well-formed XML inside <joint>: unclosed token"),
+            ("m.urdf", "XML", 24, "the XML is damaged inside <joint>: unclosed token"),
         ],
     ),
     Case(
         title="a file that is cut off in a tag",
         text=DUO[:735],
         problems=[
-            ("m.urdf", "XML", 26, "not well-formed XML inside <robot>: unclosed token"),
+            ("m.urdf", "XML", 26, "the XML is damaged inside <robot>: unclosed token"),
         ],
     ),
     Case(
@@ -825,14 +825,14 @@ CASES: list[Case] = [
         old='    </inertial>\n  </link>\n  <link name="fore">',
         new='  </link>\n  <link name="fore">',
         problems=[
-            ("m.urdf", "XML", 9, "not well-formed XML inside <inertial>: mismatched tag"),
+            ("m.urdf", "XML", 9, "the XML is damaged inside <inertial>: mismatched tag"),
         ],
     ),
     Case(
         title="two root elements",
         text=DUO + "<robot/>\n",
         problems=[
-            ("m.urdf", "XML", 39, "not well-formed XML: junk after document element"),
+            ("m.urdf", "XML", 39, "the XML is damaged: junk after document element"),
         ],
     ),
     Case(
@@ -840,7 +840,7 @@ CASES: list[Case] = [
         old='<mass value="2.0"/>',
         new='<mass value="2.0" value="3.0"/>',
         problems=[
-            ("m.urdf", "XML", 7, "not well-formed XML inside <inertial>: duplicate attribute"),
+            ("m.urdf", "XML", 7, "the XML is damaged inside <inertial>: duplicate attribute"),
         ],
     ),
     Case(
@@ -848,7 +848,7 @@ CASES: list[Case] = [
         old='name="duo"',
         new='name="this & that"',
         problems=[
-            ("m.urdf", "XML", 2, "not well-formed XML: not well-formed (invalid token)"),
+            ("m.urdf", "XML", 2, "the XML is damaged: not well-formed (invalid token)"),
         ],
     ),
     Case(
@@ -856,7 +856,7 @@ CASES: list[Case] = [
         old='<link name="tool"/>',
         new='<link name="tool"/>&tool;',
         problems=[
-            ("m.urdf", "XML", 17, "not well-formed XML inside <robot>: undefined entity"),
+            ("m.urdf", "XML", 17, "the XML is damaged inside <robot>: undefined entity"),
         ],
     ),
     Case(
@@ -924,7 +924,7 @@ CASES: list[Case] = [
         old='<?xml version="1.0"?>',
         new='<?xml version="1.0" encoding="utf-16"?>',
         problems=[
-            ("m.urdf", "XML", 1, "not well-formed XML: encoding specified in XML declaration is incorrect"),
+            ("m.urdf", "XML", 1, "the XML is damaged: encoding specified in XML declaration is incorrect"),
         ],
     ),
     Case(

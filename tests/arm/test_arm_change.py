@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 import taut
 from taut.arm.description import BASE, Arm, Friction, Payload
-from taut.arm.load import arm_of, load_arm
+from taut.arm.load import load_arm
 from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink, assemble
 from taut.arm.parts import Body, Joint
 from taut.arm.rules import check_inertia
@@ -92,7 +92,7 @@ def test_a_joint_turned_around_is_the_same_arm_with_the_other_sign() -> None:
 
 
 def test_two_arms_on_a_torso_are_two_whole_chains() -> None:
-    arm = arm_of(torso(), tool="left_lower")
+    arm = load_arm(torso(), tool="left_lower")
     assert arm.joint_names == (
         "trunk_joint",
         "left_upper_joint",
@@ -114,11 +114,11 @@ def test_gravity_and_mounting_are_the_callers() -> None:
 
 def test_locking_joints_while_loading_or_afterwards_is_the_same_arm() -> None:
     tree = torso()
-    whole = arm_of(tree, tool="left_lower")
+    whole = load_arm(tree, tool="left_lower")
     q = np.array([0.3, -0.5, 0.7, 0.2, -0.1])
     keep = ["trunk_joint", "left_lower_joint"]
     locked = {name: q[i] for i, name in enumerate(whole.joint_names) if name not in keep}
-    early, late = arm_of(tree, tool="left_lower", locked=locked), whole.subset(keep, q)
+    early, late = load_arm(tree, tool="left_lower", locked=locked), whole.subset(keep, q)
     assert early.joint_names == late.joint_names == ("trunk_joint", "left_lower_joint")
     assert late.frame_names == whole.frame_names
     for a, b in zip(early.bodies, late.bodies, strict=True):
@@ -314,7 +314,7 @@ def trees(draw: st.DrawFn) -> Tree:
 def test_an_arm_written_as_urdf_and_read_back_is_the_same_arm(
     tree: Tree, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    arm = arm_of(tree, tool="l1")
+    arm = load_arm(tree, tool="l1")
     file = tmp_path_factory.mktemp("urdf") / "drawn.urdf"
     file.write_text(as_urdf(arm))
     again = load_arm(file, tool="l1")

@@ -162,26 +162,27 @@ def test_a_collision_mesh_stands_in_for_a_visual_that_cannot_be_shown(tmp_path: 
 def test_meshes_of_other_types_are_noted(tmp_path: Path) -> None:
     arm = load_arm(written(tmp_path, with_shape(mesh("hand.dae"))))
     assert arm.visuals == ()
-    assert arm.notes == ("the mesh 'hand.dae' is not shown: it is not .stl or .obj",)
+    (note,) = arm.notes
+    assert note.startswith("1 mesh file not shown, such as 'hand.dae'")
 
 
 ESCAPES = [
-    ("../secret.stl", "leads out of the model's folder"),
-    ("meshes/../../secret.stl", "leads out of the model's folder"),
-    ("/etc/secret.stl", "leads out of the model's folder"),
-    ("file:///etc/secret.stl", "is an address or an odd name, not a plain relative path"),
-    ("http://example.org/secret.stl", "is an address or an odd name, not a plain relative path"),
-    ("https://example.org/secret.obj", "is an address or an odd name, not a plain relative path"),
-    ("C:/secret.stl", "is an address or an odd name, not a plain relative path"),
-    ("..\\secret.stl", "is an address or an odd name, not a plain relative path"),
-    ("package://other/secret.stl", "belongs to a package that is not known here"),
-    ("package://duo/../secret.stl", "leads out of the model's folder"),
-    ("package://duo//etc/secret.stl", "leads out of the model's folder"),
-    ("link.stl", "is a link that leads out of the model's folder"),
-    ("folder/secret.stl", "is a link that leads out of the model's folder"),
-    ("loop.stl", "is no file name"),
-    ("gone.stl", "is not there"),
-    ("x" * 400 + ".stl", "is no file name"),
+    "../secret.stl",
+    "meshes/../../secret.stl",
+    "/etc/secret.stl",
+    "file:///etc/secret.stl",
+    "http://example.org/secret.stl",
+    "https://example.org/secret.obj",
+    "C:/secret.stl",
+    "..\\secret.stl",
+    "package://other/secret.stl",
+    "package://duo/../secret.stl",
+    "package://duo//etc/secret.stl",
+    "link.stl",
+    "folder/secret.stl",
+    "loop.stl",
+    "gone.stl",
+    "x" * 400 + ".stl",
 ]
 
 
@@ -200,16 +201,15 @@ def notes_of_a_model_that_shows(name: str, tmp_path: Path) -> tuple[str, ...]:
     return tuple(tree.notes)
 
 
-@pytest.mark.parametrize(("name", "reason"), ESCAPES)
-def test_no_mesh_path_leads_out_of_its_folder(name: str, reason: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ESCAPES)
+def test_no_mesh_path_leads_out_of_its_folder(name: str, tmp_path: Path) -> None:
     (note,) = notes_of_a_model_that_shows(name, tmp_path)
-    assert note.startswith("the mesh '")
-    assert note.endswith(f"' is not shown: it {reason}")
+    assert note.startswith("1 mesh file not shown")
 
 
 @pytest.mark.bars
 def test_escapes_are_counted(tmp_path: Path, bar: Callable[[str, object], None]) -> None:
-    escapes = sum(not notes_of_a_model_that_shows(name, tmp_path) for name, _ in ESCAPES)
+    escapes = sum(not notes_of_a_model_that_shows(name, tmp_path) for name in ESCAPES)
     bar(f"row 23: mesh paths out of the model's folder, {len(ESCAPES)} kinds: escapes", escapes)
     assert escapes == 0
 

@@ -501,7 +501,8 @@ def test_a_first_phase_without_contact_stops_in_words() -> None:
     plant = taut.RigidPlant(PLANAR, environment=taut.environments.Push(peak=[1.0, 0.0, 0.0]))
     run = taut.run([taut.Phase(Spring(kp=5.0), name="press")], plant, duration=0.01, q0=REST)
     assert run.outcome.kind == "stopped"
-    assert "phases: press to 0.001 s: it needs contact and began without, stopped at 0.001 s" in run.outcome.message
+    assert "phases: press to 0.001 s: it needs contact and began without (" in run.outcome.message
+    assert "(0 N measured, and contact is 1 N or more), stopped at 0.001 s" in run.outcome.message
     by_hand = [taut.Phase(Spring(kp=5.0), name="press", contact=lambda x: x.q[0] > 0.0)]
     assert taut.run(by_hand, taut.RigidPlant(PLANAR), duration=0.01, q0=REST).phases[0].ended is None
 

@@ -19,7 +19,7 @@ from fuzz_kinds import MJCF, SERVOS, runs
 from fuzz_logs import chunk, record, with_chunks, write_log
 
 import taut
-from taut.arm.catalogue import CATALOGUE, is_installed
+from taut.arm.catalogue import CATALOGUE, installed_package
 from taut.arm.report import check_model
 from taut.base.errors import printable
 from taut.cli.main import main
@@ -375,7 +375,7 @@ def test_numbers_in_other_units_are_doubted(change: dict[str, str], word: str, t
 
 def test_no_arm_of_the_catalogue_is_doubted() -> None:
     for name, entry in CATALOGUE.items():
-        if is_installed(entry):
+        if installed_package(entry):
             notes = " ".join(check_model(name).notes)
             assert not any(word in notes for word in ("degrees", "in g?", "gyration", "dense")), name
 

@@ -11,8 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import taut
-from taut.maths.chain import Chain
-from taut.maths.model import model_of
+from taut.maths.model import Chain, model_of
 from taut.record.metrics import METRICS
 from taut.record.plain import plain, restored
 from taut.record.run_plot import is_task_run

@@ -13,8 +13,7 @@ from taut.base.types import Float64Array
 from taut.control.laws.task_space import far_away
 from taut.control.trajectories.compound import together
 from taut.control.trajectories.task_reference import TaskMotion
-from taut.maths.chain import Chain
-from taut.maths.model import model_of
+from taut.maths.model import Chain, model_of
 from taut.maths.singularity import Beyond, distance_beyond, spheres
 
 Array = Float64Array

@@ -299,6 +299,8 @@ def test_a_phase_that_begins_off_its_surface_states_the_distance_and_the_toleran
     assert abs(phi) > tolerance
     force = float(np.linalg.norm(run.extra["F_ext"][k, :3]))
     assert force > 2.0
+    assert f"phi of row 0 of its constraint is {phi:.3g}, and the tolerance is {tolerance:g}" in run.outcome.message
+    assert f"{force:.3g} N measured" in run.outcome.message
 
 
 class Counts(taut.Law):

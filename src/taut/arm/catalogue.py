@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink
 from taut.arm.loaders.urdf import urdf_tree
@@ -24,7 +24,10 @@ from taut.arm.parts import COMMANDS, CommandKind
 from taut.base.errors import FileError, MissingExtraError, missing_extra, unknown_name
 from taut.trace.pose import Pose
 
-__all__ = ["CATALOGUE", "PATTERN", "Entry", "described", "entry_tree", "is_installed"]
+if TYPE_CHECKING:
+    from importlib.metadata import Distribution
+
+__all__ = ["CATALOGUE", "PATTERN", "Entry", "described", "entry_tree", "installed_package"]
 
 VELOCITY_POSITION: Final[tuple[CommandKind, ...]] = ("velocity", "position")
 DESCRIPTIONS: Final = "robot_descriptions"
@@ -50,15 +53,14 @@ class Entry:
     notes: tuple[str, ...] = ()
 
 
-def is_installed(entry: Entry) -> bool:
-    """Whether the entry's package is there."""
+def installed_package(entry: Entry) -> Distribution | None:
+    """The entry's package, if it is there."""
     from importlib import metadata  # 20 ms, for those who use the catalogue
 
     try:
-        metadata.distribution(entry.package)
+        return metadata.distribution(entry.package)
     except metadata.PackageNotFoundError:
-        return False
-    return True
+        return None
 
 
 def entry_tree(entry: Entry) -> Tree:
@@ -68,12 +70,9 @@ def entry_tree(entry: Entry) -> Tree:
         MissingExtraError: The package is not installed.
         ModelError: The file is not what the package ships.
     """
-    from importlib import metadata
-
-    try:
-        package = metadata.distribution(entry.package)
-    except metadata.PackageNotFoundError as cause:
-        raise missing_extra(f"arm '{entry.name}'", entry.package, entry.extra) from cause
+    package = installed_package(entry)
+    if package is None:
+        raise missing_extra(f"arm '{entry.name}'", entry.package, entry.extra)
     folders = {"example-robot-data": Path(str(package.locate_file(entry.meshes)))}
     file = Path(str(package.locate_file(entry.file)))
     tree = urdf_tree(read_xml(file), file, folders)

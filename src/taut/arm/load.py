@@ -4,28 +4,49 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Any, Final, Protocol
 
 from taut.arm.builtin import BUILT_IN
 from taut.arm.description import Arm
 from taut.arm.loaders.tree import Tree, assemble, rest_position
 from taut.base.checks import readable_file
 from taut.base.errors import FileError, ModelError, Problem, UsageError, unknown_name
-from taut.base.types import ArrayLike
+from taut.base.types import ArrayLike, Float64Array
 from taut.trace.pose import Pose
 
-if TYPE_CHECKING:
-    from taut.arm.loaders.memory import PinocchioModel
-
-__all__ = ["arm_of", "load_arm", "open_model"]
+__all__ = ["PinocchioModel", "load_arm", "open_model"]
 
 SUFFIXES: Final = (".urdf", ".xml", ".mjcf")
 
 
+class PinocchioModel(Protocol):
+    """What is read of a pinocchio.Model, whose joints, placements, inertias and frames have no types."""
+
+    name: str
+    njoints: int
+    nq: int
+    names: Sequence[str]
+    parents: Sequence[int]
+    joints: Sequence[Any]
+    jointPlacements: Sequence[Any]
+    inertias: Sequence[Any]
+    frames: Sequence[Any]
+    gravity: Any
+    lowerPositionLimit: Float64Array
+    upperPositionLimit: Float64Array
+    velocityLimit: Float64Array
+    effortLimit: Float64Array
+    friction: Float64Array
+    damping: Float64Array
+    armature: Float64Array
+    rotorInertia: Float64Array
+    rotorGearRatio: Float64Array
+
+
 def load_arm(
-    model: str | os.PathLike[str] | PinocchioModel,
+    model: str | os.PathLike[str] | PinocchioModel | Tree,
     *,
     tool: str | None = None,
     T_WB: Pose | None = None,
@@ -65,20 +86,7 @@ def load_arm(
         raise UsageError(f"T_WB must be a taut.Pose; got {type(T_WB).__name__}", name="T_WB")
     if tool is not None and not isinstance(tool, str):
         raise UsageError(f"tool must be the name of a frame; got {type(tool).__name__}", name="tool")
-    return arm_of(open_model(model), tool=tool, T_WB=T_WB, locked=locked, joints=joints, home=home, gravity=gravity)
-
-
-def arm_of(
-    tree: Tree,
-    *,
-    tool: str | None = None,
-    T_WB: Pose | None = None,
-    locked: Mapping[str, float | None] | None = None,
-    joints: Iterable[str] | None = None,
-    home: Mapping[str, float] | ArrayLike | None = None,
-    gravity: ArrayLike | None = None,
-) -> Arm:
-    """The arm of a model that has been read; the other arguments are those of `load_arm`."""
+    tree = open_model(model)
     start: Mapping[str, float] | ArrayLike = tree.home if home is None else home
     if isinstance(start, Mapping):
         _require_names("home", start)
@@ -132,7 +140,7 @@ def _require_names(argument: str, names: Iterable[object]) -> None:
             )
 
 
-def open_model(model: str | os.PathLike[str] | PinocchioModel) -> Tree:
+def open_model(model: str | os.PathLike[str] | PinocchioModel | Tree) -> Tree:
     """Find and read a model.
 
     Raises:
@@ -144,6 +152,8 @@ def open_model(model: str | os.PathLike[str] | PinocchioModel) -> Tree:
     """
     if isinstance(model, Arm):
         raise UsageError("model is an Arm already; its methods (with_tool, mounted, subset, ...) give changed copies")
+    if isinstance(model, Tree):
+        return model
     if not isinstance(model, (str, os.PathLike)):
         if hasattr(model, "jointPlacements"):
             from taut.arm.loaders.memory import pinocchio_tree

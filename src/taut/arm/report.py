@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from typing import Final, TypeAlias
 
 from taut.arm.builtin import BUILT_IN
-from taut.arm.catalogue import CATALOGUE, is_installed
+from taut.arm.catalogue import CATALOGUE, installed_package
 from taut.arm.description import Arm, CommandKind, Joint
 from taut.arm.friction import FRICTION_FIELDS
-from taut.arm.load import arm_of, open_model
+from taut.arm.load import load_arm, open_model
 from taut.arm.loaders.tree import Tree
 from taut.arm.parts import COMMANDS
 from taut.arm.reach import reach
@@ -115,10 +115,10 @@ def check_model(model: str | os.PathLike[str]) -> CheckReport:
     notes: tuple[str, ...] = ()
     try:
         try:
-            arm = arm_of(opened)
+            arm = load_arm(opened)
         except UsageError as ask:  # several ends, and no tool named: any of them will do to look at the arm
             notes = (f"{ask}; here it is '{ask.value}'",)
-            arm = arm_of(opened, tool=str(ask.value))
+            arm = load_arm(opened, tool=str(ask.value))
     except TautError as wrong:
         return CheckReport(
             name=opened.name, problems=_problems_of(wrong, opened.name), tree=opened, notes=tuple(opened.notes)
@@ -270,7 +270,7 @@ def arm_rows() -> list[ArmRow]:
             joints=len(entry.home),
             commands=entry.commands,
             source=entry.package,
-            installed=is_installed(entry),
+            installed=installed_package(entry) is not None,
         )
         for entry in CATALOGUE.values()
     ]

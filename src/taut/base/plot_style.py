@@ -51,7 +51,7 @@ DASHED: Final = (0.0, (4.0, 3.0))
 DOTTED: Final = (0.0, (1.0, 1.5))
 BROKEN: Final = (0.0, (6.0, 1.0, 1.0, 1.0))
 LETTER: Final = 0.58  # width of a letter in parts of its size
-MAX_POINTS: Final = 4000  # of a line; more than any page can show
+MAX_LINE_POINTS: Final = 4000  # of a line; more than any page can show
 
 
 def colour(i: int) -> str:
@@ -118,7 +118,7 @@ def line(
 
 def thinned(t: Float64Array, y: Float64Array) -> tuple[Float64Array, Float64Array]:
     """At most a few thousand points of a curve: the least and the greatest of each stretch, in their order."""
-    stretch = -(-2 * len(t) // MAX_POINTS)
+    stretch = -(-2 * len(t) // MAX_LINE_POINTS)
     whole = len(t) // stretch * stretch if stretch > 2 else 0
     if not whole:
         return t, y

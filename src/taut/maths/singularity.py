@@ -18,8 +18,7 @@ import numpy as np
 from taut.arm.description import Arm
 from taut.arm.reach import reach
 from taut.base.types import Array, Float64Array, Matrix, Vector, Vector3
-from taut.maths.chain import Chain
-from taut.maths.model import Model
+from taut.maths.model import Chain, Model
 from taut.maths.snapshot import Snapshot
 from taut.maths.task_inertia import least_direction
 from taut.trace import math as tm

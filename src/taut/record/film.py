@@ -20,8 +20,7 @@ from taut.base.checks import finite_array, positive_scalar, whole_number
 from taut.base.errors import FileError, MissingExtraError, RangeError, UsageError, warn
 from taut.base.types import Float64Array
 from taut.control.trajectories.task_reference import TaskMotion
-from taut.maths.chain import Chain
-from taut.maths.model import model_of
+from taut.maths.model import Chain, model_of
 from taut.record import render, scene
 from taut.record.info import POSES, Around
 from taut.record.log.files import checked_target, written_aside

@@ -16,7 +16,7 @@ from taut.arm.description import BASE, Arm
 from taut.arm.rules import indefinite
 from taut.base.types import Float64Array
 from taut.control.closed_loop import ApparentImpedance
-from taut.maths.chain import Chain
+from taut.maths.model import Chain
 
 __all__ = [
     "POSES",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -78,7 +78,9 @@ def windows(
     return tuple(out)
 
 
-def outcome_with_phases(found: Sequence[PhaseWindow], outcome: Outcome) -> Outcome:
+def outcome_with_phases(
+    found: Sequence[PhaseWindow], outcome: Outcome, contact: Callable[[PhaseWindow], str]
+) -> Outcome:
     """The outcome of a run with how each phase of its task ended.
 
     A task that stopped for another reason than its last `until` did not go to its end.
@@ -86,11 +88,12 @@ def outcome_with_phases(found: Sequence[PhaseWindow], outcome: Outcome) -> Outco
     Args:
         found: The stretches of the run.
         outcome: That of the run.
+        contact: What was measured where a phase began without contact, in words.
     """
     last = found[-1]
     before = found[-2] if last.name == STOP and len(found) > 1 else last
     wrong = outcome.kind == "completed" and before.ended not in (None, WELL)
-    said = [str(one) for one in found]
+    said = [f"{one} ({why})" if one.ended == NONE and (why := contact(one)) else str(one) for one in found]
     if not outcome.ok and last.ended is None and last.name != STOP:
         said[-1] = f"{last.name} until then"
     message = f"{outcome.message}; phases: {', '.join(said)}"

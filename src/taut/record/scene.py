@@ -14,8 +14,7 @@ from taut.arm.loaders.mjspec import Meshes, add_links, add_shape, bones
 from taut.base.errors import FileError
 from taut.base.types import Float64Array
 from taut.maths import dynamics
-from taut.maths.chain import Chain
-from taut.maths.model import model_of
+from taut.maths.model import Chain, model_of
 from taut.record.info import Around
 from taut.trace.pose import Pose
 

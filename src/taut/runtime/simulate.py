@@ -23,9 +23,8 @@ from taut.control.trajectories.reference import Hold, Reference, as_reference
 from taut.controller import Controller, compile
 from taut.linear.judgement import Judgement, judge_start
 from taut.loop import AnyPlant, Loop, ModelPlant, check_fit, duration_of_ticks, require_no_reference, state_at_start
-from taut.maths.chain import Chain
 from taut.maths.constraints.rows import Surface
-from taut.maths.model import PayloadValues
+from taut.maths.model import Chain, PayloadValues
 from taut.maths.snapshot import Snapshot
 from taut.plant.contact import each_contact
 from taut.plant.rigid import RigidPlant
@@ -185,11 +184,7 @@ def _part(law: Law | Task, x: Snapshot) -> PartInfo:
 
 
 def _judged(verdict: Judgement | str, plant: Plant) -> Stability:
-    """The judgement of the start, after a warning where the loop is unstable.
-
-    Raises:
-        RangeError: It is, and the plant is a real arm.
-    """
+    """The judgement at the start; an unstable loop is a warning, or a RangeError where the plant is a real arm."""
     if isinstance(verdict, str):
         return Stability(stable=None, message=verdict)
     if not verdict.stable:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from taut.control.trajectories.samples import Chunk
 from taut.loop import AnyPlant
 from taut.maths.snapshot import Snapshot
 from taut.record.info import Outcome, RunInfo
-from taut.record.parts import outcome_with_phases, windows
+from taut.record.parts import PhaseWindow, outcome_with_phases, windows
 from taut.record.run import Run
 
 __all__ = ["Tape"]
@@ -36,18 +36,7 @@ BEYOND: Final = 0.01  # [rad | m] beyond a limit: more than an engine's soft sto
 
 
 class Tape:
-    """Two tables with one row per tick: what the loop got from outside, and what it did.
-
-    Args:
-        side: The law side of the loop.
-        plant: The plant.
-        ticks: Number of rows.
-        inputs: Layout of the first table: t, ref.*, ...
-        outputs: Layout of the second: q, v, tau, command, terms.*, and further columns.
-
-    Raises:
-        RangeError: More rows than memory has room for.
-    """
+    """Two tables with one row per tick: the loop's inputs (t, ref.*), and its record (q, v, tau, terms.*)."""
 
     def __init__(self, side: LawSide, plant: AnyPlant, ticks: int, inputs: Block, outputs: Block) -> None:
         self._side = side
@@ -130,7 +119,21 @@ class Tape:
             return outcome
         rows = slice(outcome.tick + 1)
         phase, ended = (self.outputs[name][rows] for name in ("phase", "phase_ended"))
-        return outcome_with_phases(windows(self._phases, phase, ended, self.inputs["t"][rows]), outcome)
+        return outcome_with_phases(
+            windows(self._phases, phase, ended, self.inputs["t"][rows]), outcome, self._contact_at
+        )
+
+    def _contact_at(self, window: PhaseWindow) -> str:
+        """What a phase that began without contact measured in that tick, in words."""
+        row = {name: column[window.first] for name, column in self.outputs.items()}
+        seen: dict[str, Any] = {
+            name: row.get(f"sensed.{name}", row[name]) for name in ("q", "v", "F_ext") if name in row
+        }
+        if "F_ext" in self._side.needs and "F_ext" not in seen:  # a plant of the user's that does not record it
+            return ""
+        x = Snapshot(self._side.model, q=seen["q"], v=seen["v"], t=window.start, measured=seen)
+        assert self._side.task is not None
+        return self._side.task.phases[window.name].contact_state(x)
 
     def _remarks(self, ticks: int) -> str:
         """Which sensors were at their range in the first ticks of the run, and what the law has to say of them."""
@@ -192,11 +195,7 @@ class Tape:
         return Outcome(kind="diverged", message=message, tick=tick - 1, joint=error.joint)
 
     def failed(self, tick: int, error: Exception) -> Outcome:
-        """The outcome of a run that ends before a tick in which a function of the caller's, or the plant, failed.
-
-        Raises:
-            Exception: The error, in the first tick: there is nothing yet to keep.
-        """
+        """The outcome where a function or the plant fails before a tick; in the first tick the error is raised."""
         if tick == 0:
             raise error
         how = str(error) if isinstance(error, TautError) else failure(error)

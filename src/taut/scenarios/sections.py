@@ -17,7 +17,7 @@ from taut.arm.catalogue import CATALOGUE, PATTERN
 from taut.arm.change import joints_replaced
 from taut.arm.description import Arm
 from taut.arm.friction import Friction
-from taut.arm.load import arm_of, load_arm, open_model
+from taut.arm.load import load_arm, open_model
 from taut.base.checks import rate_in_hertz
 from taut.base.errors import UsageError, unknown_name
 from taut.base.fields import Declared, Field, Part, Whole
@@ -255,7 +255,7 @@ def read_arm(table: Table) -> Arm:
     else:
         raise table.error(f"is for the model 'one_joint'; got model '{model}'", "link")
     others = ("model", "link", "tool_offset", *CHANGES)
-    arm: Arm = read(arm_of, table, others=others, blame="model", tree=tree)
+    arm: Arm = read(load_arm, table, others=others, blame="model", model=tree)
     if friction_word(table, "none") == "none":
         arm = arm.with_friction(Friction())
     if "tool_offset" in table:

@@ -5,6 +5,7 @@ Straight-line code: no pivoting where the matrix is symmetric positive definite,
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
@@ -60,18 +61,11 @@ class LTDL:
         columns, n = _entries(b), len(self.d)
         if columns.shape[:1] != (n,) or columns.ndim > 2:
             raise ShapeError(f"b must be ({n},) or ({n}, k) to be solved with A ({n}, {n}); got {columns.shape}")
-        if columns.ndim == 1:
-            return _back(self._solve_one(columns.tolist()), columns.shape)
-        solved = [self._solve_one(column) for column in columns.T.tolist()]
-        return _back(solved, (columns.shape[1], columns.shape[0])).T
+        return _by_columns(self._solve_one, columns)
 
     def half(self, b: Array) -> Array:
         """L^-T b, half of the way to x; b may have columns."""
-        columns = _entries(b)
-        if columns.ndim == 1:
-            return _back(self._down(columns.tolist()), columns.shape)
-        done = [self._down(column) for column in columns.T.tolist()]
-        return _back(done, (columns.shape[1], columns.shape[0])).T
+        return _by_columns(self._down, _entries(b))
 
     def other_half(self, y: Array) -> Array:
         """x of y = L^-T b, a vector."""
@@ -213,6 +207,13 @@ def _nonzero(pivot: Any) -> Any:
             "A + 1e-6 * taut.math.eye(n), or stay away from that state"
         )
     return pivot
+
+
+def _by_columns(map_one: Callable[[list[Any]], list[Any]], b: Array) -> Array:
+    """A linear map on a vector, or on each column of a matrix."""
+    if b.ndim == 1:
+        return _back(map_one(b.tolist()), b.shape)
+    return _back([map_one(column) for column in b.T.tolist()], (b.shape[1], b.shape[0])).T
 
 
 def _back(values: list[Any], shape: tuple[int, ...]) -> Array:

@@ -16,8 +16,7 @@ from taut.arm.description import Arm
 from taut.base.types import Array, Float64Array
 from taut.codegen.kernel import native
 from taut.maths import dynamics as dyn
-from taut.maths.chain import Chain
-from taut.maths.model import PayloadValues, model_of
+from taut.maths.model import Chain, PayloadValues, model_of
 from taut.record.metrics import MOVING
 from taut.record.run import Run
 

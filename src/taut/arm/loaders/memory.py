@@ -7,8 +7,8 @@ order is read.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -22,8 +22,9 @@ from taut.trace.pose import Pose
 
 if TYPE_CHECKING:
     from taut.arm.description import Arm
+    from taut.arm.load import PinocchioModel
 
-__all__ = ["PinocchioModel", "arm_from_screws", "pinocchio_tree"]
+__all__ = ["arm_from_screws", "pinocchio_tree"]
 
 UNIT: Final = 1e-6  # how far a screw axis may be from unit length and from zero pitch
 BASE: Final = "base"
@@ -126,30 +127,6 @@ def _inertia(name: str, G: Float64Array) -> Body:
 
 
 # -------------------------------------------------------------------- Pinocchio
-
-
-class PinocchioModel(Protocol):
-    """What is read of a pinocchio.Model, whose joints, placements, inertias and frames have no types."""
-
-    name: str
-    njoints: int
-    nq: int
-    names: Sequence[str]
-    parents: Sequence[int]
-    joints: Sequence[Any]
-    jointPlacements: Sequence[Any]
-    inertias: Sequence[Any]
-    frames: Sequence[Any]
-    gravity: Any
-    lowerPositionLimit: Float64Array
-    upperPositionLimit: Float64Array
-    velocityLimit: Float64Array
-    effortLimit: Float64Array
-    friction: Float64Array
-    damping: Float64Array
-    armature: Float64Array
-    rotorInertia: Float64Array
-    rotorGearRatio: Float64Array
 
 
 WORDS: Final = Words(

@@ -238,17 +238,8 @@ class _Reader:
             rpy=self._numbers(owner, origin, "rpy", zero),
         )
 
-    def _number(
-        self,
-        owner: str,
-        element: Element,
-        attribute: str,
-        default: float,
-        *,
-        required: bool = False,
-        bounded: bool = True,
-    ) -> float:
-        return self._numbers(owner, element, attribute, (default,), required=required, bounded=bounded)[0]
+    def _number(self, owner: str, element: Element, attribute: str, default: float, **options: bool) -> float:
+        return self._numbers(owner, element, attribute, (default,), **options)[0]
 
     def _numbers(
         self,

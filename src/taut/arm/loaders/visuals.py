@@ -8,11 +8,13 @@ wrong is left out.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Final
 
 from taut.arm.loaders.xml import BadNumberError, Element, numbers
 from taut.arm.parts import Shape, Visual
+from taut.base.errors import count_of
 from taut.trace.pose import Pose
 
 if TYPE_CHECKING:
@@ -38,7 +40,7 @@ class OutsideError(ValueError):
 
 
 class MeshPaths:
-    """Resolves the mesh names of one model, and remembers why some were dropped.
+    """Resolves the mesh names of one model, and remembers those that cannot be shown.
 
     Args:
         folder: The folder of the model file; relative names start there.
@@ -46,45 +48,28 @@ class MeshPaths:
     """
 
     def __init__(self, folder: Path, packages: Mapping[str, Path] | None = None) -> None:
-        self._folder = folder
-        self._packages = dict(packages or {})
-        self._dropped: dict[str, list[str]] = {}
+        self._roots = {"": folder, **(packages or {})}
+        self.dropped: list[str] = []
 
     def resolve(self, name: str) -> str:
         """The path of a mesh inside an allowed folder; "" where there is none."""
-        try:
-            return self._resolve(name)
-        except (OSError, RuntimeError):  # too long, a loop of links, an odd character
-            return self._drop("is no file name", name)
-
-    def drop_unshowable(self, *names: str) -> None:
-        """Remember the meshes of these that are of a type that cannot be shown."""
-        for name in names:
-            if PurePosixPath(name).suffix.lower() not in SHOWABLE:
-                self._drop(f"is not {' or '.join(SHOWABLE)}", name)
-
-    def notes(self) -> Iterator[str]:
-        """What was dropped, one note for each reason."""
-        for reason, names in self._dropped.items():
-            more = f" ({len(names) - 1} more like it)" if len(names) > 1 else ""
-            yield f"the mesh '{names[0]}' is not shown: it {reason}{more}"
-
-    def _drop(self, reason: str, name: str) -> str:
-        self._dropped.setdefault(reason, []).append(name if len(name) <= 60 else f"...{name[-57:]}")
+        package, path = "", name
+        if name.startswith(PACKAGE):
+            package, _, path = name.removeprefix(PACKAGE).partition("/")
+        with suppress(OSError, RuntimeError, OutsideError):  # too long, a loop of links, an odd character
+            if package in self._roots and (file := file_inside(self._roots[package], path)).is_file():
+                return str(file)
+        self.dropped.append(name)
         return ""
 
-    def _resolve(self, name: str) -> str:
-        root, path = self._folder, name
-        if name.startswith(PACKAGE):
-            package, _, path = name[len(PACKAGE) :].partition("/")
-            if package not in self._packages:
-                return self._drop("belongs to a package that is not known here", name)
-            root = self._packages[package]
-        try:
-            file = file_inside(root, path)
-        except OutsideError as reason:
-            return self._drop(str(reason), name)
-        return str(file) if file.is_file() else self._drop("is not there", name)
+    def notes(self) -> Iterator[str]:
+        """What was dropped."""
+        if self.dropped:
+            first = self.dropped[0] if len(self.dropped[0]) <= 60 else f"...{self.dropped[0][-57:]}"
+            yield (
+                f"{count_of(len(self.dropped), 'mesh file')} not shown, such as '{first}': meshes are "
+                f"{' and '.join(SHOWABLE)} files in the folder of the model or of its package"
+            )
 
 
 def file_inside(root: Path, name: str) -> Path:
@@ -130,7 +115,7 @@ def mjcf_visuals(result: Compiled, files: Mapping[str, str], meshes: MeshPaths) 
         if g in result.meshes:
             name = files[result.meshes[g][0]]
             if PurePosixPath(name).suffix.lower() not in SHOWABLE:
-                meshes.drop_unshowable(name)
+                meshes.dropped.append(name)
                 continue
             file = meshes.resolve(name)
             if not file:
@@ -186,13 +171,13 @@ def urdf_visuals(link: Element, meshes: MeshPaths, colours: Mapping[str, Colour]
     if len(shown) < len(shapes):
         shown = _drawn(link.all("collision"), meshes, colours) or shown
     if shapes and not shown:
-        for shape in shapes:
-            meshes.drop_unshowable(*_mesh_names(shape))
+        names = [mesh.get("filename") or "" for shape in shapes for mesh in _children(shape.all("geometry"), "mesh")]
+        meshes.dropped += [name for name in names if PurePosixPath(name).suffix.lower() not in SHOWABLE]
     return shown
 
 
-def _mesh_names(shape: Element) -> list[str]:
-    return [mesh.get("filename") or "" for geometry in shape.all("geometry") for mesh in geometry.all("mesh")]
+def _children(elements: list[Element], tag: str) -> list[Element]:
+    return [child for element in elements for child in element.all(tag)]
 
 
 def _drawn(shapes: list[Element], meshes: MeshPaths, colours: Mapping[str, Colour]) -> list[Visual]:

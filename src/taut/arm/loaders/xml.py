@@ -163,7 +163,7 @@ def parse_xml(data: bytes, source: str) -> Element:
 def _not_well_formed(cause: expat.ExpatError, open_tag: str | None) -> str:
     """What expat found, in words."""
     inside = "" if open_tag is None else f" inside <{open_tag}>"
-    return f"not well-formed XML{inside}: {expat.ErrorString(cause.code)}"
+    return f"the XML is damaged{inside}: {expat.ErrorString(cause.code)}"
 
 
 def _refused(source: str, attribute: str, message: str, line: int | None = None) -> ModelError:

@@ -217,6 +217,15 @@ class HybridMotionForce(Law):
             near.append(F @ F > TOUCHING * TOUCHING)
         return functools.reduce(lambda a, b: a & b, near)
 
+    def contact_state(self, x: Snapshot) -> str:
+        """How far the arm is from its constraint, and the force where one is measured, in words."""
+        phi = np.asarray(self.constraint.at(x).phi, dtype=np.float64)
+        row = int(np.argmax(np.abs(phi)))
+        said = f"phi of row {row} of its constraint is {phi[row]:.3g}, and the tolerance is {self.tolerance:g}"
+        if self.measures and self.feedback == "wrench":
+            said += f"; {np.linalg.norm(x.F_ext[:3]):.3g} N measured, and contact is more than {TOUCHING:g} N"
+        return said
+
     def closed_loop(self, x: Snapshot) -> ClosedLoop | None:
         """That of its motion, along the constraint; against it (I + kfp) lam_e + kfi int(lam_e) = const."""
         motion, eye, (kfp, kfi) = self.motion.closed_loop(x), np.eye(self.rows), self._force_gains()

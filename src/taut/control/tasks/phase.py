@@ -295,6 +295,10 @@ class KnowsContact(Protocol):
         """Whether the arm is in contact, as a condition."""
         ...
 
+    def contact_state(self, x: Snapshot) -> str:
+        """Distance, force and their limits, in words."""
+        ...
+
 
 @dataclass(frozen=True, eq=False)
 class Phase:
@@ -391,6 +395,16 @@ class Phase:
         if force is not None:
             holds.append(contact(x, force))
         return reduce(lambda a, b: a & b, holds)
+
+    def contact_state(self, x: Snapshot) -> str:
+        """Why there is no contact, in words with numbers; empty for a guard of the user's."""
+        if callable(self.contact):
+            return ""
+        said = [law.contact_state(x) for _, law in all_laws(self.law) if isinstance(law, KnowsContact)]
+        if self.contact is not None or not said:
+            force = CONTACT if self.contact is None else self.contact
+            said.append(f"{np.linalg.norm(x.F_ext[:3]):.3g} N measured, and contact is {force:g} N or more")
+        return ", ".join(said)
 
 
 def named_phases(task: Sequence[Phase]) -> dict[str, Phase]:
