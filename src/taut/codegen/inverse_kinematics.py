@@ -164,12 +164,7 @@ class _Search:
             )
 
     def checked(self, name: str, value: ArrayLike) -> Float64Array:
-        """Joint positions that the arm may have.
-
-        Raises:
-            ShapeError: Of another size.
-            RangeError: Not finite, in degrees, or beyond a limit.
-        """
+        """Joint positions that the arm may have."""
         arm = self.arm
         q = vector(name, value, arm.n, unit="rad | m", joints=arm.joint_names)
         beyond = (q < self.lower - ROUNDING) | (q > self.upper + ROUNDING)

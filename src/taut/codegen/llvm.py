@@ -447,10 +447,7 @@ class Writer:
             self.line(f" store {kind} {value}, ptr {write}, align 8")
 
     def not_finite(self, block: str, size: int) -> str | None:
-        """A truth value: whether a block has NaN or infinity in it; None for an empty block.
-
-        x - x is zero for every other number.
-        """
+        """A truth value: whether a block has NaN or infinity in it (x - x is not zero); None for an empty block."""
         differences: dict[int, list[str]] = {4: [], 1: []}
         for start, width in _pieces(size):
             kind = "double" if width == 1 else f"<{width} x double>"

@@ -24,11 +24,7 @@ WHY: Final = {
 
 
 def step_arguments(side: LawSide, args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[dict[str, Any], Any]:
-    """What is measured, by name, and the sample of the reference, or None.
-
-    Raises:
-        UsageError: Something that is missing, or that this controller does not take.
-    """
+    """What is measured, by name, and the sample of the reference, or None."""
     known = ("q", "v", "ref", "F_app", *MEASUREMENTS)
     positional: tuple[str, ...] = known[:3]
     if len(args) == 2 and isinstance(args[1], Sample):
@@ -63,11 +59,7 @@ def step_arguments(side: LawSide, args: tuple[Any, ...], kwargs: dict[str, Any])
 
 
 def sample_arguments(side: LawSide, ref: Any) -> dict[str, Any]:
-    """The fields of the sample that a law follows, by the path of the input.
-
-    Raises:
-        UsageError: Another kind of sample, or none.
-    """
+    """The fields of the sample that a law follows, by the path of the input."""
     kind = side.law.reference
     if not isinstance(ref, kind):
         hint = "; for a trajectory pass ref.at(t)" if isinstance(ref, Trajectory) else ""
@@ -79,12 +71,7 @@ def sample_arguments(side: LawSide, ref: Any) -> dict[str, Any]:
 def checked_arguments(
     side: LawSide, given: Mapping[str, Any], inputs: Mapping[str, Float64Array], tick: int
 ) -> dict[str, Float64Array]:
-    """What is given as arrays of the shapes of the inputs, by path.
-
-    Raises:
-        ShapeError: An array of another shape.
-        RangeError: NaN or infinity.
-    """
+    """What is given as arrays of the shapes of the inputs, by path."""
     joints = side.arm.joint_names
     checked = {
         path: float_array(path, value, shape=inputs[path].shape, joints=None if path in AT_TOOL else joints)

@@ -135,10 +135,7 @@ def take_up_change(kernel: Kernel, before: Float64Array) -> None:
 
 
 class ControllerParameters(Parameters):
-    """Parameters of a controller, which act from the next tick.
-
-    What has a meaning in some poses only is checked at that of the last tick.
-    """
+    """Parameters of a controller from the next tick on; what depends on the pose is checked at that of the last."""
 
     def __init__(self, side: LawSide, machine: StateMachine) -> None:
         self.views = machine.kernel.blocks.views("parameters")

@@ -182,11 +182,7 @@ def _part(law: Law | Task, x: Snapshot) -> PartInfo:
 
 
 def _judged(verdict: Judgement | str, plant: Plant) -> Stability:
-    """The judgement of the start, after a warning where the loop is unstable.
-
-    Raises:
-        RangeError: It is, and the plant is a real arm.
-    """
+    """The judgement at the start; an unstable loop is a warning, or a RangeError where the plant is a real arm."""
     if isinstance(verdict, str):
         return Stability(stable=None, message=verdict)
     if not verdict.stable:

@@ -34,18 +34,7 @@ BEYOND: Final = 0.01  # [rad | m] beyond a limit: more than an engine's soft sto
 
 
 class Tape:
-    """Two tables with one row per tick: what the loop got from outside, and what it did.
-
-    Args:
-        side: The law side of the loop.
-        plant: The plant.
-        ticks: Number of rows.
-        inputs: Layout of the first table: t, ref.*, ...
-        outputs: Layout of the second: q, v, tau, command, terms.*, and further columns.
-
-    Raises:
-        RangeError: More rows than memory has room for.
-    """
+    """Two tables with one row per tick: the loop's inputs (t, ref.*), and its record (q, v, tau, terms.*)."""
 
     def __init__(self, side: LawSide, plant: AnyPlant, ticks: int, inputs: Block, outputs: Block) -> None:
         self._side = side
@@ -204,11 +193,7 @@ class Tape:
         return Outcome(kind="diverged", message=message, tick=tick - 1, joint=error.joint)
 
     def failed(self, tick: int, error: Exception) -> Outcome:
-        """The outcome of a run that ends before a tick in which a function of the caller's, or the plant, failed.
-
-        Raises:
-            Exception: The error, in the first tick: there is nothing yet to keep.
-        """
+        """The outcome where a function or the plant fails before a tick; in the first tick the error is raised."""
         if tick == 0:
             raise error
         how = str(error) if isinstance(error, TautError) else failure(error)

@@ -235,20 +235,11 @@ class MujocoPlant(PlantInMujoco):
         return self._values
 
     def checked_parameter(self, path: str, value: ArrayLike) -> Float64Array:
-        """A new value of a parameter, checked and in its shape.
-
-        Raises:
-            UnknownNameError: There is no such parameter.
-            ShapeError, RangeError: A value that it cannot have.
-        """
+        """A new value of a parameter, checked and in its shape. Raises UnknownNameError, ShapeError, RangeError."""
         return read_only(self._parts.checked(path, value))
 
     def check_together(self, values: Mapping[str, ArrayLike]) -> None:
-        """Refuse values by path that do not go together, each of which is right by itself.
-
-        Raises:
-            RangeError: Less friction at rest than in motion.
-        """
+        """RangeError for values by path that do not go together: less friction at rest than in motion."""
         self._parts.check_together(values)
 
     def set_parameters(self, values: Mapping[str, ArrayLike]) -> None:
@@ -267,7 +258,7 @@ class MujocoPlant(PlantInMujoco):
         """Put the arm into a state, and prepare for control periods of dt [s]; the noise comes from the seed.
 
         Raises:
-            MatchError: The control period is not a whole number of time steps, or the arm's actuators are disabled.
+            MatchError: dt is not a whole number of time steps, or the arm's actuators are disabled.
         """
         import mujoco
 
