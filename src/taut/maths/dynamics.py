@@ -22,23 +22,6 @@ from taut.trace import math as tm
 from taut.trace.math import cross
 from taut.trace.pose import Pose
 
-__all__ = [
-    "bias",
-    "compensation",
-    "coriolis_matrix",
-    "forward_dynamics",
-    "gravity_torque",
-    "inverse_dynamics",
-    "jacobian",
-    "jacobian_rate_v",
-    "kinetic_energy",
-    "link_poses",
-    "mass_matrix",
-    "pose",
-    "potential_energy",
-    "twist",
-]
-
 Z = np.array([0.0, 0.0, 1.0])
 
 

@@ -13,16 +13,6 @@ from taut.base.types import ArrayLike, Vector
 from taut.trace import math as tm
 from taut.trace.linalg import LTDL
 
-__all__ = [
-    "DryFriction",
-    "FrictionValues",
-    "FRICTION_SWEEPS",
-    "dry_friction",
-    "dry_limit",
-    "friction_torque",
-    "stribeck_share",
-]
-
 REST: Final = 1e-12  # [rad/s | m/s] of a joint that friction holds is rounding: it rests, and sgn(v) is 0
 MIN_SPEED: Final = 1e-150  # [rad/s | m/s] a speed below it is rest: 1 / x would overflow in a derivative
 MAX_LOG_POWER: Final = 6.7  # exp(-exp(6.7)) is zero in floating point; beyond it a power would only overflow

@@ -29,20 +29,6 @@ from taut.trace import math as tm
 from taut.trace.linalg import LTDL
 from taut.trace.pose import Pose
 
-__all__ = [
-    "DIRECTIONS",
-    "Directions",
-    "IkOutcome",
-    "Resolved",
-    "Task",
-    "damping_near_singularity",
-    "held_joints",
-    "posture_step",
-    "search_step",
-    "shortened",
-    "task_of",
-]
-
 Directions = Literal["all", "pointing", "position"]
 SIZES: Final[dict[Directions, int]] = {"all": 6, "pointing": 5, "position": 3}
 DIRECTIONS: Final = tuple(SIZES)

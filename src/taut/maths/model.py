@@ -21,8 +21,6 @@ from taut.base.types import Array, Float64Array, Matrix, Matrix3, Point3, Vector
 from taut.trace import math as tm
 from taut.trace.pose import snapped
 
-__all__ = ["Adds", "Chain", "Link", "Model", "PayloadValues", "RigidBody", "model_of"]
-
 Z = np.array([0.0, 0.0, 1.0])
 COMPONENTS: Final = ("gravity", "coriolis", "friction")  # torques that a plant may add
 REGROUPING_ROUNDING = 1e-14  # relative size under which a regrouped number is rounding

@@ -24,19 +24,6 @@ from taut.maths.task_inertia import least_direction
 from taut.trace import math as tm
 from taut.trace.linalg import factor_spd
 
-__all__ = [
-    "Asked",
-    "Beyond",
-    "ResolvedMotion",
-    "Sizes",
-    "Sphere",
-    "TOP_SPEED",
-    "distance_beyond",
-    "resolve",
-    "sizes_of",
-    "spheres",
-]
-
 BORDER: Final = 0.1  # smallest singular value of J under which an arm of 0.9 m and more is near a singularity
 DAMPING_AT_SINGULARITY: Final = 0.1  # lambda at the singularity, as a fraction of the limit of manipulability
 SHARE: Final = 0.1  # of the torque that gravity and Coriolis forces leave: what motion may use near a singularity

@@ -17,8 +17,6 @@ from taut.trace import math as tm
 from taut.trace.linalg import LTDL
 from taut.trace.pose import Pose
 
-__all__ = ["MEASUREMENTS", "Snapshot", "measurement_shapes", "snapshot"]
-
 T = TypeVar("T")
 
 MEASUREMENTS: Final[Mapping[str, str]] = {

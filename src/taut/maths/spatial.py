@@ -19,27 +19,6 @@ from taut.base.types import Float64Array, Matrix, Rotation, Twist, Vector3
 from taut.trace import math as tm
 from taut.trace.pose import Pose, quaternion
 
-__all__ = [
-    "adjoint",
-    "curve",
-    "exp_rows",
-    "from_body_rates",
-    "left_jacobian",
-    "left_jacobian_inverse",
-    "log_rows",
-    "moved",
-    "pose_exp",
-    "pose_log",
-    "pose_log_rate",
-    "rotated",
-    "rotated_matrix",
-    "rotation_exp",
-    "rotation_log",
-    "rotation_log_and_curve",
-    "to_body_rates",
-    "turned_back",
-]
-
 SERIES_BELOW: Final = 1e-4  # [rad^2] square of an angle below which a series is more accurate than the formula
 SERIES_BELOW_OF_RATES: Final = 1e-3  # [rad^2] likewise of the rates of its coefficients
 

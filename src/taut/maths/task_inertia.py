@@ -14,8 +14,6 @@ from taut.maths.snapshot import snapshot
 from taut.trace import math as tm
 from taut.trace.linalg import LTDL, factor_spd
 
-__all__ = ["TaskInertia", "least_direction", "rotor_share"]
-
 TINY = 1e-12  # [1/kg and its like] keeps the pivots of what is to be inverted from zero
 
 

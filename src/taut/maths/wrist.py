@@ -20,8 +20,6 @@ from taut.trace import math as tm
 from taut.trace.math import cross
 from taut.trace.pose import snapped
 
-__all__ = ["SensorPlace", "load_wrench", "sensor_place"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SensorPlace:

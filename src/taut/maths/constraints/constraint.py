@@ -21,8 +21,6 @@ from taut.maths.spatial import rotation_log
 from taut.trace import math as tm
 from taut.trace.pose import Pose
 
-__all__ = ["Constraint"]
-
 NO_LENGTH: Final = 1e-9  # of a direction
 MIN_SQUARE: Final = 1e-24  # [m^2] keeps a root from zero, where it has no slope
 

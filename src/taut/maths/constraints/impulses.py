@@ -10,8 +10,6 @@ from taut.base.types import Matrix, Vector
 from taut.trace import math as tm
 from taut.trace.linalg import LTDL, factor_spd
 
-__all__ = ["CONTACT_SWEEPS", "Touch", "both", "choose", "contact_impulses", "held_impulses", "opposite"]
-
 CONTACT_SWEEPS: Final = 4  # of block Gauss-Seidel where several contacts act together
 SLIDING_ROUNDS: Final = 3  # of the direction of sliding, which depends on the normal force and the other way round
 CONTACT_NEWTON_STEPS: Final = 3  # of Newton's method for all contacts at once

@@ -17,8 +17,6 @@ from taut.maths.snapshot import Snapshot, snapshot
 from taut.trace import math as tm
 from taut.trace.linalg import LTDL, factor_spd
 
-__all__ = ["Constrained", "force_projector", "onto"]
-
 MULTIPLIER_STEPS: Final = 30
 ON_CONSTRAINT: Final = 1e-12  # [m, rad] of phi
 CHAIN: Final = 1e-4  # [1/kg, 1/(kg m^2)] of mobility: less of it is a direction that a chain does not have

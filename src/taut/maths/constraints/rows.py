@@ -17,8 +17,6 @@ from taut.trace import math as tm
 from taut.trace.linalg import LTDL, factor_spd
 from taut.trace.pose import Pose
 
-__all__ = ["MIN_INDEPENDENT_PART", "ConstraintRows", "Piece", "Surface", "joined", "of_joints", "of_poses"]
-
 MIN_INDEPENDENT_PART: Final = (
     1e-7  # of a row's square, what it has that later rows have not: below it, it is left out
 )
