@@ -24,19 +24,6 @@ from taut.codegen.llvm import Writer
 from taut.codegen.native import NativeModule
 from taut.codegen.program import Block
 
-__all__ = [
-    "METH_FASTCALL_KEYWORDS",
-    "METH_NOARGS",
-    "READY",
-    "TAKEN",
-    "Argument",
-    "CallPath",
-    "Context",
-    "layout_key",
-    "offsets",
-    "slot_offsets",
-]
-
 METH_NOARGS: Final = 0x4
 METH_FASTCALL_KEYWORDS: Final = 0x82
 NPY_DOUBLE: Final = 12

@@ -17,19 +17,6 @@ from taut.codegen import native
 from taut.codegen.native import NativeModule
 from taut.codegen.program import Block, Function, Program, trace
 
-__all__ = [
-    "Engine",
-    "EngineChoice",
-    "Evaluate",
-    "Flat",
-    "Steps",
-    "best_engine",
-    "chosen_engine",
-    "machine_code",
-    "plain",
-    "verified",
-]
-
 Engine: TypeAlias = Literal["native", "float"]
 EngineChoice: TypeAlias = Literal["auto", "native", "float"]
 ENGINES: Final[tuple[EngineChoice, ...]] = ("auto", "native", "float")

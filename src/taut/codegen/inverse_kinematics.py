@@ -20,8 +20,6 @@ from taut.maths.ik import DIRECTIONS, Directions, IkOutcome, Task, posture_step,
 from taut.maths.model import model_of
 from taut.trace.pose import Pose
 
-__all__ = ["IkResult", "inverse_kinematics"]
-
 STEPS: Final = 100  # of a search from one start
 FLAT_SLOPE: Final = 1e-9  # slope of the error, without dimension, under which it does not fall any more
 STUBBORN: Final = 1e5  # damping at which no step was better for long

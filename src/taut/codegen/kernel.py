@@ -29,8 +29,6 @@ from taut.codegen.llvm import declarations, kernel
 from taut.codegen.native import available, compiled, warn_of_plain_python
 from taut.codegen.program import Block, Function, Program, Values, trace
 
-__all__ = ["Alone", "Blocks", "Call", "Kernel", "NativeFunction", "native"]
-
 
 class Blocks:
     """The numbers that a kernel reads and writes, each block one flat array."""

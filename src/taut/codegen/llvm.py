@@ -12,8 +12,6 @@ from typing import Final
 from taut.codegen.program import Program
 from taut.trace.graph import BOOLEAN_OPS, LARGEST, NONE, Op
 
-__all__ = ["LIBM", "Writer", "declarations", "kernel"]
-
 # A product and a sum are rounded once, together, where the processor can. Which of them is decided here and not by
 # LLVM, so that code gives the same numbers at each of its levels.
 #

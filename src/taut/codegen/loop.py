@@ -18,8 +18,6 @@ from taut.codegen.native import NativeModule, compiled, level_for
 from taut.codegen.program import Block, Field, Program, trace
 from taut.loop import Loop
 
-__all__ = ["StepLoop", "TracedSteps", "compiled_loop", "write_period"]
-
 COMMAND = "command"  # the output that must be finite as memory must be
 Run: TypeAlias = Callable[[Float64Array, Float64Array, Float64Array, Float64Array], int]
 

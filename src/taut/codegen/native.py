@@ -25,19 +25,6 @@ from taut.base.errors import TautError, warn
 from taut.codegen.llvm import LIBM
 from taut.trace import graph
 
-__all__ = [
-    "LEVEL",
-    "QUICK",
-    "NativeModule",
-    "available",
-    "cache_folder",
-    "compiled",
-    "level_for",
-    "load",
-    "store",
-    "warn_of_plain_python",
-]
-
 LEVEL: Final = 2  # of LLVM's code generator; 3 gives nothing, 1 is no faster to compile
 QUICK: Final = 0  # a fifth of the time to compile, three times that to run
 PATIENCE: Final = 50_000  # calls of code until it was worth compiling well

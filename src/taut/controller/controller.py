@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from taut.control.tasks.task import Task
     from taut.controller.calls import BoundKernel
 
-__all__ = ["Controller", "compile"]
-
 
 class Controller:
     """A law with its sensing and limits, compiled for one arm. Made by `taut.compile`.

@@ -20,8 +20,6 @@ from taut.control.lawside import HELD, KNOWN, LawSide, Probe
 from taut.control.trajectories.reference import Sample
 from taut.maths.snapshot import measurement_shapes
 
-__all__ = ["DT", "SideFunctions", "kernel_of", "not_finite", "recording_kernel", "reference_shapes"]
-
 DT: Final = "dt"  # the period stands beside the parameters, so that code serves every rate
 
 

@@ -36,8 +36,6 @@ from taut.runtime.host import PlantBase
 from taut.runtime.ongoing import FusedRun, HostedRun
 from taut.trace.pose import Pose
 
-__all__ = ["around_info", "run"]
-
 Plant: TypeAlias = ModelPlant | PlantBase
 
 

@@ -51,8 +51,6 @@ from taut.trajectories import (
     Trapezoidal,
 )
 
-__all__ = ["TASK", "read_phases", "read_reference"]
-
 POSITIONS: Final = ("q", "q0", "q1", "center", "points")  # of the joints, which may be "home"
 POSE_KEYS: Final = ("pose", "T0", "T1", "T")  # of the tool, which may be "home"
 TOOL_POINTS: Final = ("centre",)  # of the tool

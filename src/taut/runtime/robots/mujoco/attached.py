@@ -20,8 +20,6 @@ from taut.trace.pose import Pose
 if TYPE_CHECKING:
     import mujoco
 
-__all__ = ["AttachedPlant", "attached"]
-
 MAX_DISTANCE: Final = 1e-3  # [m] of an axis; files round their numbers
 MAX_ROTATION: Final = 1e-3  # [rad] of an axis
 MAX_RELATIVE: Final = 1e-3  # relative, of inertias and torques of gravity

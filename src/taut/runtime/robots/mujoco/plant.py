@@ -32,8 +32,6 @@ from taut.trace.pose import Pose
 if TYPE_CHECKING:
     import mujoco
 
-__all__ = ["MujocoPlant"]
-
 MAX_DEFAULT_TIMESTEP: Final = 1e-3  # [s] of a time step that nobody asked for
 
 

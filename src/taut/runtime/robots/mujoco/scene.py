@@ -28,8 +28,6 @@ from taut.trace.pose import Pose
 if TYPE_CHECKING:
     import mujoco
 
-__all__ = ["Scene", "SceneView", "attach_scene", "read_scene", "refused"]
-
 IN_WORLD: Final = frozenset({"body", "geom", "site", "light", "camera", "frame"})
 SECTIONS: Final = frozenset(
     {"worldbody", "asset", "default", "contact", "equality", "tendon", "actuator", "sensor", "compiler", "visual"}
