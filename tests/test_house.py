@@ -156,13 +156,13 @@ def test_the_core_declares_what_it_imports() -> None:
 
 
 LIMITS = {  # the house as it is; a change that needs more says why in the commit that raises a number
-    "lines": (64_500, house.lines),
-    "lines of code": (42_800, house.code_lines),
-    "modules": (280, lambda: len(house.modules())),
-    "modules in one folder": (16, house.largest_folder),
-    "modules with one importer": (32, lambda: len(house.slices())),
+    "lines": (55_900, house.lines),
+    "lines of code": (36_800, house.code_lines),
+    "modules": (226, lambda: len(house.modules())),
+    "modules in one folder": (15, house.largest_folder),
+    "modules with one importer": (30, lambda: len(house.slices())),
     "names in taut": (75, lambda: len(taut.__all__)),
-    "modules loaded to compile a PID": (63, lambda: len(house.loaded_for(PID))),
+    "modules loaded to compile a PID": (54, lambda: len(house.loaded_for(PID))),
     "modules of analysis that design(PID) loads": (12, lambda: len(house.loaded_for(DESIGN, "taut.analysis."))),
     "import circles": (3, lambda: len(house.circles())),
     "constants of one name with several values": (0, lambda: len(house.constants_of_several_values())),
