@@ -71,10 +71,7 @@ class AnyPlant(Protocol):
 
 @runtime_checkable
 class ModelPlant(AnyPlant, Protocol):
-    """A plant that is a pure function, so that it can be fused with a controller.
-
-    Its functions are given the loop's parameters by path, and pick their own.
-    """
+    """A plant of pure functions of the loop's parameters by path, so that it can be fused with a controller."""
 
     @property
     def substeps(self) -> int: ...
@@ -108,12 +105,9 @@ class HasLawSide(Protocol):
 
 
 def check_fit(side: LawSide, plant: AnyPlant) -> None:
-    """A controller and a plant that do not fit are refused when they meet.
+    """MatchError, ShapeError or RangeError for a controller and a plant that do not fit.
 
-    Raises:
-        MatchError: Another kind of command; a quantity that is not measured, or compensated twice or not at all.
-        ShapeError: Another number of joints.
-        RangeError: Force feedback that is unstable on a rigid contact.
+    Force feedback that is unstable on a rigid contact is among the reasons.
     """
     law, probe = side.title, side.probe
     if side.arm.n != plant.arm.n:
@@ -151,11 +145,7 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
 
 
 def require_no_reference(side: LawSide, ref: object) -> None:
-    """The phases of a task have references of their own.
-
-    Raises:
-        UsageError: There is another one beside them.
-    """
+    """UsageError for a reference beside those of the phases of a task."""
     if side.task is not None and ref is not None:
         raise UsageError(
             "each phase of a task has its own reference, as in taut.Phase(law, reference); leave ref out", name="ref"
@@ -163,20 +153,14 @@ def require_no_reference(side: LawSide, ref: object) -> None:
 
 
 def sensed_of(side: LawSide, plant: AnyPlant) -> tuple[str, ...]:
-    """The measurements that a run records as the law saw them: those of its law that differ from the truth.
-
-    What has no true column in a record is among them.
-    """
+    """The law's measurements that a run records as the law saw them: those that differ from the truth or lack it."""
     used = side.probe.used
     altered = side.sensing.alters | plant.distorts | {"q_motor", "v_motor", "a_tip"}
     return tuple(name for name in ("q", "v", *MEASUREMENTS) if name in altered and (name == "q" or name in used))
 
 
 def _check_tool(side: LawSide, plant: AnyPlant) -> None:
-    """The wrench of the tool is measured at the plant's tool; a controller with another one takes it for its own.
-
-    Tools of one name that stand a little apart are an error of the model, which a plant may have.
-    """
+    """MatchError for a wrench measured away from the controller's tool; tools of one name may differ in pose."""
     ours, theirs = side.arm, plant.arm
     if "F_ext" not in side.needs or ours.tool == theirs.tool:
         return
@@ -295,8 +279,6 @@ class Loop:
         """Number of control ticks, both ends included."""
         return round(self.duration * self.side.rate) + 1
 
-    # ---------------------------------------------------------------- layout
-
     def input_shapes(self) -> dict[str, tuple[int, ...]]:
         """What each tick gets from outside: time, the reference, noise."""
         reference = self.side.law.reference.fields(self.side.arm.n)
@@ -307,8 +289,6 @@ class Loop:
     def parameter_shapes(self) -> dict[str, tuple[int, ...]]:
         """All parameters, and the period."""
         return {path: value.shape for path, value in self.parameters.items()} | {DT: ()}
-
-    # ---------------------------------------------------------------- the pure functions
 
     def start(self, q: Vector, v: Vector, inputs: Values, parameters: Values) -> dict[str, Any]:
         """Memory by path in the first tick: of the plant at its true state, and of the law side."""
@@ -325,10 +305,7 @@ class Loop:
         return {**self.plant.measure(plant, subtree(inputs, "noise"), parameters), "t": inputs["t"]}
 
     def step(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:
-        """One control period: (what is recorded, memory after it).
-
-        Inputs may have disturbances too, see `taut.plant.environments.environment`.
-        """
+        """One control period: (what is recorded, memory after it). Inputs may have disturbances too."""
         dt, plant = parameters[DT], subtree(memory, "plant")
         measured = self.measured(plant, inputs, parameters)
         law = {path: value for path, value in memory.items() if not path.startswith("plant.")}
@@ -369,23 +346,13 @@ class LoopParameters(Parameters):
         self._values[path] = new
 
     def checked(self, path: str, value: ArrayLike) -> Float64Array:
-        """A new value of a parameter, in the shape it has.
-
-        Raises:
-            UnknownNameError: There is no such parameter.
-            ShapeError: Another shape.
-            RangeError: NaN, infinite or negative.
-        """
+        """A new value of a parameter, in the shape it has, finite and not negative."""
         owner = self._side if self._known(path) in self._side.parameters else self._plant
         return read_only(owner.checked_parameter(path, value))
 
 
 def duration_of_ticks(duration: object, dt: float) -> float:
-    """The length of a run [s]: one control period dt at least, so that something can happen.
-
-    Raises:
-        RangeError: It is not positive, or shorter than a period.
-    """
+    """The length of a run [s]: one control period dt at least, so that something can happen."""
     length = positive_scalar("duration", duration, unit="s")
     if length < (1.0 - 1e-9) * dt:
         raise RangeError(

@@ -167,7 +167,7 @@ def test_the_acceleration_of_the_tick_before_serves_below_twice_the_inertia_and_
         assert run.outcome.ok
         assert np.abs(run.v[-1]).max() <= 0.02 * np.abs(run.v).max()
     with pytest.raises(
-        taut.errors.RangeError, match=r"at this pose they are 2\.1\d* to 2\.\d+; D times 0\.\d+ would"
+        taut.errors.RangeError, match=r"at this pose they are 2\.1\d* to 2\.\d+; make D and B smaller"
     ):
         taut.compile(impedance(K=(200.0, 2.0), D=2.1 * Lam, feedback="acceleration"), arm).needs  # noqa: B018
 
@@ -176,18 +176,16 @@ ALGEBRAIC = {"K": (200.0, 2.0), "B": (30.0, 0.3), "zeta": None, "feedback": "acc
 
 
 def test_a_new_inertia_that_the_loop_does_not_bear_is_refused_where_the_arm_is() -> None:
-    """With what would do, which does."""
     arm = taut.load_arm("panda")
     Lam, ref = inertia(arm, arm.home), at(arm, arm.home)
     ctrl = taut.compile(impedance(D=Lam, **ALGEBRAIC), arm, engine="float")
     ctrl.parameters["law.D"] = 3.0 * Lam  # nobody knows yet where the arm will be
     ctrl.parameters["law.D"] = Lam
     ctrl.step(arm.home, np.zeros(7), ref)
-    with pytest.raises(taut.errors.RangeError, match=r"they are 3 to 3\.\d+; make D and B smaller") as told:
+    with pytest.raises(taut.errors.RangeError, match=r"they are 3 to 3\.\d+; make D and B smaller"):
         ctrl.parameters["law.D"] = 3.0 * Lam
     assert np.array_equal(ctrl.parameters["law.D"], Lam)
-    share = float(str(told.value).partition("times ")[2].partition(" would")[0])
-    assert 0.4 < share < 1.9 / 3.0
+    share = 0.6
     ctrl.parameters["law.B"] = share * np.array([30.0] * 3 + [0.3] * 3)
     ctrl.parameters["law.D"] = share * 3.0 * Lam
     with pytest.raises(taut.errors.RangeError, match=r"eigenvalues of Lambda\^-1 \(D \+ B dt / 2\)"):

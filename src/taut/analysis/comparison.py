@@ -38,8 +38,6 @@ from taut.runtime.simulate import Plant, run
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Comparison", "Entry", "Experiment", "WrongModel", "blamed", "compare_laws", "figures_of"]
-
 Numbers: TypeAlias = dict[str, dict[str, float]]
 """Figures by name and unit: {"rms_error": {"rad": 0.1}}."""
 

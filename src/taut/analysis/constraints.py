@@ -18,8 +18,6 @@ from taut.maths.snapshot import Snapshot
 from taut.trace.math import skew
 from taut.trace.pose import Pose
 
-__all__ = ["ConstraintRow", "ConstraintTable", "Specification", "check_specification", "natural_constraints"]
-
 MIN_SINGULAR_VALUE: Final = 1e-9  # smallest singular value of the specified rows, each scaled to length 1
 SPECIFICATION_ROUNDING: Final = 1e-12  # of the largest number: less is zero
 TERM: Final = re.compile(

@@ -20,8 +20,6 @@ from taut.control.trajectories.reference import JointMotion
 from taut.linear.linear_system import LinearSystem
 from taut.linear.performance import common_delay
 
-__all__ = ["Achieved", "Limit", "Requirement", "Steps", "force_pole"]
-
 TOLERANCE: Final = 0.05  # [-] of a figure that was asked for: within it the figure is met
 STATIC: Final = 0.01  # [-] likewise of a stiffness
 OVERSHOOT: Final = 1.0  # [%] of the step that an overshoot may differ besides

@@ -16,8 +16,6 @@ from taut.control.closed_loop import ClosedLoop, PlacedGains
 from taut.control.law import Law
 from taut.linear.joint_loop import second_order
 
-__all__ = ["Specification", "place_poles", "square"]
-
 SETTLED_RATIO: Final = 50.0  # [-] of a step and the 2 % within which it has settled
 FREE: Final = 1e-9  # [-] of the largest stiffness over inertia: a motion that no spring draws back
 

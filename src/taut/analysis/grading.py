@@ -23,8 +23,6 @@ from taut.record.run import Run
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["GRADE_TOLERANCE", "Difference", "Grade", "Mark", "grade_law"]
-
 GRADE_TOLERANCE: Final = 0.05
 COMMAND_ROUNDING: Final = 1e-9  # in the unit of a command: what arithmetic alone may leave
 EQUAL: Final = 1e-6  # of the largest figure of a unit: figures that differ by less are equal

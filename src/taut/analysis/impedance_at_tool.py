@@ -24,8 +24,6 @@ from taut.maths.snapshot import Snapshot
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["ToolImpedance", "tool_impedance"]
-
 HERTZ: Final = 2.0 * np.pi
 REACH: Final = 1e-6  # of the Jacobian: below it the tool cannot move in a direction
 NO_MOTION: Final = 1e-12  # of the largest response: rounding

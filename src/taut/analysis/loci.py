@@ -24,18 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "LocusPoint",
-    "RootLocus",
-    "RouthRow",
-    "RouthTable",
-    "StabilityMap",
-    "bisected",
-    "root_locus",
-    "routh",
-    "stability_map",
-]
-
 LOCUS_TOLERANCE: Final = 1e-12  # [-] of a value, between two of a locus
 MAP_TOLERANCE: Final = 1e-3  # [-] likewise of a map, each point of which is a system
 NEAR_ZERO: Final = 1e-6  # [-] of the distance of two values, below which a boundary is at zero

@@ -25,8 +25,6 @@ from taut.runtime.events import Schedule
 from taut.runtime.ongoing import FusedRun
 from taut.trace import math as tm
 
-__all__ = ["COSTS", "Cost", "RunGradient", "RunSlopes", "Tick"]
-
 PROBE: Final = 1e-3  # relative change of a parameter, to see whether the state at the start depends on it
 
 

@@ -25,8 +25,6 @@ from taut.maths.snapshot import Snapshot
 from taut.record.run import Run
 from taut.trace.derivative import jacobian
 
-__all__ = ["Coupling", "Lyapunov", "coupling", "lyapunov"]
-
 MAX_CROSSTALK: Final = 0.1  # [-] of decentralised control
 LAWS: Final = ("GravityPID", "GravityCompensation")
 VISCOUS: Final = "plant.friction.viscous"

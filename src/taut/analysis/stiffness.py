@@ -35,8 +35,6 @@ from taut.maths.snapshot import Snapshot
 from taut.plant.rigid import RigidPlant
 from taut.trace.derivative import jacobian
 
-__all__ = ["StiffnessCheck", "check_stiffness", "check_virtual_wall", "passivity_margin"]
-
 Complex = NDArray[np.complex128]
 LawOf = Callable[[float], LinearSystem]
 """Factor on the stiffness -> the sampled law from q and v to command."""

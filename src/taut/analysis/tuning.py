@@ -25,8 +25,6 @@ from taut.loop import Loop, state_at_start
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["LoopFigures", "Trial", "Tuned", "tune"]
-
 Loops: TypeAlias = Loop | Sequence[Loop] | Mapping[str, Loop]
 Slope: TypeAlias = tuple[float, Float64Array]
 """A number, and (m,) its derivatives."""

@@ -21,8 +21,6 @@ from taut.maths.wrist import sensor_place
 from taut.trace import math as tm
 from taut.trace.pose import Pose
 
-__all__ = ["WristCalibration", "calibrate_wrist", "calibration_poses"]
-
 MIN_SPREAD: Final = 0.05  # [rad] RMS, about 3 degrees: rotation of gravity that tells the numbers apart
 SIGNIFICANT: Final = 4.0  # standard deviations by which a mass must differ from zero
 AT_END: Final = 1.0 - 1e-9  # of the range

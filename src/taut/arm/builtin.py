@@ -20,8 +20,6 @@ from taut.base.errors import RangeError
 from taut.base.types import Float64Array
 from taut.trace.pose import Pose
 
-__all__ = ["BUILT_IN", "one_joint", "one_joint_tree"]
-
 RAISING: Final = (0.0, -1.0, 0.0)  # turning about -y takes x to z
 ALONG_X: Final = (0.0, 0.5 * math.pi, 0.0)  # rpy of a cylinder, whose own axis is z
 BASE: Final = "base"

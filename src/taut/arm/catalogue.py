@@ -27,8 +27,6 @@ from taut.trace.pose import Pose
 if TYPE_CHECKING:
     from importlib.metadata import Distribution
 
-__all__ = ["CATALOGUE", "PATTERN", "Entry", "described", "entry_tree", "installed_package"]
-
 VELOCITY_POSITION: Final[tuple[CommandKind, ...]] = ("velocity", "position")
 DESCRIPTIONS: Final = "robot_descriptions"
 PATTERN: Final = re.compile(r"[a-z0-9_]+_description\Z")

@@ -27,8 +27,6 @@ from taut.base.types import ArrayLike, Float64Array
 if TYPE_CHECKING:
     from taut.arm.description import Arm
 
-__all__ = ["body_replaced", "geared", "home_replaced", "joints_replaced", "locked_copy", "perturbed_copy"]
-
 ROOT = "<base>"
 LIMITS: Final = ("lower", "upper", "velocity", "effort")  # which may be infinite
 JOINT_FIELDS: Final = (*LIMITS, *FRICTION_FIELDS, "gear", "rotor_inertia")

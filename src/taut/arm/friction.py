@@ -12,8 +12,6 @@ from taut.base.checks import entry_names, finite_array, read_only
 from taut.base.errors import RangeError, ShapeError
 from taut.base.types import ArrayLike, Float64Array
 
-__all__ = ["FRICTION_FIELDS", "FRICTION_UNITS", "Friction"]
-
 # What stands at rest, and what it must not be less than: the same in motion.
 AT_REST: Final = {"static": "coulomb", "load_motor_static": "load_motor", "load_external_static": "load_external"}
 

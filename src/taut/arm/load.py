@@ -16,8 +16,6 @@ from taut.base.errors import FileError, ModelError, Problem, UsageError, unknown
 from taut.base.types import ArrayLike, Float64Array
 from taut.trace.pose import Pose
 
-__all__ = ["PinocchioModel", "load_arm", "open_model"]
-
 SUFFIXES: Final = (".urdf", ".xml", ".mjcf")
 
 

@@ -18,25 +18,6 @@ from taut.trace.pose import Pose
 if TYPE_CHECKING:
     from taut.arm.description import Arm
 
-__all__ = [
-    "BASE",
-    "COMMANDS",
-    "STANDARD_GRAVITY",
-    "Body",
-    "CommandKind",
-    "Frame",
-    "Joint",
-    "JointKind",
-    "Payload",
-    "Shape",
-    "Visual",
-    "checked_payload_entry",
-    "inertia_entries",
-    "inertia_matrix",
-    "require_radians",
-    "short_way",
-]
-
 JointKind = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar", "ball"]
 CommandKind = Literal["torque", "velocity", "position"]
 Shape = Literal["mesh", "box", "cylinder", "sphere"]

@@ -10,8 +10,6 @@ import numpy as np
 from taut.arm.description import Arm, Joint
 from taut.base.types import ArrayLike, Float64Array
 
-__all__ = ["reach"]
-
 STARTS: Final = 64  # poses to climb from; the hill has few tops, and one start in four finds the highest
 MAX_SWEEPS_OF_CLIMB: Final = 200
 LEAST_GAIN: Final = 1e-10  # [m] a sweep that gains less than this ends the climb

@@ -21,8 +21,6 @@ from taut.base.errors import ModelError, Problem, TautError, UsageError, count_o
 from taut.base.result import Table
 from taut.base.types import Float64Array
 
-__all__ = ["ArmRow", "CheckReport", "arm_rows", "check_model", "joint_table"]
-
 MORE_OF_JOINTS: Final = (*FRICTION_FIELDS[2:], "gear")  # shown in the table where a joint has it
 NUMBERS: Final = {  # of a joint, by their names in JSON: field, and head of the column
     "lower": ("lower", "lower"),

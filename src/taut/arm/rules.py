@@ -20,18 +20,6 @@ if TYPE_CHECKING:
     from taut.arm.description import Arm, Joint
     from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink
 
-__all__ = [
-    "check_inertia",
-    "indefinite",
-    "joint_problems",
-    "mass_problems",
-    "model_doubts",
-    "rotor_doubts",
-    "structure_problems",
-    "value_problems",
-    "wrong_mass",
-]
-
 AXIS_TOLERANCE: Final = 1e-3  # an axis shorter than this has no direction; any other length is normalised
 INERTIA_TOLERANCE: Final = 1e-6  # relative slack of the triangle inequality, for rounded files
 LEAST_MOMENT: Final = 1e-12  # a principal moment below this share of the largest is rounding, not a size

@@ -24,8 +24,6 @@ from taut.base.types import ArrayLike, Float64Array
 if TYPE_CHECKING:
     from taut.arm.description import Arm
 
-__all__ = ["Servo", "load_servo", "matched_ratio", "reflected_inertia", "with_servos"]
-
 MAX_BYTES: Final = 8 * 1024  # the largest such file met so far has 1 kB
 BASE: Final = ("friction_base", "friction_viscous", "armature")
 STRIBECK: Final = ("friction_stribeck", "dtheta_stribeck", "alpha")

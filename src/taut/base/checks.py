@@ -13,24 +13,6 @@ import numpy as np
 from taut.base.errors import FileError, RangeError, ShapeError, TautError, UsageError, count_of
 from taut.base.types import ArrayLike, Float64Array
 
-__all__ = [
-    "entry_names",
-    "finite_array",
-    "finite_scalar",
-    "float_array",
-    "in_compiled_shape",
-    "one_of",
-    "positive_scalar",
-    "rate_in_hertz",
-    "read_only",
-    "readable_file",
-    "require_range",
-    "symmetric",
-    "symmetric_psd",
-    "vector",
-    "whole_number",
-]
-
 T = TypeVar("T")
 
 SYMMETRY_TOLERANCE = 1e-9  # relative to the largest entry

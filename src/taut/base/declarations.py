@@ -12,17 +12,6 @@ from taut.base.checks import float_array, one_of, read_only, require_range, symm
 from taut.base.errors import RangeError, ShapeError, TautError, UsageError, count_of
 from taut.base.types import ArrayLike, Float64Array
 
-__all__ = [
-    "REQUIRED",
-    "Choice",
-    "Declaration",
-    "Field",
-    "Part",
-    "Parts",
-    "Plain",
-    "Whole",
-]
-
 T = TypeVar("T")
 REQUIRED: Final = object()
 Shape = str | int | tuple[int | str, ...]

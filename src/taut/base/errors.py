@@ -19,32 +19,6 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, ClassVar, Final, Self
 
-__all__ = [
-    "FileError",
-    "MatchError",
-    "MissingExtraError",
-    "ModelError",
-    "NumericalError",
-    "Problem",
-    "RangeError",
-    "ScenarioError",
-    "ShapeError",
-    "StabilityWarning",
-    "TautError",
-    "TraceError",
-    "UnknownNameError",
-    "UsageError",
-    "count_of",
-    "missing_extra",
-    "one_thread_at_a_time",
-    "printable",
-    "quoted_list",
-    "raised_location",
-    "unknown_name",
-    "user_location",
-    "warn",
-]
-
 
 class TautError(Exception):
     """Base of every error that taut raises. Its class has a `code`, which stays the same in every version.

@@ -19,8 +19,6 @@ from typing import Any, Final
 
 from taut.base.errors import FileError, TautError, UsageError, unknown_name
 
-__all__ = ["checked_arguments", "lazy_names"]
-
 _IMPORT: Final = re.compile(r"^    from (taut[.\w]*) import (\w+) as \2$", re.MULTILINE)
 _UNCHECKED: Final[dict[str, set[tuple[str, str]]]] = {}  # front doors and names, by the module that defines them
 

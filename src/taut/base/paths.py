@@ -10,9 +10,6 @@ from taut.base.checks import read_only
 from taut.base.errors import UsageError, unknown_name
 from taut.base.types import ArrayLike, Float64Array
 
-__all__ = ["Named", "Parameters", "flatten", "subtree", "unflatten"]
-
-
 T = TypeVar("T")
 
 

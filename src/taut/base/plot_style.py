@@ -18,26 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import FigureBase
     from matplotlib.lines import Line2D
 
-__all__ = [
-    "COLOURS",
-    "DASHED",
-    "DOTTED",
-    "INK",
-    "LETTER",
-    "SMALL",
-    "WIDTH",
-    "LineStyle",
-    "colour",
-    "dashes",
-    "legend_above",
-    "legend_rows",
-    "line",
-    "prepared",
-    "short",
-    "short_name",
-    "wrapped",
-]
-
 LineStyle: TypeAlias = Literal["-"] | tuple[float, tuple[float, ...]]
 
 COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5B4A9E", "#7A7A7A")

@@ -19,8 +19,6 @@ from taut.base.errors import UsageError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Cell", "Content", "Result", "Table", "cell_text"]
-
 Cell = str | float | int | bool | None
 
 

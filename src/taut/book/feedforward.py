@@ -34,8 +34,6 @@ from taut.book.single_joint import W, angles, ticks, trajectory
 from taut.laws import PID, ComputedTorque, FeedForward, FrictionCompensation
 from taut.trajectories import Sine
 
-__all__: list[str] = []
-
 LINE_BY_LINE: Final = "the pseudocode, line by line"
 STATE: Final = JointMotion(q=[0.9], v=[0.5], a=[-1.2])  # desired, chosen
 THETA, V = 0.7, 1.3  # [rad], [rad/s] actual, chosen

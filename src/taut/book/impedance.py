@@ -55,8 +55,6 @@ from taut.environments import Environment, Field, Hand
 from taut.errors import RangeError
 from taut.laws import PID, Admittance, ForceControl, Impedance, TaskComputedTorque
 
-__all__: list[str] = []
-
 D, B, K = 2.0, 20.0, 400.0  # [kg], [N s/m], [N/m] chosen
 ANGULAR: Final = (0.05, 0.5, 10.0)  # [kg m^2], [N m s/rad], [N m/rad]
 POLYNOMIAL: Final = "m s^2 + b s + k"

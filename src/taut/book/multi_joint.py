@@ -20,8 +20,6 @@ from taut.book.page import MUJOCO, TWO_BY_HAND, Row, Shown, compared, curve, ent
 from taut.laws import PID, ComputedTorque, FrictionCompensation, GravityPID
 from taut.trajectories import Sine
 
-__all__ = ["Q", "V"]
-
 Q: Final = np.array([0.3, -0.5, 0.4, -1.9, 0.2, 1.6, 0.7])  # [rad] of the Panda, chosen
 V: Final = np.array([0.5, -0.3, 0.4, 0.2, -0.6, 0.7, -0.4])  # [rad/s]
 A: Final = np.array([1.0, 0.5, -0.7, 0.9, -0.4, 0.3, 1.1])  # [rad/s^2]

@@ -27,8 +27,6 @@ from taut.maths.task_inertia import TaskInertia
 if TYPE_CHECKING:
     from taut.control.laws.task_error import ErrorKind
 
-__all__: list[str] = []
-
 W: Final = 1.5  # [rad/s] of the circle that two links follow
 CENTRE, RADIUS = np.array([0.55, 0.1]), 0.1  # [m] x and z
 

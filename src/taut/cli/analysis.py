@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from taut.control.law import Law
     from taut.record.run import Run
 
-__all__ = ["COMPARE", "DESIGN"]
-
 
 def _compare(arguments: argparse.Namespace, say: Say) -> Answer:
     """Compare or grade, and write the report; a request that is wrong is refused before anything runs."""

@@ -24,8 +24,6 @@ from taut.base.errors import TautError, UsageError, printable
 from taut.cli import analysis, book, models, run
 from taut.cli.command import FAILED, STATUS, WRONG, Command
 
-__all__ = ["main"]
-
 NEGATIVE: Final = re.compile(r"-(\d|\.\d|inf|nan)", re.IGNORECASE)  # a value, where argparse expects an option
 
 COMMANDS: Final[tuple[Command, ...]] = (

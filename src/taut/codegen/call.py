@@ -2,8 +2,8 @@
 
 `step(q, v, ref)` checks types, lengths and contiguity, copies the numbers into the kernel's input block, runs the
 kernel, and returns a new array; measurements follow by keyword, `F_ext=F`, in the order that the law states. `tick()`
-does the same on the block alone and allocates nothing. Whatever is not plain (other keywords, lists, a first tick, a
-number that is not finite) goes to a Python function that knows the words.
+works on the block alone and allocates nothing. All else (other keywords, lists, a first tick, a number that is not
+finite) goes to a Python function.
 """
 
 from __future__ import annotations
@@ -24,19 +24,6 @@ from taut.codegen.llvm import Writer
 from taut.codegen.native import NativeModule
 from taut.codegen.program import Block
 
-__all__ = [
-    "METH_FASTCALL_KEYWORDS",
-    "METH_NOARGS",
-    "READY",
-    "TAKEN",
-    "Argument",
-    "CallPath",
-    "Context",
-    "layout_key",
-    "offsets",
-    "slot_offsets",
-]
-
 METH_NOARGS: Final = 0x4
 METH_FASTCALL_KEYWORDS: Final = 0x82
 NPY_DOUBLE: Final = 12
@@ -50,9 +37,6 @@ class Argument:
 
     fields: tuple[str, ...]
     is_object: bool = False
-
-
-# -------------------------------------------------------------------- how Python objects lie in memory
 
 
 @dataclass(frozen=True)
@@ -132,9 +116,6 @@ def slot_offsets(cls: type, names: tuple[str, ...]) -> tuple[int, ...] | None:
 def layout_key() -> bytes:
     """What of Python's and NumPy's memory layout is baked into generated code."""
     return repr((offsets(), object.__basicsize__)).encode()
-
-
-# -------------------------------------------------------------------- the context
 
 
 WORDS: Final = (
@@ -254,34 +235,21 @@ def _address(function: Any) -> int:
     return address
 
 
-# -------------------------------------------------------------------- text
-
 _BLOCKS: Final = ("inputs", "parameters", "memory", "new", "before", "seen", "outputs")
 
 
 @dataclass(frozen=True, kw_only=True)
 class CallPath:
-    """LLVM text of the builtins `step` and `tick` around a function `kernel`.
+    """LLVM text of the builtins `step` and `tick` around a function `kernel`."""
 
-    Args:
-        arguments: Positional arguments of `step`; None where there is no plain way to call it.
-        keywords: Inputs that follow by keyword, in this order.
-        inputs: Layout of the inputs.
-        outputs: Layout of the outputs; the first field is the result.
-        memory: Layout of the memory.
-        slots: Where the slots of the object argument stand [bytes].
-        time: Path of the input that gets the number of ticks times dt, if any.
-        guarded: Whether numbers that are not finite are refused.
-    """
-
-    arguments: Sequence[Argument] | None
+    arguments: Sequence[Argument] | None  # positional, of `step`; None without a plain call
     inputs: Block
-    outputs: Block
+    outputs: Block  # the first field is the result
     memory: Block
     keywords: Sequence[str] = ()
-    slots: Sequence[int] = ()
-    time: str | None = None
-    guarded: bool = True
+    slots: Sequence[int] = ()  # of the object argument [bytes]
+    time: str | None = None  # the input that gets the number of ticks times dt
+    guarded: bool = True  # refuses numbers that are not finite
 
     def text(self) -> str:
         """All functions."""

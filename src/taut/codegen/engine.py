@@ -17,19 +17,6 @@ from taut.codegen import native
 from taut.codegen.native import NativeModule
 from taut.codegen.program import Block, Function, Program, trace
 
-__all__ = [
-    "Engine",
-    "EngineChoice",
-    "Evaluate",
-    "Flat",
-    "Steps",
-    "best_engine",
-    "chosen_engine",
-    "machine_code",
-    "plain",
-    "verified",
-]
-
 Engine: TypeAlias = Literal["native", "float"]
 EngineChoice: TypeAlias = Literal["auto", "native", "float"]
 ENGINES: Final[tuple[EngineChoice, ...]] = ("auto", "native", "float")
@@ -46,22 +33,13 @@ Evaluate: TypeAlias = Callable[[Float64Array, Float64Array, Float64Array, Float6
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """A step and its substeps as pure functions of three blocks: what both engines run.
+    """A step and its substeps as pure functions of three blocks: what both engines run."""
 
-    Args:
-        step: (inputs, parameters, memory) -> (outputs, new memory).
-        inputs: Layout of the inputs.
-        parameters: Layout of the parameters.
-        memory: Layout of the memory.
-        substep: The same function for each further part of a control period; its outputs do not count.
-        repeats: How many of them.
-    """
-
-    step: Function
+    step: Function  # (inputs, parameters, memory) -> (outputs, new memory)
     inputs: Block
     parameters: Block
     memory: Block
-    substep: Function | None = None
+    substep: Function | None = None  # `repeats` times after the step; its outputs do not count
     repeats: int = 0
 
 
@@ -71,11 +49,7 @@ def best_engine() -> Engine:
 
 
 def chosen_engine(engine: EngineChoice) -> Engine:
-    """The engine that a caller asks for; "auto" is the best, with a warning where that is plain Python.
-
-    Raises:
-        UsageError: Another word, or machine code where llvmlite is missing.
-    """
+    """The engine that a caller asks for; "auto" is the best, with a warning where that is plain Python."""
     one_of("engine", engine, ENGINES)
     if engine == "float" or native.available():
         return "float" if engine == "float" else "native"
@@ -86,9 +60,6 @@ def chosen_engine(engine: EngineChoice) -> Engine:
         )
     native.warn_of_plain_python()
     return "float"
-
-
-# -------------------------------------------------------------------- one evaluation
 
 
 def plain(
@@ -123,9 +94,6 @@ def machine_code(address: int) -> Evaluate:
     return evaluate
 
 
-# -------------------------------------------------------------------- that both agree
-
-
 def verified(
     what: str,
     function: Function,
@@ -133,15 +101,7 @@ def verified(
     samples: Callable[[], Sequence[Flat]],
     name: str = "kernel",
 ) -> Callable[[NativeModule], None]:
-    """A check that the compiled kernel gives what the function gives on plain floats, and that two traces agree.
-
-    Args:
-        what: What is compiled, for the message.
-        function: The function itself.
-        program: Its trace.
-        samples: Gives inputs, parameters and memory to compare at, flat.
-        name: The kernel's name in the module.
-    """
+    """A check that the compiled kernel gives what the function gives on plain floats, and that two traces agree."""
     blocks = program.inputs, program.parameters, program.memory
     evaluate = plain(function, *blocks, new=program.memory, outputs=program.outputs)
 

@@ -29,8 +29,6 @@ from taut.codegen.llvm import declarations, kernel
 from taut.codegen.native import available, compiled, warn_of_plain_python
 from taut.codegen.program import Block, Function, Program, Values, trace
 
-__all__ = ["Alone", "Blocks", "Call", "Kernel", "NativeFunction", "native"]
-
 
 class Blocks:
     """The numbers that a kernel reads and writes, each block one flat array."""
@@ -52,16 +50,9 @@ class Blocks:
 
 
 class Alone:
-    """A tick that takes several steps in Python, which one thread at a time may be in. A context manager.
+    """Context manager of a tick that takes several steps in Python: UsageError where another thread is in it."""
 
-    Args:
-        taken: Is called when a thread begins such a tick, and when it ends.
-
-    Raises:
-        UsageError: Another thread is in it.
-    """
-
-    def __init__(self, taken: Callable[[bool], None]) -> None:
+    def __init__(self, taken: Callable[[bool], None]) -> None:  # called where a tick begins and ends
         self._lock, self._taken, self._depth = threading.RLock(), taken, 0
 
     def __enter__(self) -> None:
@@ -80,42 +71,16 @@ class Alone:
 
 @dataclass(frozen=True, kw_only=True)
 class Call:
-    """How a kernel is called with arrays.
-
-    Args:
-        arguments: The positional arguments.
-        slow: What takes a call that is not plain.
-        keywords: Inputs that follow by keyword, in this order.
-        reference: The class of the object argument, if there is one.
-    """
+    """How a kernel is called with arrays."""
 
     arguments: Sequence[Argument]
-    slow: Callable[..., Any]
+    slow: Callable[..., Any]  # takes a call that is not plain
     keywords: tuple[str, ...] = ()
-    reference: type | None = None
+    reference: type | None = None  # class of the object argument
 
 
 class Kernel:
-    """A tick with blocks of its own.
-
-    Args:
-        engine: What runs it.
-        tick: (inputs, parameters, memory) -> (outputs, new memory).
-        start: The same, whose outputs are the memory in the first tick.
-        blocks: The numbers; the first output is the result of a call.
-        first: What takes a tick where memory has not started, or waits.
-        failed: Raises the error of a tick whose numbers are not finite.
-        call: How `step` is called; None for a kernel that runs on its blocks alone.
-        time: The input that is the time [s], if there is one.
-        dt: Period of the ticks [s].
-        guarded: Whether inputs, outputs and memory must be finite.
-        what: What is compiled, for messages.
-        samples: Inputs, parameters and memory at which both engines are compared when it is compiled.
-        level: How well it is compiled; the full level if left out.
-
-    Raises:
-        TraceError: The tick cannot be traced, or the two engines differ.
-    """
+    """A tick with blocks of its own. TraceError where it cannot be traced, or the two engines differ."""
 
     step: Callable[..., Any]
     """Arrays in, a new array out; everything that is not plain goes to `Call.slow`."""
@@ -125,18 +90,18 @@ class Kernel:
     def __init__(
         self,
         engine: Engine,
-        tick: Function,
-        start: Function,
-        blocks: Blocks,
+        tick: Function,  # (inputs, parameters, memory) -> (outputs, new memory)
+        start: Function,  # its outputs are the memory in the first tick
+        blocks: Blocks,  # the first output is the result of a call
         *,
-        first: Callable[[], None],
-        failed: Callable[[], Any],
-        call: Call | None,
+        first: Callable[[], None],  # takes a tick where memory has not started, or waits
+        failed: Callable[[], Any],  # raises the error of a tick whose numbers are not finite
+        call: Call | None,  # of `step`; None for a kernel that runs on its blocks alone
         what: str,
-        samples: Callable[[], Sequence[Flat]],
-        time: str | None = None,
+        samples: Callable[[], Sequence[Flat]],  # at which both engines are compared when it is compiled
+        time: str | None = None,  # the input that is the time [s]
         dt: float = 0.0,
-        guarded: bool = True,
+        guarded: bool = True,  # inputs, outputs and memory must be finite
         level: int | None = None,
     ) -> None:
         self.engine, self.blocks = engine, blocks
@@ -211,8 +176,6 @@ class Kernel:
             self.step = context.builtin("step", METH_FASTCALL_KEYWORDS, "One tick: arrays in, a new array out.")
         self.tick = context.builtin("tick", METH_NOARGS, "One tick on the bound arrays.")
 
-    # ---------------------------------------------------------------- its state
-
     @property
     def ready(self) -> bool:
         """Whether memory has started and waits for nothing."""
@@ -243,8 +206,6 @@ class Kernel:
         self._ready_word = TAKEN if taken else READY
         if self._words["ready"]:
             self._words["ready"] = self._ready_word
-
-    # ---------------------------------------------------------------- a tick in Python
 
     def preview(self, parameters: Float64Array) -> dict[str, Float64Array]:
         """The memory that a tick with these parameters would leave, by path. Nothing is changed but the time."""
@@ -288,9 +249,6 @@ def _reads(program: Program, path: str) -> bool:
     field = program.inputs.field(path)
     index = range(field.offset, field.offset + field.size)
     return any(program.graph.ops[i] == 1 and program.graph.a[i] in index for i in program.live)
-
-
-# -------------------------------------------------------------------- any function of arrays
 
 
 def native(function: Callable[..., Array], **shapes: int | tuple[int, ...]) -> NativeFunction:

@@ -12,8 +12,6 @@ from typing import Final
 from taut.codegen.program import Program
 from taut.trace.graph import BOOLEAN_OPS, LARGEST, NONE, Op
 
-__all__ = ["LIBM", "Writer", "declarations", "kernel"]
-
 # A product and a sum are rounded once, together, where the processor can. Which of them is decided here and not by
 # LLVM, so that code gives the same numbers at each of its levels.
 #
@@ -398,9 +396,6 @@ class _Body:
             ]
 
 
-# -------------------------------------------------------------------- functions around a kernel
-
-
 class Writer:
     """Collects the lines of one function; every value gets a name of its own."""
 
@@ -449,10 +444,7 @@ class Writer:
             self.line(f" store {kind} {value}, ptr {write}, align 8")
 
     def not_finite(self, block: str, size: int) -> str | None:
-        """A truth value: whether a block has NaN or infinity in it; None for an empty block.
-
-        x - x is zero for every other number.
-        """
+        """A truth value: whether a block has NaN or infinity in it (x - x is not zero); None for an empty block."""
         differences: dict[int, list[str]] = {4: [], 1: []}
         for start, width in _pieces(size):
             kind = "double" if width == 1 else f"<{width} x double>"

@@ -18,18 +18,12 @@ from taut.codegen.native import NativeModule, compiled, level_for
 from taut.codegen.program import Block, Field, Program, trace
 from taut.loop import Loop
 
-__all__ = ["StepLoop", "TracedSteps", "compiled_loop", "write_period"]
-
 COMMAND = "command"  # the output that must be finite as memory must be
 Run: TypeAlias = Callable[[Float64Array, Float64Array, Float64Array, Float64Array], int]
 
 
 class TracedSteps:
-    """A step and its substeps, traced: what the native code of a control period is written from.
-
-    Raises:
-        TraceError: A function that cannot be traced.
-    """
+    """A step and its substeps, traced: what the native code of a control period is written from."""
 
     def __init__(self, steps: Steps) -> None:
         blocks = steps.inputs, steps.parameters, steps.memory
@@ -59,18 +53,8 @@ class TracedSteps:
 class StepLoop:
     """A step and its substeps as a loop over many ticks.
 
-    Machine code is compared with plain Python, when it is compiled, at the example and near it. Where ticks are few
-    it is compiled quickly; `expect` more of them and it is compiled again, to run fast.
-
-    Args:
-        steps: The functions and their blocks.
-        example: Inputs, parameters and memory, flat, at which the step can be taken: zeros may be values that a law
-            cannot work with.
-        engine: What runs it.
-        ticks: How many are expected; any number if left out.
-
-    Raises:
-        TraceError: A function that cannot be traced, or that the two engines evaluate differently.
+    Machine code is compared with plain Python, when it is compiled, at the example and near it: at zeros a law may
+    be singular. For few ticks it is compiled quickly; `expect` more and it is compiled again, to run fast.
     """
 
     def __init__(self, steps: Steps, example: Flat, *, engine: Engine, ticks: int | None = None) -> None:
@@ -91,8 +75,7 @@ class StepLoop:
     def run(self, inputs: Float64Array, parameters: Float64Array, memory: Float64Array, outputs: Float64Array) -> int:
         """Ticks with one row of inputs and of outputs each; the number of them that ended in finite memory.
 
-        What the Python code of a step raises ends them too, and is kept in `raised`. Machine code runs with the
-        interpreter's lock released.
+        What the Python code of a step raises ends them too, and is kept in `raised`. Machine code releases the GIL.
         """
         for array in (inputs, parameters, memory, outputs):
             assert array.dtype == np.float64
@@ -191,9 +174,6 @@ def _native_run(address: int) -> Run:
     return run
 
 
-# -------------------------------------------------------------------- LLVM text
-
-
 def write_period(w: Writer, parameters: str, memory: str, repeats: int, after: str) -> None:
     """LLVM text, in a block called head, of `kernel` from `memory` to %new, and `repeats` times `substep` in %new.
 
@@ -216,10 +196,9 @@ def write_period(w: Writer, parameters: str, memory: str, repeats: int, after: s
 
 
 def _loop_text(memory_size: int, repeats: int, command: Field | None = None) -> str:
-    """LLVM text of `loop`: `kernel`, then `substep` `repeats` times, for each row of inputs and outputs.
+    """LLVM text of `loop`, over rows of inputs and outputs; it returns the number of steps with finite memory.
 
-    It returns the number of steps done: fewer than asked where the new memory, or the command among the outputs, was
-    not finite; new memory is then not kept. A drive that saturates would make a finite torque of an infinite command.
+    The command must be finite too: a drive that saturates would make a finite torque of an infinite one.
     """
     w = Writer()
     w.line(

@@ -25,19 +25,6 @@ from taut.base.errors import TautError, warn
 from taut.codegen.llvm import LIBM
 from taut.trace import graph
 
-__all__ = [
-    "LEVEL",
-    "QUICK",
-    "NativeModule",
-    "available",
-    "cache_folder",
-    "compiled",
-    "level_for",
-    "load",
-    "store",
-    "warn_of_plain_python",
-]
-
 LEVEL: Final = 2  # of LLVM's code generator; 3 gives nothing, 1 is no faster to compile
 QUICK: Final = 0  # a fifth of the time to compile, three times that to run
 PATIENCE: Final = 50_000  # calls of code until it was worth compiling well
@@ -101,8 +88,7 @@ def _machine(level: int) -> Any:
 def _jit(number: int) -> Any:  # noqa: ARG001
     """A linker that puts object code into this process; it takes over its machine, so it has its own.
 
-    A linker keeps 9 kB of each library, also of one that was released, and all that is released with the last of its
-    libraries: therefore a new one is taken after `LIBRARIES`.
+    It keeps 9 kB of each library until the last of them is released: hence a new one after `LIBRARIES`.
     """
     import llvmlite.binding as llvm
 
@@ -144,21 +130,13 @@ def _platform_key() -> bytes:
 
 
 def compiled(
-    content: bytes,
-    text: Callable[[], str],
+    content: bytes,  # what the text is made from: with the platform, the key in the cache
+    text: Callable[[], str],  # called only where the cache has nothing
     names: Sequence[str],
-    verify: Callable[[NativeModule], None] | None = None,
-    level: int | None = None,
+    verify: Callable[[NativeModule], None] | None = None,  # raises where a module is wrong, which is not cached
+    level: int | None = None,  # of LLVM's code generator, at least; the full one by default
 ) -> NativeModule:
-    """Machine code for a module of LLVM text. It gives the same numbers at each level.
-
-    Args:
-        content: What the text is made from; with the platform it is the key in the cache.
-        text: Makes the text; called only where the cache has nothing.
-        names: Functions to look up.
-        verify: Checks a freshly compiled module and raises where it is wrong; only what passed is kept.
-        level: Of LLVM's code generator, at least, the full one if left out: what the cache has at that serves too.
-    """
+    """Machine code for a module of LLVM text. It gives the same numbers at each level."""
     level = LEVEL if level is None else level
     keys = [hashlib.sha256(_platform_key() + bytes([k]) + content).digest() for k in dict.fromkeys((level, LEVEL))]
     key, kept = keys[0], next(filter(None, map(load, reversed(keys))), None)
@@ -203,8 +181,6 @@ def _linked(code: bytes, names: Sequence[str], *, cached: bool) -> NativeModule:
     library = builder.link(_jit(number // LIBRARIES), f"taut{number}")
     return NativeModule({name: int(library[name]) for name in names}, cached, len(code), library)
 
-
-# -------------------------------------------------------------------- the cache: whole entries or none, and only ours
 
 MAGIC: Final = b"taut2\n"  # then a digest of the rest: the key, and the content
 DIGEST: Final = 32  # bytes of SHA-256

@@ -1,7 +1,6 @@
 """Program: a pure function of named blocks, traced once; what every target is made from.
 
-A block is a C struct of doubles: fields in order, arrays row by row, no padding. One layout serves the call path, the
-native loop and the record.
+A block is a C struct of doubles: fields in order, arrays row by row, no padding.
 """
 
 from __future__ import annotations
@@ -23,8 +22,6 @@ from taut.base.types import Float64Array
 from taut.trace.array import traced_array
 from taut.trace.graph import NONE, Graph, Op
 from taut.trace.scalar import Condition, Scalar, to_node, tracing
-
-__all__ = ["Block", "Field", "Function", "Program", "Values", "failure", "to_casadi", "trace"]
 
 Values: TypeAlias = Mapping[str, Any]
 Function: TypeAlias = Callable[[Values, Values, Values], tuple[Values, Values]]
@@ -140,9 +137,7 @@ class Program:
     def evaluated(self, inputs: Any, select: Callable[..., Any] = np.where) -> tuple[list[Any], list[Any]]:
         """Outputs and new memory, node by node, of numbers, arrays, or what else NumPy's functions take.
 
-        Args:
-            inputs: One for each double of inputs, parameters and memory.
-            select: What chooses between two values by a condition.
+        `inputs` has one for each double of inputs, parameters and memory; `select` chooses by a condition.
         """
         graph, values = self.graph, dict[int, Any]()
         for i in self.live:
@@ -183,11 +178,7 @@ class Program:
 
 
 def trace(function: Function, inputs: Block, parameters: Block, memory: Block) -> Program:
-    """Run `function` once on symbols.
-
-    Raises:
-        TraceError: The function does what cannot be traced.
-    """
+    """Run `function` once on symbols."""
     graph = Graph()
     blocks = [_symbols(graph, block) for block in (inputs, parameters, memory)]
     with tracing(graph):
@@ -262,10 +253,6 @@ def _nodes(graph: Graph, values: Mapping[str, Any]) -> tuple[int, ...]:
 
 def to_casadi(program: Program, name: str = "taut") -> Any:
     """A program as a `casadi.Function` (inputs, parameters, memory) -> (outputs, new memory), flat columns.
-
-    Args:
-        program: A traced program.
-        name: Name of the function.
 
     Raises:
         MissingExtraError: CasADi is not installed.

@@ -1,7 +1,7 @@
 """A step with its derivative along one direction: compiled once, called for each direction.
 
-Both are one program, in which value and derivative share what they have in common. Its blocks are those of the step,
-and behind each of them the direction: how much each number grows.
+Value and derivative are one program and share subexpressions. Its blocks are those of the step, each followed by the
+direction: the derivative of each number.
 """
 
 from __future__ import annotations
@@ -22,8 +22,6 @@ from taut.trace.array import traced_array
 from taut.trace.derivative import tangents
 from taut.trace.scalar import Condition, active_graph, to_node, to_symbol
 
-__all__ = ["TANGENT", "StepTangent", "tangent_block", "with_tangent"]
-
 TANGENT: Final = "tangent."  # begins the path of a derivative
 
 
@@ -34,10 +32,10 @@ def tangent_block(block: Block, directed: Collection[str] | None = None) -> Bloc
 
 
 def with_tangent(function: Function, outputs: Collection[str]) -> Function:
-    """A function as its values and their derivatives along a direction, for tracing.
+    """A function as its values and their derivatives along a direction, for tracing, on blocks as of `tangent_block`.
 
-    It takes blocks with a direction, see `tangent_block`, and gives all outputs, the derivatives of those in
-    `outputs`, and the new memory with its derivative. The length of a vector that is zero has the mean of its slopes.
+    It gives all outputs, the derivatives of those in `outputs`, and the new memory with its derivative. The length
+    of a vector that is zero has the mean of its slopes.
     """
 
     def both(inputs: Values, parameters: Values, memory: Values) -> tuple[Values, Values]:
@@ -74,25 +72,13 @@ def with_tangent(function: Function, outputs: Collection[str]) -> Function:
 
 
 class StepTangent:
-    """A step function and its substeps with their derivative along a direction.
-
-    Where llvmlite is missing, or with engine="float", the program is read node by node, for all directions at once.
-
-    Args:
-        steps: The functions and their blocks.
-        directed: Paths of the parameters that a direction may have; inputs and memory always may.
-        outputs: Outputs whose derivative is wanted.
-        engine: What runs it.
-
-    Raises:
-        TraceError: A function that cannot be traced.
-    """
+    """A step and its substeps with their derivative along a direction; plain Python evaluates all at once."""
 
     def __init__(
         self,
         steps: Steps,
         *,
-        directed: Collection[str],
+        directed: Collection[str],  # parameters that a direction may have; inputs and memory always may
         outputs: Collection[str],
         engine: Engine,
     ) -> None:

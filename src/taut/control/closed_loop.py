@@ -17,8 +17,6 @@ from taut.maths.snapshot import Snapshot
 if TYPE_CHECKING:
     from taut.control.law import Law
 
-__all__ = ["ApparentImpedance", "ClosedLoop", "PlacedGains"]
-
 MIN_TOOL_MOBILITY: Final = (
     1e-2  # [-] of the largest singular value of J: with less the tool hardly moves in a direction
 )

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from taut.control.closed_loop import ApparentImpedance, ClosedLoop
     from taut.control.tasks.task import Task
 
-__all__ = ["Sum", "Wrapper", "added", "all_laws", "bare", "law_classes", "title"]
-
 ADDED_ONCE = {
     "gravity": "use one law that does not (PID instead of GravityPID or ComputedTorque)",
     "coriolis": "use one law that does not (PID or GravityPID instead of ComputedTorque)",

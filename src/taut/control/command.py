@@ -11,8 +11,6 @@ from taut.base.errors import UsageError, user_location
 from taut.base.types import Array, Float64Array
 from taut.trace.array import has_symbols
 
-__all__ = ["Command", "Position", "Terms", "Torque", "Velocity", "WildTerm", "wild_term"]
-
 
 class Terms:
     """A named sum. Linear maps go through it: `x.M @ Terms(P=..., D=...)` maps the sum and each term.

@@ -17,19 +17,6 @@ from taut.trace import math as tm
 from taut.trace.array import Traced, traced_array
 from taut.trace.scalar import Symbol
 
-__all__ = [
-    "AntiWindup",
-    "Gain",
-    "GainValue",
-    "Integral",
-    "LawMemory",
-    "Memory",
-    "MemoryView",
-    "Remembers",
-    "require_at_most",
-    "solved",
-]
-
 AntiWindup = Literal["clamping", "back-calculation", "none"]
 TRACE_DAMPING: Final = 1e-5  # of a matrix ki that is inverted, relative to its trace
 

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from taut.control.closed_loop import ApparentImpedance, ClosedLoop
     from taut.control.tasks.task import Task
 
-__all__ = ["Law", "call", "initial_memory"]
-
 
 class Law(Remembers):
     """Base of every control law.

@@ -33,8 +33,6 @@ from taut.trace.graph import LARGEST
 if TYPE_CHECKING:
     from taut.control.tasks.task import Task
 
-__all__ = ["HELD", "KNOWN", "LawSide", "Probe", "Tick"]
-
 KNOWN: Final = "held.known"  # inputs of the first tick: whether the torque that the plant holds is known, and it
 HELD: Final = "held.tau_applied"
 PAYLOAD_UNITS: Final = {"mass": "kg", "com": "m", "inertia": "kg m^2"}

@@ -18,8 +18,6 @@ from taut.control.gains import require_at_most
 from taut.maths.snapshot import Snapshot
 from taut.trace import math as tm
 
-__all__ = ["LIMIT_TERMS", "Limited", "Limits", "anew", "fresh_blend", "limited", "take_up"]
-
 RATE_PER_EFFORT: Final = 10.0  # [1/s] default torque rate over the effort limit
 BRAKING_TICKS: Final = 10.0  # [ticks] default time constant in which a joint comes up to its speed limit
 LIMIT_TERMS: Final = ("rate_limit", "speed_limit", "torque_limit")

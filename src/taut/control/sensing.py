@@ -28,8 +28,6 @@ from taut.trace import math as tm
 if TYPE_CHECKING:
     from taut.maths.wrist import SensorPlace
 
-__all__ = ["Difference", "Filter", "Kalman", "LowPass", "Notch", "Sensing", "Wrist", "check_filter", "kalman_gains"]
-
 Values = Mapping[str, Any]
 Subtraction = Callable[[Array, Array], Array]
 DECIBEL: Final = math.log(10.0) / 20.0  # natural logarithm of an amplitude per decibel

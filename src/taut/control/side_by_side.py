@@ -19,8 +19,6 @@ from taut.maths.model import Model, model_of
 from taut.maths.snapshot import AT_TOOL, Snapshot
 from taut.trace import math as tm
 
-__all__ = ["SideBySide"]
-
 
 class SideBySide(Law):
     """Laws on disjoint joints, side by side: SideBySide(left=law, right=law); the path of a gain is law.left.K.

@@ -16,8 +16,6 @@ from taut.control.lawside import LawSide
 from taut.control.trajectories.reference import Sample, Trajectory
 from taut.maths.snapshot import AT_TOOL, MEASUREMENTS
 
-__all__ = ["BoundKernel", "checked_arguments", "sample_arguments", "step_arguments"]
-
 WHY: Final = {
     "v": ", measured velocities, unless compiled with sensing=taut.Sensing(velocity='difference')",
     "F_ext": ", which the law asks for: pass F_ext= or F_app=",
@@ -26,11 +24,7 @@ WHY: Final = {
 
 
 def step_arguments(side: LawSide, args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[dict[str, Any], Any]:
-    """What is measured, by name, and the sample of the reference, or None.
-
-    Raises:
-        UsageError: Something that is missing, or that this controller does not take.
-    """
+    """What is measured, by name, and the sample of the reference, or None."""
     known = ("q", "v", "ref", "F_app", *MEASUREMENTS)
     positional: tuple[str, ...] = known[:3]
     if len(args) == 2 and isinstance(args[1], Sample):
@@ -65,11 +59,7 @@ def step_arguments(side: LawSide, args: tuple[Any, ...], kwargs: dict[str, Any])
 
 
 def sample_arguments(side: LawSide, ref: Any) -> dict[str, Any]:
-    """The fields of the sample that a law follows, by the path of the input.
-
-    Raises:
-        UsageError: Another kind of sample, or none.
-    """
+    """The fields of the sample that a law follows, by the path of the input."""
     kind = side.law.reference
     if not isinstance(ref, kind):
         hint = "; for a trajectory pass ref.at(t)" if isinstance(ref, Trajectory) else ""
@@ -81,12 +71,7 @@ def sample_arguments(side: LawSide, ref: Any) -> dict[str, Any]:
 def checked_arguments(
     side: LawSide, given: Mapping[str, Any], inputs: Mapping[str, Float64Array], tick: int
 ) -> dict[str, Float64Array]:
-    """What is given as arrays of the shapes of the inputs, by path.
-
-    Raises:
-        ShapeError: An array of another shape.
-        RangeError: NaN or infinity.
-    """
+    """What is given as arrays of the shapes of the inputs, by path."""
     joints = side.arm.joint_names
     checked = {
         path: float_array(path, value, shape=inputs[path].shape, joints=None if path in AT_TOOL else joints)

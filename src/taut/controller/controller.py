@@ -28,14 +28,12 @@ if TYPE_CHECKING:
     from taut.control.tasks.task import Task
     from taut.controller.calls import BoundKernel
 
-__all__ = ["Controller", "compile"]
-
 
 class Controller:
     """A law with its sensing and limits, compiled for one arm. Made by `taut.compile`.
 
-    One thread at a time steps a controller and writes into its bound arrays; each thread needs one of its own. A tick
-    that begins while another thread is in the middle of one is refused.
+    One thread at a time steps a controller and writes into its bound arrays: a tick that begins while another thread
+    is in one is refused. Each thread needs a controller of its own.
     """
 
     def __init__(self, side: LawSide, engine: Engine) -> None:
@@ -62,17 +60,13 @@ class Controller:
         return TaskSteps(self.side, task, blocks.views("memory"), sample)
 
     def recording_kernel(self, sensed: tuple[str, ...] = (), ticks: int | None = None) -> Kernel:
-        """A kernel of the same law with blocks of its own, which gives every term in every tick: for simulations.
+        """A kernel of the same law with blocks of its own that gives every term in every tick: for simulations.
 
-        Args:
-            sensed: Measurements that it gives too, as the law sees them.
-            ticks: How often it is called, any number if left out: for few it is compiled quickly.
+        It gives the measurements `sensed` too; for few `ticks` it is compiled quickly.
         """
         kernel = recording_kernel(self.side, self.engine, sensed, ticks)
         kernel.blocks.parameters[:] = self._kernel.blocks.parameters
         return kernel
-
-    # ---------------------------------------------------------------- what it is
 
     @property
     def law(self) -> Law | Task:
@@ -142,8 +136,6 @@ class Controller:
             "taut.compile(ctrl.law, ctrl.arm, rate=ctrl.rate)"
         )
 
-    # ---------------------------------------------------------------- running it
-
     def step(
         self,
         q: ArrayLike,
@@ -202,11 +194,11 @@ class Controller:
             return self._command.copy()
 
     def reset(self, tau_applied: ArrayLike | None = None) -> None:
-        """Forget everything: the next tick starts memory from what is measured then.
+        """Start memory anew, in the next tick, from what is measured then.
 
         Args:
-            tau_applied: (n,) the command that the plant holds now, from which a rate limit and a blend start: what
-                the controller before this one gave last. The model's gravity torque if left out.
+            tau_applied: (n,) the command that the plant has now, from which a rate limit and a blend start: the last
+                one of the controller before. The model's gravity torque if left out.
 
         Raises:
             UsageError: A torque for a controller that does not remember one.
@@ -237,35 +229,22 @@ class Controller:
 
     @property
     def phase(self) -> str:
-        """The phase of a task that the coming tick belongs to; "stop" where the task has stopped.
-
-        Raises:
-            UsageError: The controller is of a law, not of a task.
-        """
+        """The phase of a task that the coming tick belongs to, or "stop". UsageError for a controller of a law."""
         if self._task is None:
             raise UsageError("a controller of one law has no phases; compile a list of taut.Phase", name="phase")
         return self._task.name(self._machine.started)
 
-    # ---------------------------------------------------------------- looking inside
-
     @property
     def terms(self) -> Mapping[str, Vector]:
-        """The named terms of the last tick, computed when asked for; they add up to the command.
-
-        Raises:
-            UsageError: There was no tick yet.
-        """
+        """The named terms of the last tick, computed on demand; they sum to the command. UsageError before a tick."""
         outputs = self._last_tick("terms", SideFunctions(self.side, record=True))
         return Named(f"the controller's {self.side.title}", "term", subtree(outputs, "terms"))
 
     @property
     def sensed(self) -> Mapping[str, Float64Array]:
-        """What the law saw in the last tick, by measurement, computed when asked for: after all filters.
+        """The filtered measurements of the last tick as the law saw them, by name. UsageError before a tick.
 
         With `taut.sensors.Wrist(range=...)` also saturated.F_ext: 1.0 if the reading was at the end of its range.
-
-        Raises:
-            UsageError: There was no tick yet.
         """
         names = ("q", "v", *(name for name in self.side.takes if name != "v"))
         outputs = self._last_tick("sensed", SideFunctions(self.side, record=True, sensed=names))
@@ -281,11 +260,7 @@ class Controller:
 
     @property
     def memory(self) -> Mapping[str, Float64Array]:
-        """What is remembered after the last tick, by path: law.e_int, limits.tau_applied. Copies.
-
-        Raises:
-            UsageError: There was no tick yet.
-        """
+        """Copy of the memory after a tick, by path: law.e_int, limits.tau_applied. UsageError before the first."""
         if self.ticks == 0:
             raise UsageError("there is no memory before the first tick; call step first", name="memory")
         views = self._kernel.blocks.views("memory")
@@ -355,11 +330,7 @@ def compile(
 
 
 def _task(law: object) -> Task:
-    """The task of a list of phases.
-
-    Raises:
-        UsageError: It is neither a law nor a task.
-    """
+    """The task of a list of phases."""
     from taut.control.tasks.phase import Phase
     from taut.control.tasks.task import Task
 

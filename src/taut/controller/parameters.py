@@ -16,8 +16,6 @@ from taut.codegen.kernel import Kernel
 from taut.control.lawside import HELD, KNOWN, LawSide
 from taut.controller.kernel import not_finite
 
-__all__ = ["ControllerParameters", "State", "StateMachine", "take_up_change"]
-
 
 class State(Enum):
     """What the next tick of a controller does first."""
@@ -137,10 +135,7 @@ def take_up_change(kernel: Kernel, before: Float64Array) -> None:
 
 
 class ControllerParameters(Parameters):
-    """Parameters of a controller, which act from the next tick.
-
-    What has a meaning in some poses only is checked at that of the last tick.
-    """
+    """Parameters of a controller from the next tick on; what depends on the pose is checked at that of the last."""
 
     def __init__(self, side: LawSide, machine: StateMachine) -> None:
         self.views = machine.kernel.blocks.views("parameters")

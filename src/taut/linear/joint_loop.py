@@ -27,8 +27,6 @@ from taut.control.sensing import Difference, LowPass, check_filter
 from taut.linear.linear_system import LinearSystem, names
 from taut.linear.performance import BAND
 
-__all__ = ["SecondOrder", "VelocityKind", "error_dynamics", "joint_matrix", "pid", "second_order"]
-
 VelocityKind = Literal["measured", "difference"] | LowPass | Difference
 PAIRS: Final = [
     {one, other}

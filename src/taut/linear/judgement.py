@@ -30,16 +30,6 @@ from taut.loop import AnyPlant, HasLawSide, Loop
 from taut.maths.snapshot import snapshot
 from taut.plant.rigid import RigidPlant
 
-__all__ = [
-    "Judgement",
-    "directions",
-    "judge",
-    "judge_start",
-    "largest_factor",
-    "uncertain_eigenvalues",
-    "without_dry_friction",
-]
-
 ROUNDING: Final = 1e-9  # [-] of a modulus of one
 MIN_MOBILITY: Final = 1e-9  # [-] of the largest mobility of the tool: an axis with less does not move
 FINE: Final = 0.01  # [-] of the largest stable factor on a gain

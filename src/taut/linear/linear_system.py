@@ -24,8 +24,6 @@ from taut.linear.performance import Margins, StepInfo, margins_of, step_response
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Complex", "LinearSystem", "Mode", "OperatingPoint", "balancing", "names"]
-
 Complex = NDArray[np.complex128]
 SINGULAR: Final = 1e-12  # [-] of the largest singular value: smaller ones are zero
 CRITICAL: Final = 1e-14  # [-] of the discriminant of a double pole: rounding of the coefficients

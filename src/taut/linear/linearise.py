@@ -31,18 +31,6 @@ from taut.linear.period import (
 from taut.loop import Loop
 from taut.plant.rigid import RigidPlant
 
-__all__ = [
-    "NEWTON_STEPS",
-    "WITHIN",
-    "Rest",
-    "driven_states",
-    "equilibrium",
-    "linearise",
-    "observed_states",
-    "rest_of",
-    "standing_states",
-]
-
 Flags = NDArray[np.bool_]
 
 WITHIN: Final = 0.5  # [rad | m] between the start pose and the equilibrium at most

@@ -19,20 +19,6 @@ from numpy.typing import NDArray
 from taut.base.result import Cell, Table
 from taut.base.types import Float64Array
 
-__all__ = [
-    "BAND",
-    "DiskMargin",
-    "Margins",
-    "SignalMargins",
-    "StepInfo",
-    "common_delay",
-    "frequency_grid",
-    "margins_of",
-    "powers",
-    "scaled_norm",
-    "step_response",
-]
-
 Complex = NDArray[np.complex128]
 Sensitivity = Callable[[Float64Array], Complex]
 BAND: Final = 0.02  # [-] of a step: the settling band

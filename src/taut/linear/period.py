@@ -40,24 +40,6 @@ from taut.plant.rigid import RigidPlant
 from taut.plant.sensors import Sensors
 from taut.trace import math as tm
 
-__all__ = [
-    "RESOLUTION",
-    "BlockCoordinates",
-    "Derivative",
-    "LoopMap",
-    "Period",
-    "PeriodMap",
-    "Point",
-    "Side",
-    "beside",
-    "finite_derivative",
-    "loop_map",
-    "mean_of",
-    "small_rotations",
-    "smooth_plant",
-    "starting",
-]
-
 ROTATION: Final = "R"  # the last name in the path of a rotation
 GENERATORS: Final = np.stack([np.asarray(tm.skew(e), dtype=np.float64) for e in np.eye(3)])  # rotations about axes
 RESOLUTION: Final = ".resolution"  # the end of the path of a quantisation step, which has no derivative

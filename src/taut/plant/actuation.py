@@ -17,19 +17,6 @@ from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.plant.drivetrain import Transmission
 from taut.trace import math as tm
 
-__all__ = [
-    "Actuation",
-    "ElectricMotor",
-    "Motor",
-    "MotorInput",
-    "MotorModel",
-    "MotorStep",
-    "Ripple",
-    "TorqueLoop",
-    "aim",
-    "delayed",
-]
-
 Values = Mapping[str, Any]
 MAX_TAPS: Final = 1000
 PARTS: Final = ("motor", "ripple", "transmission", "torque_loop")

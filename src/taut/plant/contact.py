@@ -24,8 +24,6 @@ from taut.maths.model import model_of
 from taut.maths.snapshot import Snapshot, snapshot
 from taut.plant.actuation import Actuation
 
-__all__ = ["CLOSED", "Contacts", "RigidContact", "RigidTouch", "check_force_feedback", "each_contact"]
-
 Values = Mapping[str, Any]
 CLOSED: Final = 1e-6  # [m | rad] within which a run may start in contact; the first step takes it away
 START_SPEED_TOLERANCE: Final = 1e-6  # [m/s | rad/s] at which a run may start against what holds both ways

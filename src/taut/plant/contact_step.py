@@ -17,8 +17,6 @@ from taut.plant.contact import CLOSED, Contacts
 from taut.trace import math as tm
 from taut.trace.linalg import LTDL
 
-__all__ = ["REPORTED", "ContactStep", "contact_start", "contact_step"]
-
 Values = Mapping[str, Any]
 REPORTED: Final = ("lam", "on", "drift", "correction", "slip")
 """What a run records of contacts, by name below "contact"."""

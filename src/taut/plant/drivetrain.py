@@ -17,8 +17,6 @@ from taut.base.types import Float64Array, Matrix, Vector
 from taut.maths.friction import FrictionValues, dry_limit
 from taut.trace import math as tm
 
-__all__ = ["Drivetrain", "FrictionLaw", "FrictionLimits", "Transmission", "require_rotors"]
-
 Values = Mapping[str, Any]
 SIDES: Final = 2  # times that the side which drives each gear is looked up; a third one changes nothing on a Panda
 RESTS: Final = 1e-9  # [rad/s | m/s] of a joint that friction holds: in MuJoCo it is not exactly zero

@@ -30,8 +30,6 @@ from taut.plant.environments.environment import WRENCH, joint_forces, touch
 from taut.plant.parts import PlantParts
 from taut.trace import math as tm
 
-__all__ = ["WORK", "WORK_OF_IT", "Motion", "payload_of"]
-
 Values = Mapping[str, Any]
 WORK_OF_IT: Final = "work.environment"  # [J] done on the arm by what touches it
 WORK: Final = {

@@ -25,8 +25,6 @@ from taut.plant.drivetrain import Drivetrain, FrictionLaw, require_rotors
 from taut.plant.environments.environment import Environment, require_environment
 from taut.plant.sensors import Sensors
 
-__all__ = ["PlantParts", "Steps"]
-
 Values = Mapping[str, Any]
 
 STIFFNESS: Final = "actuation.transmission.stiffness"  # which is infinite for a joint that is rigid

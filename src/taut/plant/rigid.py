@@ -33,8 +33,6 @@ from taut.plant.parts import PlantParts, Steps
 from taut.plant.sensors import Sensors
 from taut.trace import math as tm
 
-__all__ = ["RigidPlant"]
-
 Integrator = Literal["semi-implicit-euler", "rk4"]
 INTEGRATORS: Final[tuple[Integrator, ...]] = ("semi-implicit-euler", "rk4")
 Values = Mapping[str, Any]

@@ -20,19 +20,6 @@ from taut.maths.snapshot import measurement_shapes
 from taut.maths.wrist import load_wrench, sensor_place
 from taut.trace import math as tm
 
-__all__ = [
-    "Accelerometer",
-    "Encoder",
-    "FaultySensor",
-    "MEASUREMENT_OF",
-    "Sensor",
-    "Sensors",
-    "Side",
-    "Tachometer",
-    "TorqueSensor",
-    "WrenchSensor",
-]
-
 Values = Mapping[str, Any]
 TURN: Final = 2.0 * np.pi  # [rad] the largest step of an encoder: 4096 counts are no resolution of 4096 rad
 NO_STEPS: Final = "leave it out where there are no steps"

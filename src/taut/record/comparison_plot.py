@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["compare", "spread_figure"]
-
 JOINT_BARS: Final = ("rms_error", "peak_error", "effort", "chatter")
 TASK_BARS: Final = ("task_rms", "task_rms_rotation", "effort", "chatter")
 FORCE_BARS: Final = ("force_error_rms", "moment_error_rms", "effort", "chatter")

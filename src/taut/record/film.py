@@ -29,8 +29,6 @@ from taut.record.progress import Progress
 if TYPE_CHECKING:
     from taut.record.run import Run
 
-__all__ = ["film", "poses_of"]
-
 Ticks: TypeAlias = np.ndarray[Any, np.dtype[np.intp]]
 
 SUFFIXES: Final = (".gif", ".mp4")

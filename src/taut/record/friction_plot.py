@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["plot_friction"]
-
 MAX_PANELS: Final = 12
 FRICTION_PANELS_ACROSS: Final = 3  # panels side by side
 AXIS_MARGIN: Final = 1.12  # around the curves

@@ -18,23 +18,6 @@ from taut.base.types import Float64Array
 from taut.control.closed_loop import ApparentImpedance
 from taut.maths.model import Chain
 
-__all__ = [
-    "POSES",
-    "Around",
-    "Change",
-    "Mesh",
-    "Outcome",
-    "PartInfo",
-    "RunInfo",
-    "ScenarioInfo",
-    "Shape",
-    "ShapeKind",
-    "Stability",
-    "Thing",
-    "check_info",
-    "versions",
-]
-
 POSES: Final = "scene.poses"  # column of a run: (m, 7) position [m] and quaternion wxyz of each thing that moves
 PACKAGES: Final = ("numpy", "llvmlite", "mujoco")
 PAYLOAD_SHAPES: Final[Mapping[str, tuple[int, ...]]] = {"mass": (), "com": (3,), "inertia": (6,)}

@@ -19,8 +19,6 @@ from taut.record.info import Outcome
 if TYPE_CHECKING:
     from taut.record.run import Run
 
-__all__ = ["PhaseWindow", "part_of", "phase_of", "phases_of", "outcome_with_phases", "windows"]
-
 WELL: Final = "until"
 NONE: Final = ENDED[NO_CONTACT]
 

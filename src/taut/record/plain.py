@@ -14,8 +14,6 @@ import numpy as np
 from taut.base.errors import TautError, UsageError
 from taut.trace.pose import Pose
 
-__all__ = ["plain", "restored"]
-
 LARGEST_NUMBER: Final = 1e12  # of a length, mass or gain, in SI units
 ROTATION_ERROR: Final = 1e-6  # [-] that R R^T may be from the identity
 

@@ -9,8 +9,6 @@ from contextlib import suppress
 from types import TracebackType
 from typing import Any, Final, Self, TypeVar
 
-__all__ = ["Progress"]
-
 SECONDS_BEFORE_SHOWN: Final = 1.0  # [s] before anything is shown
 
 T = TypeVar("T")

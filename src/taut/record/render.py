@@ -22,8 +22,6 @@ from typing import IO, Any, Final, Self, TypeAlias
 
 import numpy as np
 
-__all__ = ["TRAIL", "Frames", "NoRendererError", "backends", "opened"]
-
 START_TIMEOUT: Final = 120.0  # [s] until the first picture can be drawn
 READY: Final = b"ready\n"
 TRAIL: Final = (0.84, 0.37, 0.0, 0.9)

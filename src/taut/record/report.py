@@ -26,8 +26,6 @@ from taut.record.run import Run
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["content_of", "content_of_run", "faults_of", "html_of", "report", "without_folders"]
-
 RESOLUTION: Final = 120  # [dots per inch]
 MIN_TICKS_OF_REPORT: Final = 2
 LATE: Final = 1.5  # periods between two ticks that follow each other

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from taut.record.parts import PhaseWindow
     from taut.record.tool import TaskSide
 
-__all__ = ["Run"]
-
 HALF: Final = 1e-9  # [s] between a time as people write it and as a tick has it
 
 

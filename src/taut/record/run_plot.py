@@ -41,8 +41,6 @@ if TYPE_CHECKING:
 
     from taut.record.run import Run
 
-__all__ = ["is_task_run", "plot"]
-
 MAX_JOINTS: Final = 8  # joints in one figure
 PANELS_ACROSS: Final = 4  # small pictures side by side
 NEAR_LIMIT: Final = 0.5  # of a limit: a joint that gets there has its limit drawn

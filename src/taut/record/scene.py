@@ -21,9 +21,6 @@ from taut.trace.pose import Pose
 if TYPE_CHECKING:
     import mujoco
 
-__all__ = ["View", "points_of", "scene", "view_of"]
-
-
 FIELD_OF_VIEW: Final = 45.0  # [deg] of the camera, upwards
 VIEW_MARGIN: Final = 1.25  # of the picture around the arm
 FLOOR_ROOM: Final = 0.25  # of the radius: room under an arm that would reach into the ground

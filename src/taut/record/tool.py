@@ -19,18 +19,6 @@ from taut.maths.spatial import log_rows
 if TYPE_CHECKING:
     from taut.record.run import Run
 
-__all__ = [
-    "Deviation",
-    "TaskSide",
-    "estimated_normal",
-    "expected_deviation",
-    "force_error",
-    "task_of",
-    "true_normal",
-    "wanted_press",
-    "wanted_wrench",
-]
-
 NORMAL_FORCE: Final = "contact.normal_force"  # column of a run
 ESTIMATE: Final = ".normal"  # end of the name of a column
 MIN_FORCE: Final = 1e-9  # [N] of a contact

@@ -14,8 +14,6 @@ from taut.control.lawside import LawSide
 from taut.loop import AnyPlant, LoopParameters
 from taut.plant.environments.kinds import Push
 
-__all__ = ["Event", "Schedule", "listed"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Event:
@@ -49,9 +47,9 @@ class Event:
 
         Args:
             t: [s].
-            peak: (6,) the wrench at its peak, force first, in world axes [N, N m]; three numbers are a force. That
-                which the Push has if left out.
-            duration: [s]; likewise.
+            peak: (6,) the wrench at its peak, force first, in world axes [N, N m]; three numbers are a force. By
+                default that of the Push.
+            duration: [s]; by default that of the Push.
             of: Path of the Push: "environment", or "environment.NAME" where it is one of several.
 
         Raises:
@@ -70,11 +68,7 @@ class Event:
 
 
 def listed(events: object) -> list[Event]:
-    """Events as a list.
-
-    Raises:
-        UsageError: Something that is no event.
-    """
+    """Events as a list."""
     found: list[Event] = []
     for event in events if isinstance(events, Iterable) else [events]:
         if not isinstance(event, Event):
@@ -84,19 +78,7 @@ def listed(events: object) -> list[Event]:
 
 
 class Schedule:
-    """The parameters that change in a run, checked, by the tick in which they do; of two, the later one of the list.
-
-    Args:
-        side: The control side.
-        plant: The plant.
-        values: All parameters at the start, by path.
-        events: What changes, in any order.
-        ticks: Number of ticks of the run.
-
-    Raises:
-        UsageError: Something that is no event.
-        UnknownNameError, ShapeError, RangeError: An event that cannot be, or that is after the last tick.
-    """
+    """The parameters that change in a run, checked, by tick; of two events in one tick the later in the list wins."""
 
     def __init__(
         self, side: LawSide, plant: AnyPlant, values: Mapping[str, Float64Array], events: Iterable[Event], ticks: int
@@ -134,15 +116,6 @@ class Schedule:
         return self._ticks[later] if later < len(self._ticks) else None
 
     def check(self, tick: int, q: Float64Array, parameters: Mapping[str, Float64Array]) -> None:
-        """What changes in a tick must have a meaning where the arm is; what begins with the run is checked before.
-
-        Args:
-            tick: The tick.
-            q: (n,) where the arm is.
-            parameters: Those of the control side before, by path.
-
-        Raises:
-            RangeError: It has none.
-        """
+        """RangeError where a change in a tick, other than the first, has no meaning at positions q."""
         if tick > 0 and self.at(tick):
             self._side.check_change(q, parameters, self.at(tick))

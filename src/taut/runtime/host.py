@@ -12,8 +12,6 @@ from taut.base.types import ArrayLike, Float64Array
 from taut.plant.sensors import Sensors
 from taut.record.info import Around
 
-__all__ = ["PlantBase"]
-
 
 class PlantBase(ABC):
     """Base of a plant of your own: another simulator, a recorded system, a model in a few lines.
@@ -103,11 +101,7 @@ class PlantBase(ABC):
         return {}
 
     def checked_parameter(self, path: str, value: ArrayLike) -> Float64Array:  # noqa: ARG002
-        """A new value of a parameter, checked, without giving it.
-
-        Raises:
-            UnknownNameError: There is no such parameter.
-        """
+        """A new value of a parameter, checked but not set; UnknownNameError where there is no such parameter."""
         raise unknown_name(f"plant '{self.name}'", "parameter", path, self.parameters)
 
     def check_together(self, values: Mapping[str, ArrayLike]) -> None:  # noqa: B027  (nothing to refuse)

@@ -28,8 +28,6 @@ from taut.runtime.events import Schedule
 from taut.runtime.host import PlantBase
 from taut.runtime.tape import Tape
 
-__all__ = ["FusedRun", "HostedRun", "OngoingRun", "RowLog"]
-
 RUNNING: Final = Outcome(kind="stopped", message="the run is still going on", tick=0)
 LOG_PERIOD: Final = 0.1  # [s] of computing between two writes of a log, which is so at most twice that behind
 FIRST_BLOCK: Final = 16  # ticks: how long one takes is not known yet
@@ -53,15 +51,7 @@ class OngoingRun(ABC):
     _filled: int = 0  # ticks that have their reference
 
     def go(self, advance: Callable[[int], None], log: RowLog | None) -> tuple[int, Outcome]:
-        """Run to the end.
-
-        Args:
-            advance: Called now and then with how many more ticks are done.
-            log: Where rows are written while it goes on.
-
-        Returns:
-            Number of rows recorded, and the outcome.
-        """
+        """Run to the end: number of rows recorded, outcome. `advance` is called with the number of further ticks."""
         tape, k, written, since = self.tape, 0, 0, monotonic()
         outcome: Outcome | None = None
         while outcome is None and k < self._ticks:
@@ -183,8 +173,7 @@ class FusedRun(OngoingRun):
     def _block(self, k: int, end: int) -> tuple[int, int]:
         """The ticks from k on: where the block ends, and how many of them ended in finite memory.
 
-        Where another reference begins in between, the block is taken back and ends there, since what is followed
-        from there on is known only then.
+        A block in which another reference begins is undone and ends there, since what follows is known only then.
         """
         inputs, outputs, before = self.tape.input_rows, self.tape.output_rows, self._state.copy()
         done = self._run.run(inputs[k:end], self._values, self._state, outputs[k:end])

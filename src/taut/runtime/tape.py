@@ -26,8 +26,6 @@ from taut.record.info import Outcome, RunInfo
 from taut.record.parts import PhaseWindow, outcome_with_phases, windows
 from taut.record.run import Run
 
-__all__ = ["Tape"]
-
 COLUMNS = ("q", "v", "tau", "command")
 SANE: Final = 1e6  # [rad/s | m/s]
 SEEN: Final = 1e-3  # [m] out of reach: less than that is nobody's concern
@@ -36,18 +34,7 @@ BEYOND: Final = 0.01  # [rad | m] beyond a limit: more than an engine's soft sto
 
 
 class Tape:
-    """Two tables with one row per tick: what the loop got from outside, and what it did.
-
-    Args:
-        side: The law side of the loop.
-        plant: The plant.
-        ticks: Number of rows.
-        inputs: Layout of the first table: t, ref.*, ...
-        outputs: Layout of the second: q, v, tau, command, terms.*, and further columns.
-
-    Raises:
-        RangeError: More rows than memory has room for.
-    """
+    """Two tables with one row per tick: the loop's inputs (t, ref.*), and its record (q, v, tau, terms.*)."""
 
     def __init__(self, side: LawSide, plant: AnyPlant, ticks: int, inputs: Block, outputs: Block) -> None:
         self._side = side
@@ -206,11 +193,7 @@ class Tape:
         return Outcome(kind="diverged", message=message, tick=tick - 1, joint=error.joint)
 
     def failed(self, tick: int, error: Exception) -> Outcome:
-        """The outcome of a run that ends before a tick in which a function of the caller's, or the plant, failed.
-
-        Raises:
-            Exception: The error, in the first tick: there is nothing yet to keep.
-        """
+        """The outcome where a function or the plant fails before a tick; in the first tick the error is raised."""
         if tick == 0:
             raise error
         how = str(error) if isinstance(error, TautError) else failure(error)

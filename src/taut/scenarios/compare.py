@@ -18,8 +18,6 @@ from taut.record.run import Run
 from taut.scenarios.scenario import Scenario, load_scenario
 from taut.scenarios.sections import law_of_text
 
-__all__ = ["USUAL", "compare", "grade"]
-
 Item: TypeAlias = Law | Run | str
 Where: TypeAlias = str | Loop | Scenario
 USUAL: Final = WrongModel(mass=0.2, friction=0.2)

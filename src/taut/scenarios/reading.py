@@ -25,18 +25,6 @@ from taut.base.errors import FileError, ScenarioError, TautError, quoted_list, u
 from taut.base.fields import Declared, Part
 from taut.trace.pose import Pose
 
-__all__ = [
-    "Argument",
-    "Table",
-    "arguments",
-    "of_kind",
-    "read",
-    "read_toml",
-    "reads",
-    "shown",
-    "with_values",
-]
-
 MAX_BYTES: Final = 500_000  # of a file
 TABLE_DEPTH: Final = 16  # tables within tables; a scenario has five
 MAX_LETTERS: Final = 100  # of a value in a message

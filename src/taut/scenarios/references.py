@@ -51,10 +51,8 @@ from taut.trajectories import (
     Trapezoidal,
 )
 
-__all__ = ["TASK", "read_phases", "read_reference"]
-
 POSITIONS: Final = ("q", "q0", "q1", "center", "points")  # of the joints, which may be "home"
-POSES: Final = ("pose", "T0", "T1", "T")  # of the tool, which may be "home"
+POSE_KEYS: Final = ("pose", "T0", "T1", "T")  # of the tool, which may be "home"
 TOOL_POINTS: Final = ("centre",)  # of the tool
 ROTATIONS: Final = ("xyzw", "wxyz", "rpy", "R")
 FORCES: Final = ("press", "lam", "F_app")  # that a motion applies, as of taut.pressing
@@ -277,7 +275,7 @@ class _Home:
 
 _OF_HOME: Final[Mapping[str, Callable[[_Home, str], Any]]] = {
     **dict.fromkeys(POSITIONS, _Home._position),
-    **dict.fromkeys(POSES, _Home._pose),
+    **dict.fromkeys(POSE_KEYS, _Home._pose),
     **dict.fromkeys(TOOL_POINTS, _Home._point),
     "poses": _Home._poses,
 }

@@ -23,8 +23,6 @@ from taut.record.metrics import METRICS, Metrics
 from taut.record.run import Run
 from taut.scenarios.scenario import FILES, PassFigure, Scenario, Trial
 
-__all__ = ["ScenarioResult", "run_scenario"]
-
 SECTIONS: Final = {"duration": "run", "ref": "reference"}  # which an error of a run is about, by its name
 COLUMNS = (
     "rms_error",

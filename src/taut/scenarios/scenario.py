@@ -37,18 +37,6 @@ from taut.scenarios.reading import Table, read, read_toml, shown, with_values
 from taut.scenarios.references import TASK, read_phases, read_reference
 from taut.scenarios.sections import Plant, Spread, read_arm, read_control, read_law, read_plant, read_spread
 
-__all__ = [
-    "FILES",
-    "Outputs",
-    "PassFigure",
-    "Scenario",
-    "Trial",
-    "built_in_scenarios",
-    "load_scenario",
-    "read_control_side_and_plant",
-    "scenario_file",
-]
-
 MAX_RUN_TICKS: Final = 10_000_000  # of a run, which keeps every one: gigabytes
 GLANCE: Final = 200  # ticks of a reference that are looked at before a run
 

@@ -46,18 +46,6 @@ from taut.runtime.host import PlantBase
 from taut.scenarios.reading import Table, arguments, of_kind, read, reads
 from taut.trace.pose import Pose
 
-__all__ = [
-    "Plant",
-    "Spread",
-    "law_of_text",
-    "read_arm",
-    "read_control",
-    "read_law",
-    "read_plant",
-    "read_spread",
-]
-
-
 CONSTRAINTS: Final = ("plane", "point", "sphere", "cylinder", "line", "hinge", "grasp", "pin", "knife_edge")
 VELOCITY_SOURCES: Final[Mapping[str, Any]] = {"low-pass": LowPass, "difference": Difference, "kalman": Kalman}
 MAX_RATE: Final = 1e6  # [Hz] of any controller that there is

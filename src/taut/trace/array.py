@@ -20,8 +20,6 @@ from taut.base.errors import TraceError, user_location
 from taut.trace.graph import Op
 from taut.trace.scalar import Condition, Scalar, Symbol, to_node, to_symbol
 
-__all__ = ["Traced", "apply_function", "apply_ufunc", "has_symbols", "select_one", "traced_array", "where"]
-
 MIN, MAX, AND, OR = int(Op.MIN), int(Op.MAX), int(Op.AND), int(Op.OR)
 
 

@@ -19,8 +19,6 @@ from taut.trace.array import has_symbols, traced_array
 from taut.trace.graph import BOOLEAN_OPS, Graph, Op
 from taut.trace.scalar import Condition, Scalar, active_graph, to_node, to_symbol, tracing
 
-__all__ = ["jacobian", "tangents"]
-
 Tangent = int | None
 """The node of a derivative, or None where it is zero."""
 

@@ -19,8 +19,6 @@ import numpy as np
 from taut.base.errors import TraceError, user_location
 from taut.base.types import Float64Array
 
-__all__ = ["BOOLEAN_OPS", "LARGEST", "NONE", "Graph", "Op"]
-
 NONE: Final = -1  # the operand of a node that has fewer than three
 LARGEST: Final = sys.float_info.max  # |x| <= LARGEST: x is neither infinite nor NaN
 

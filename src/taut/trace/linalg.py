@@ -14,8 +14,6 @@ from taut.base.errors import NumericalError, ShapeError, user_location
 from taut.base.types import Array, Matrix
 from taut.trace.array import has_symbols, select_one, traced_array
 
-__all__ = ["LTDL", "factor_spd", "solve_general", "times_square_root"]
-
 
 class LTDL:
     """The factors of a symmetric positive definite matrix, A = L^T D L with L unit lower triangular.

@@ -13,8 +13,6 @@ from taut.base.types import Array, ArrayLike, Float64Array, Rotation, Vector3
 from taut.trace import math as tm
 from taut.trace.array import traced_array
 
-__all__ = ["ROTATION_TOLERANCE", "Pose", "axis_angle", "quaternion", "snapped"]
-
 ROTATION_TOLERANCE: Final = 1e-6  # how far R^T R may be from the identity
 QUATERNION_TOLERANCE: Final = 1e-3  # how far the norm may be from 1; inside, it is normalised
 SNAP: Final = 1e-11  # rotation entries this close to 0 are meant to be exact

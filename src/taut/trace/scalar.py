@@ -13,8 +13,6 @@ import numpy as np
 from taut.base.errors import TautError, TraceError, user_location
 from taut.trace.graph import Graph, Op
 
-__all__ = ["Condition", "Scalar", "Symbol", "active_graph", "to_node", "to_symbol", "tracing"]
-
 _ACTIVE: Final = threading.local()
 
 SQRT, SIN, COS, ASIN, ACOS = (int(op) for op in (Op.SQRT, Op.SIN, Op.COS, Op.ASIN, Op.ACOS))

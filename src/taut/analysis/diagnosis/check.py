@@ -27,8 +27,6 @@ from taut.record.tool import expected_deviation
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["MODEL_TERMS", "NEEDS", "Check", "ExaminedRun", "Finding", "Need", "Number", "Threshold"]
-
 Need = Literal["length", "torque", "error", "effort", "model"]
 TITLE_LETTERS: Final = 100  # of a line of a figure's title
 MODEL_TERMS: Final = frozenset(

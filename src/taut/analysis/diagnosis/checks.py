@@ -13,8 +13,6 @@ from taut.base.types import Array, Float64Array
 from taut.maths.singularity import BORDER, sizes_of
 from taut.record.metrics import stuck
 
-__all__ = ["CHECKS", "SHARED"]
-
 TINY: Final = float(np.finfo(np.float64).tiny)
 MIN_CONTACT_TICKS: Final = 32
 MOTION_FAULTS: Final = ("wrong sign", "contact bounce")

@@ -21,8 +21,6 @@ from taut.record.run import Run
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Diagnosis", "doctor"]
-
 TOO_FAST: Final = 1e3  # [rad/s | m/s] no arm is as fast
 BEYOND_LIMITS: Final = 10.0  # times the limits of torque and speed: the loop ran away
 

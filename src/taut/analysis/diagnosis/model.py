@@ -20,8 +20,6 @@ from taut.maths.model import Chain, PayloadValues, model_of
 from taut.record.metrics import MOVING
 from taut.record.run import Run
 
-__all__ = ["ArmModel", "Fit", "fit_residual", "model_of_run"]
-
 FIT_TICKS: Final = 600  # that a fit looks at, evenly spread
 MIN_MOTION: Final = 0.05  # of the ticks: fewer in motion do not show friction
 MIN_MOVING_TICKS: Final = 32

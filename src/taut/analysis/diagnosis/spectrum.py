@@ -18,8 +18,6 @@ from taut.control.limits import LIMIT_TERMS
 if TYPE_CHECKING:
     from taut.analysis.diagnosis.check import ExaminedRun, Finding
 
-__all__ = ["Oscillation", "Sinusoid", "chatter", "find_oscillation", "fit_sinusoid", "oscillation"]
-
 MIN_PERIODS: Final = 4.0  # in a window: fewer are not a sustained oscillation
 MIN_TICKS: Final = 32  # of a window
 EXCITATION: Final = ("environment", "dither", "feedforward", "wrench", "sensor")  # which excite an arm: no fault

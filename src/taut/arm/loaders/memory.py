@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from taut.arm.description import Arm
     from taut.arm.load import PinocchioModel
 
-__all__ = ["arm_from_screws", "pinocchio_tree"]
-
 UNIT: Final = 1e-6  # how far a screw axis may be from unit length and from zero pitch
 BASE: Final = "base"
 TOOL: Final = "tool"

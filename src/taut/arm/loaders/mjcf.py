@@ -25,8 +25,6 @@ from taut.trace.pose import Pose, axis_angle
 if TYPE_CHECKING:
     import mujoco
 
-__all__ = ["mjcf_tree"]
-
 WORLD: Final = "world"
 WORDS: Final = Words(
     link="body", no_mass="give it an <inertial>, or geoms with mass", wrong_inertia="fix its <inertial>"

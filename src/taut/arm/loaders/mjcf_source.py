@@ -33,8 +33,6 @@ from taut.base.errors import FileError, ModelError, Problem
 if TYPE_CHECKING:
     import mujoco
 
-__all__ = ["Compiled", "compiled", "prepare"]
-
 MeshShape = tuple[str, tuple[float, float, float]]
 """Name and scale of the mesh of a geom, which MuJoCo was not shown."""
 

@@ -19,8 +19,6 @@ from taut.trace.pose import Pose
 if TYPE_CHECKING:
     import mujoco
 
-__all__ = ["Bone", "Meshes", "add_links", "add_shape", "bones"]
-
 Bone: TypeAlias = tuple[int, Float64Array, Float64Array]
 """Body, start and end [m] in its frame."""
 Meshes: TypeAlias = dict[tuple[str, tuple[float, ...]], str]

@@ -33,8 +33,6 @@ from taut.trace.pose import Pose, axis_angle
 if TYPE_CHECKING:
     from taut.arm.description import Arm
 
-__all__ = ["Tree", "TreeJoint", "TreeLink", "Words", "assemble", "require_within_limits", "rest_position"]
-
 
 @dataclass(kw_only=True)
 class TreeLink:

@@ -19,8 +19,6 @@ from taut.arm.rules import MAX_LINKS
 from taut.base.errors import ModelError, Problem, quoted_list, unknown_name
 from taut.trace.pose import Pose
 
-__all__ = ["urdf_tree"]
-
 WORDS: Final = Words(no_mass="give it an <inertial> with mass and inertia", wrong_inertia="fix its <inertial>")
 KINDS: Final[tuple[JointKind, ...]] = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 LIMITS: Final = ("lower", "upper", "velocity", "effort")

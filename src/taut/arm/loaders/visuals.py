@@ -20,17 +20,6 @@ from taut.trace.pose import Pose
 if TYPE_CHECKING:
     from taut.arm.loaders.mjcf_source import Compiled
 
-__all__ = [
-    "SHOWABLE",
-    "Colour",
-    "MeshPaths",
-    "OutsideError",
-    "colours_of",
-    "file_inside",
-    "mjcf_visuals",
-    "urdf_visuals",
-]
-
 SHOWABLE: Final = (".stl", ".obj")  # what MuJoCo can show
 PACKAGE: Final = "package://"
 

@@ -16,8 +16,6 @@ from xml.parsers import expat
 from taut.base.checks import readable_file
 from taut.base.errors import ModelError, Problem, printable
 
-__all__ = ["BadNumberError", "Element", "is_not_finite", "numbers", "parse_xml", "read_xml"]
-
 MAX_BYTES: Final = 4 * 2**20  # the largest robot description met so far has 0.2 MB and 4000 elements
 MAX_ELEMENT_DEPTH: Final = 200  # elements inside elements
 MAX_ELEMENTS: Final = 20_000

@@ -20,8 +20,6 @@ from taut.control.trajectories.feed import Feed, ReferenceFeed
 from taut.control.trajectories.reference import Hold, Reference, Sample, Stream, Trajectory, as_reference
 from taut.maths.snapshot import Snapshot, measurement_shapes
 
-__all__ = ["TaskFeed", "TaskSteps", "feed_of"]
-
 NEXT: Final = "law.next"
 TICKS: Final = "law.ticks"
 TASK_BLOCK: Final = 256  # ticks that a run takes at once: more would be taken back where a phase begins among them

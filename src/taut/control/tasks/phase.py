@@ -23,23 +23,6 @@ from taut.trace.array import has_symbols
 from taut.trace.pose import Pose
 from taut.trace.scalar import Condition
 
-__all__ = [
-    "Guard",
-    "GuardView",
-    "Lasting",
-    "Phase",
-    "PhaseReference",
-    "STOP",
-    "condition",
-    "contact",
-    "lasting",
-    "moved",
-    "named_phases",
-    "no_contact",
-    "reached",
-    "settled",
-]
-
 STOP: Final = "stop"
 CONTACT: Final = 1.0  # [N] a force that counts as contact, for laws that never start without
 OWN_WORDS: Final = (STOP, "phase", "next", "ticks", "ended", "begin", "lasted")  # of the memory of a task

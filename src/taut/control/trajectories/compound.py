@@ -11,17 +11,6 @@ from taut.base.types import Float64Array
 from taut.control.trajectories.reference import Hold, JointMotion, Sample, Trajectory
 from taut.maths.snapshot import Snapshot
 
-__all__ = [
-    "TOGETHER",
-    "PhaseSample",
-    "Together",
-    "joined",
-    "phase_sample",
-    "require_part_name",
-    "together",
-    "together_kind",
-]
-
 TOGETHER: Final = "Together["  # the names of kinds of samples of laws side by side begin with it
 
 

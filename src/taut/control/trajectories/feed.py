@@ -18,8 +18,6 @@ from taut.control.trajectories.reference import Hold, JointMotion, Reference, Ro
 from taut.control.trajectories.samples import Chunk
 from taut.control.trajectories.task_reference import TaskMotion, faded, offset, quintic_between
 
-__all__ = ["Feed", "ReferenceFeed"]
-
 NEAR = 1e-9  # of a tick: what a period that is meant to be whole may miss one by
 BLOCK: Final = 4096  # ticks that a run fills and takes at once
 

@@ -19,8 +19,6 @@ from taut.control.trajectories.timing import Motion
 from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import rotated
 
-__all__ = ["MAX_MULTIPLIERS", "HybridMotion", "TaskForce", "hybrid_kind", "pressing"]
-
 UNIT: Final = "N, N m"
 
 

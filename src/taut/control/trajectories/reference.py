@@ -20,23 +20,6 @@ from taut.maths.snapshot import Snapshot
 from taut.trace import math as tm
 from taut.trace.pose import ROTATION_TOLERANCE, Pose
 
-__all__ = [
-    "Hold",
-    "JointMotion",
-    "Reference",
-    "Rows",
-    "Sample",
-    "Shapes",
-    "Stream",
-    "Trajectory",
-    "as_reference",
-    "hold",
-    "rows_of",
-    "sample_rows",
-    "stacked",
-    "stream",
-]
-
 Shapes: TypeAlias = Mapping[str, tuple[int | str, ...]]
 Rows: TypeAlias = Mapping[str, Float64Array]
 """The fields of samples by name, each with one row per time, (k, ...)."""

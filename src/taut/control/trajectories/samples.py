@@ -18,8 +18,6 @@ from taut.control.trajectories.task_reference import TaskMotion, differences, ro
 from taut.control.trajectories.timing import COEFFICIENTS, MAX_OF_MOTION, Motion, S
 from taut.trace.pose import Pose
 
-__all__ = ["Chunk", "Sampled", "Samples", "TaskSamples", "chunk", "stated_times"]
-
 MIN_SAMPLE_GAP: Final = 1e-12  # [s]
 MAX_CSV_BYTES: Final = 32 * 2**20  # half a million samples of an arm
 MAX_QUOTED: Final = 300  # letters of what a message quotes

@@ -19,8 +19,6 @@ from taut.control.trajectories.timing import Motion, ScalingKind, Size, Timing
 from taut.maths.spatial import exp_rows, rotation_log
 from taut.trace.pose import Pose
 
-__all__ = ["Circle", "Line", "Steady"]
-
 HALF_TURN_TOLERANCE: Final = 1e-9  # [rad] a rotation this close to pi has two ways
 NO_COMPONENT: Final = 1e-6  # a component of a unit vector this small counts as none
 DEGREES: Final = 30.0  # [rad] from which on a round number is one of degrees

@@ -15,18 +15,6 @@ from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import exp_rows, from_body_rates, log_rows, rotated, to_body_rates
 from taut.trace.pose import Pose
 
-__all__ = [
-    "FRAMES",
-    "Axes",
-    "Offset",
-    "TaskMotion",
-    "differences",
-    "faded",
-    "offset",
-    "quintic_between",
-    "rotated_rows",
-]
-
 Axes = Literal["world", "tool"]
 FRAMES: Final[tuple[Axes, ...]] = ("world", "tool")
 

@@ -14,8 +14,6 @@ from taut.base.fields import Declared
 from taut.base.types import Float64Array
 from taut.control.trajectories.reference import Sample
 
-__all__ = ["COEFFICIENTS", "MAX_OF_MOTION", "Motion", "S", "Scaling", "ScalingKind", "Size", "Timing"]
-
 S = TypeVar("S", bound=Sample)
 Scaling: TypeAlias = tuple[Float64Array, Float64Array, Float64Array]
 """s, its rate [1/s] and the rate of that [1/s^2], one number per time."""

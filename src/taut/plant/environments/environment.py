@@ -16,20 +16,6 @@ from taut.maths.model import Model
 from taut.trace import math as tm
 from taut.trace.pose import Pose
 
-__all__ = [
-    "COMMAND",
-    "WRENCH",
-    "Environment",
-    "Environments",
-    "applied",
-    "disturbance_shapes",
-    "fastest",
-    "joint_forces",
-    "of_plant",
-    "require_environment",
-    "touch",
-]
-
 Values = Mapping[str, Any]
 
 

@@ -18,8 +18,6 @@ from taut.plant.environments.environment import Environment, applied, fastest
 from taut.trace import math as tm
 from taut.trace.pose import Pose
 
-__all__ = ["Damper", "Hand", "Oscillation", "Push", "Spring", "StiffWall"]
-
 Values = Mapping[str, Any]
 TINY: Final = 1e-12  # [m] a cord that is shorter has no direction
 GRIP: Final = 300.0  # [rad/s]

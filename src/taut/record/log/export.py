@@ -22,8 +22,6 @@ from taut.record.progress import Progress
 if TYPE_CHECKING:
     from taut.record.run import Run
 
-__all__ = ["to_csv"]
-
 ROWS: Final = 4096  # lines of a CSV that are written at a time
 WRENCH: Final = ("N",) * 3 + ("N m",) * 3
 

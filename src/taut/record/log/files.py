@@ -10,8 +10,6 @@ from pathlib import Path
 
 from taut.base.errors import FileError, UsageError
 
-__all__ = ["cannot_write", "checked_target", "written_aside"]
-
 
 def checked_target(kind: str, path: str | os.PathLike[str], suffixes: tuple[str, ...]) -> Path:
     """A path that a file can be written to, with one of the suffixes.

@@ -30,8 +30,6 @@ from taut.record.log.writing import FORMAT, TICKS, Ending, Header, Shape, TickLa
 from taut.record.plain import restored
 from taut.record.run import Run
 
-__all__ = ["MAGIC", "load_run"]
-
 MAGIC: Final = b"\x89MCAP0\r\n"
 RECORD_HEAD: Final = struct.Struct("<BQ")  # opcode and length of a record
 MESSAGE_HEAD: Final = 22  # bytes of a message record before its data

@@ -38,8 +38,6 @@ from taut.record.run import Run
 if TYPE_CHECKING:
     from mcap.writer import Writer
 
-__all__ = ["TICKS", "Ending", "Header", "Log", "TickLayout", "columns_of", "open_log", "save", "sealed"]
-
 FORMAT: Final = 2
 CDR_HEAD: Final = b"\x00\x01\x00\x00"  # little-endian plain CDR
 MAX_COLUMNS: Final = 2000

@@ -20,8 +20,6 @@ from taut.base.types import Float64Array
 if TYPE_CHECKING:
     from taut.record.run import Run
 
-__all__ = ["METRICS", "Metric", "Metrics"]
-
 Numbers: TypeAlias = Float64Array | float
 Together: TypeAlias = "Literal['sum', 'largest', 'norm'] | Callable[[Run, Sequence[int]], float]"
 Needs: TypeAlias = Literal["", "set-point", "joint motion", "task motion", "force", "press"]

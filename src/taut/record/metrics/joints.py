@@ -23,8 +23,6 @@ from taut.record.metrics.declaration import Metric
 if TYPE_CHECKING:
     from taut.record.run import Run
 
-__all__ = ["MOVING", "RESTING", "step_response", "stuck"]
-
 RESTING: Final = 1e-4  # [rad/s | m/s] a joint that is slower than this rests
 MOVING: Final = 1e-3  # [rad/s | m/s] a reference that is faster than this moves
 SETTLING_BAND: Final = 0.02  # of the step: the chapter's 2 %

@@ -17,8 +17,6 @@ from taut.record.tool import Deviation, estimated_normal, force_error, true_norm
 if TYPE_CHECKING:
     from taut.record.run import Run
 
-__all__: list[str] = []
-
 Series: TypeAlias = "Callable[[Run], Float64Array | None]"
 
 MIN_DEVIATION: Final = 1e-6  # [m] RMS below which nothing moved the tool

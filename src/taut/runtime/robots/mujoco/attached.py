@@ -20,8 +20,6 @@ from taut.trace.pose import Pose
 if TYPE_CHECKING:
     import mujoco
 
-__all__ = ["AttachedPlant", "attached"]
-
 MAX_DISTANCE: Final = 1e-3  # [m] of an axis; files round their numbers
 MAX_ROTATION: Final = 1e-3  # [rad] of an axis
 MAX_RELATIVE: Final = 1e-3  # relative, of inertias and torques of gravity
@@ -43,13 +41,9 @@ class AttachedPlant(PlantInMujoco):
     """An arm inside a simulation of the user's, see `taut.MujocoPlant.attach`.
 
     It takes torques and has ideal drives and sensors. Friction, limits and parameters are those of the user's model.
-    Controls and applied forces are the user's: they have the run's values during the steps of a period only, so that
-    nothing goes on pushing the arm after a run, however it ends.
-
-    Args:
-        rig: The arm in the simulation.
-        motors: By joint of the arm, its motor in the model; the others get their torque through qfrc_applied.
-        name: What messages call it.
+    Controls and applied forces have the run's values during the steps of a period only, so that nothing goes on
+    pushing the arm after a run, however it ends. `motors` are the model's by joint; joints without one get their
+    torque through qfrc_applied.
     """
 
     measures = frozenset({"v", "tau_meas", "F_ext"})
@@ -77,11 +71,7 @@ class AttachedPlant(PlantInMujoco):
         )
 
     def reset(self, q: Float64Array, v: Float64Array, dt: float, seed: int = 0) -> None:  # noqa: ARG002
-        """Put the arm into a state, and prepare for control periods of dt [s]. Nothing else moves.
-
-        Raises:
-            MatchError: The control period is not a whole number of time steps.
-        """
+        """Put the arm into a state, for periods of dt [s], multiples of the time step. Nothing else moves."""
         self._substeps = whole_steps(self.name, dt, float(self.model.opt.timestep), "model.opt.timestep")
         self._put_state(q, v)
 
@@ -114,18 +104,8 @@ class AttachedPlant(PlantInMujoco):
         return {"F_ext": self._F_ext, "tau_cut": self._cut, **self._poses()}
 
 
-# -------------------------------------------------------------------- the arm in the model
-
-
 def attached(model: mujoco.MjModel, data: mujoco.MjData, arm: Arm, prefix: str) -> AttachedPlant:
-    """The arm in the user's simulation, with its motors there. Nothing in model or data is changed.
-
-    Raises:
-        UsageError: Not a model, its data and an arm.
-        UnknownNameError: A joint that the model does not have.
-        MatchError: The model's arm is another one, or its actuators do not take torques.
-        RangeError: The model or its state is not finite.
-    """
+    """The arm in the user's simulation, with its motors there. Nothing in model or data is changed."""
     import mujoco
 
     for name, value, kind in (
@@ -266,9 +246,6 @@ def _motors(rig: Rig) -> dict[int, int]:
     return out
 
 
-# -------------------------------------------------------------------- the same arm
-
-
 def _at(model: mujoco.MjModel, data: mujoco.MjData, at: Any, q: Float64Array) -> mujoco.MjData:
     """The user's simulation at rest with the arm at q, in data of our own."""
     import mujoco
@@ -283,11 +260,7 @@ def _at(model: mujoco.MjModel, data: mujoco.MjData, at: Any, q: Float64Array) ->
 
 
 def _compare_axes(rig: Rig, scratch: mujoco.MjData) -> None:
-    """Refuse an arm with another axis, at home.
-
-    Raises:
-        MatchError: It is elsewhere, or along another direction.
-    """
+    """MatchError for an arm with another axis, at home."""
     arm, rows = rig.arm, list(rig.joints)
     links = dyn.link_poses(model_of(arm), arm.home)
     for joint, (R, p), axis, anchor in zip(
@@ -307,11 +280,7 @@ def _compare_axes(rig: Rig, scratch: mujoco.MjData) -> None:
 
 
 def _compare_dynamics(rig: Rig) -> None:
-    """Refuse an arm with other inertias or another weight, at home and at other poses.
-
-    Raises:
-        MatchError: The message names the joint that carries what differs, with both numbers.
-    """
+    """MatchError for an arm with other inertias or another weight, at home or elsewhere; it names the joint."""
     import mujoco
 
     model, arm, ours, carried = rig.model, rig.arm, model_of(rig.arm), rig.arm.payload

@@ -1,4 +1,4 @@
-"""From an Arm to a MuJoCo model, number by number: what MuJoCo computes is what the Arm says.
+"""From an Arm to a MuJoCo model, number by number.
 
 The links are shown as lines between the joints; a sphere or a cylinder at the tool touches the scene. None of these
 shapes has mass, but a tip that gives way.
@@ -25,8 +25,6 @@ from taut.trace.pose import Pose
 
 if TYPE_CHECKING:
     import mujoco
-
-__all__ = ["SpringTip", "ToolShape", "built", "put_parameters", "put_timestep"]
 
 NOSLIP_ITERATIONS: Final = 200  # a Panda that its friction holds at half its limit needs 45
 NOSLIP_TOLERANCE: Final = 1e-30  # of MuJoCo's cost; sweeps end when they gain nothing that floats can hold
@@ -79,11 +77,7 @@ class ToolShape:
 
 
 def built(parts: PlantParts, tool: ToolShape, scene: Scene | None, scene_at: Pose, *, limits: bool) -> Rig:
-    """The arm in a world of its own, and the scene around it.
-
-    Raises:
-        ModelError: MuJoCo refuses the arm or the scene.
-    """
+    """The arm in a world of its own, and the scene around it."""
     import mujoco
 
     arm, builder = parts.arm, _Builder(parts, limits=limits)
@@ -148,8 +142,8 @@ def put_parameters(rig: Rig, parts: PlantParts, values: Mapping[str, Float64Arra
 def put_timestep(rig: Rig, timestep: float) -> None:
     """Set the time step [s], and make dry friction and joint limits as hard as it allows.
 
-    MuJoCo's own friction brakes over 20 ms and lets a loaded joint creep. Here the aim is rest at the end of the
-    step: integrator "discrete" evaluates it there, so that any stiffness is stable.
+    MuJoCo's own friction brakes over 20 ms and lets a loaded joint creep. The aim here is rest at the end of the
+    step, where integrator "discrete" evaluates it, so that any stiffness is stable.
     """
     model, dofs, joints = rig.model, list(rig.dofs), list(rig.joints)
     model.opt.timestep = timestep
@@ -268,10 +262,7 @@ class _Builder:
                 geom.mass, geom.group, geom.rgba = 0.0, VISUAL_GROUP, GREY
 
     def add_touching(self, tool: ToolShape, name: str) -> None:
-        """A sphere about the tool's origin, or a cylinder along its z axis that ends there, which can touch a scene.
-
-        It answers to contacts and starts none.
-        """
+        """A sphere about the tool's origin or a cylinder along z ending there; it collides with the scene only."""
         import mujoco
 
         geom = self.spec.body(name).add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[tool.radius, 0.0, 0.0])

@@ -1,4 +1,4 @@
-"""An arm inside a MuJoCo model, as every plant there needs it: its numbers, what touches it, and what goes wrong.
+"""An arm inside a MuJoCo model: its numbers, what touches it, and what goes wrong.
 
 Left to itself MuJoCo writes MUJOCO_LOG.TXT into the working folder, sets every motor to zero when one command is not
 finite, and puts a diverged simulation back to its start.
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     import mujoco
 
     from taut.runtime.robots.mujoco.scene import SceneView
-
-__all__ = ["PRESSED", "Guard", "Index", "Normals", "PlantInMujoco", "Rig", "index", "whole_steps"]
 
 PRESSED: Final = "contact.normal_force"  # column of a run
 WAY_OUT: Final = "Try smaller gains, a higher rate or a smaller timestep"
@@ -67,10 +65,7 @@ def _nothing(_: str) -> None:
 
 
 class Guard:
-    """While it is held MuJoCo writes no warnings out, and never puts a diverged simulation back to its start.
-
-    A listener that somebody else has set for the warnings stays.
-    """
+    """Within it MuJoCo writes no warnings, save to another's listener, and never resets a diverged simulation."""
 
     def __init__(self, option: mujoco.MjOption) -> None:
         import mujoco
@@ -165,10 +160,7 @@ class Wrench:
 
 
 class Normals:
-    """The force of the contacts on the tool's body, of each along its own normal and without friction.
-
-    What a weld of the scene ties to the tool counts as the tool, with all that it carries: a wheel in its fork.
-    """
+    """The normal forces, without friction, of the contacts on the tool's body and on all that a weld ties to it."""
 
     def __init__(self, rig: Rig) -> None:
         import mujoco
@@ -282,11 +274,7 @@ class PlantInMujoco(PlantBase):
 
 
 def whole_steps(name: str, dt: float, timestep: float, setting: str) -> int:
-    """The time steps in a control period.
-
-    Raises:
-        MatchError: It is not a whole number of them.
-    """
+    """The time steps in a control period."""
     steps = dt / timestep
     if not 1 <= round(steps) <= 1000 or abs(steps - round(steps)) > 1e-9 * steps:
         raise MatchError(

@@ -1,7 +1,6 @@
 """A scene for a MujocoPlant, an MJCF fragment from anywhere: checked, read by us alone, and shown in films.
 
-The arm, gravity, time step and solver are the plant's; the fragment brings bodies, geoms, assets, and what ties them
-together. Files that it names are read here, from the fragment's own folder only, and handed over as bytes.
+Files that it names are read here, from the fragment's own folder only, and handed over as bytes.
 """
 
 from __future__ import annotations
@@ -28,8 +27,6 @@ from taut.trace.pose import Pose
 
 if TYPE_CHECKING:
     import mujoco
-
-__all__ = ["Scene", "SceneView", "attach_scene", "read_scene", "refused"]
 
 IN_WORLD: Final = frozenset({"body", "geom", "site", "light", "camera", "frame"})
 SECTIONS: Final = frozenset(
@@ -86,12 +83,7 @@ class Scene:
 
 
 def read_scene(scene: str | os.PathLike[str]) -> Scene:
-    """The scene in a text, which begins with <, or in a file.
-
-    Raises:
-        FileError: The file is not there, a folder, empty or not readable.
-        ModelError: Not well-formed, numbers that are not finite, files outside its folder, parts that are refused.
-    """
+    """The scene in a text, which begins with <, or in a file."""
     if not isinstance(scene, (str, os.PathLike)):
         raise UsageError(
             f"scene must be an MJCF fragment as text, or the path of one; got {type(scene).__name__}", name="scene"
@@ -229,11 +221,7 @@ def _write(element: Element, renamed: Mapping[int, Mapping[str, str]], text: lis
 
 
 def attach_scene(spec: mujoco.MjSpec, scene: Scene, at: Pose) -> None:
-    """Put a scene into the world of a spec that has the arm already, with its origin at a pose.
-
-    Raises:
-        ModelError: MuJoCo refuses it, or it refers to something that is not there.
-    """
+    """Put a scene into the world of a spec that has the arm already, with its origin at a pose."""
     import mujoco
 
     with Guard(spec.option), warnings.catch_warnings():
@@ -294,10 +282,7 @@ def refused(text: str, scene: Scene | None, source: str = "") -> ModelError:
 class SceneView:
     """Everything of a model but the links of its arm.
 
-    Args:
-        rig: The arm in the model.
-        tool: Whether the body of the tool is the plant's own, at the tool's frame; its shapes, hidden or not, are
-            those that touch.
+    The shapes of the tool's body, hidden or not, are those that touch, where `tool` says that it is the plant's own.
     """
 
     def __init__(self, rig: Rig, *, tool: bool = True) -> None:

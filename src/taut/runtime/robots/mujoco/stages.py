@@ -28,8 +28,6 @@ from taut.plant.sensors import Sensors
 from taut.runtime.robots.mujoco.rig import Rig
 from taut.trace import math as tm
 
-__all__ = ["Compensation", "EnvironmentStage", "JointStage", "LinkTorque", "SensorStage"]
-
 Values = Mapping[str, Any]
 HELD: float = 1.0 - 1e-9  # of its limit: what friction is less than holds a joint
 
@@ -125,11 +123,7 @@ class Follower:
     model: Model
 
     def start(self, q: Vector, v: Vector, parameters: Values, steps: Division) -> dict[str, Any]:
-        """Memory at the start: what it aims at is where the arm is.
-
-        Raises:
-            RangeError: Steps that are too long for the inner loop, in which what the arm touches shows a step late.
-        """
+        """Memory at the start, at (q, v); RangeError for steps too long: the loop sees contacts one step late."""
         bandwidth = np.broadcast_to(parameters["actuation.bandwidth"], (self.arm.n,))
         i = int(np.argmax(bandwidth))
         steps.require(
@@ -288,11 +282,7 @@ class EnvironmentStage(Stage):
         return {"wrench": wrench, "force": dyn.jacobian(self._model, q).T @ wrench}, after
 
     def start(self, q: Float64Array, v: Float64Array, parameters: Values, dt: float, steps: int) -> None:
-        """Memory at the start of a run, for control periods of dt [s], each of so many steps.
-
-        Raises:
-            RangeError: Steps that are too long for it.
-        """
+        """Memory at the start of a run, for periods of dt [s] of so many steps; RangeError if they are too long."""
         self._parts.require_short_contact(q, parameters, Division(dt, steps))
         memory = self._environment.start(dyn.pose(self._model, q))
         self._begin({"q": q, "v": np.zeros(len(q)), "t": 0.0}, parameters, memory, dt / steps)
