@@ -279,8 +279,6 @@ class Loop:
         """Number of control ticks, both ends included."""
         return round(self.duration * self.side.rate) + 1
 
-    # ---------------------------------------------------------------- layout
-
     def input_shapes(self) -> dict[str, tuple[int, ...]]:
         """What each tick gets from outside: time, the reference, noise."""
         reference = self.side.law.reference.fields(self.side.arm.n)
@@ -291,8 +289,6 @@ class Loop:
     def parameter_shapes(self) -> dict[str, tuple[int, ...]]:
         """All parameters, and the period."""
         return {path: value.shape for path, value in self.parameters.items()} | {DT: ()}
-
-    # ---------------------------------------------------------------- the pure functions
 
     def start(self, q: Vector, v: Vector, inputs: Values, parameters: Values) -> dict[str, Any]:
         """Memory by path in the first tick: of the plant at its true state, and of the law side."""

@@ -39,9 +39,6 @@ class Argument:
     is_object: bool = False
 
 
-# -------------------------------------------------------------------- how Python objects lie in memory
-
-
 @dataclass(frozen=True)
 class Offsets:
     """Where the parts of a NumPy array object stand [bytes]."""
@@ -119,9 +116,6 @@ def slot_offsets(cls: type, names: tuple[str, ...]) -> tuple[int, ...] | None:
 def layout_key() -> bytes:
     """What of Python's and NumPy's memory layout is baked into generated code."""
     return repr((offsets(), object.__basicsize__)).encode()
-
-
-# -------------------------------------------------------------------- the context
 
 
 WORDS: Final = (
@@ -240,8 +234,6 @@ def _address(function: Any) -> int:
     assert address is not None
     return address
 
-
-# -------------------------------------------------------------------- text
 
 _BLOCKS: Final = ("inputs", "parameters", "memory", "new", "before", "seen", "outputs")
 

@@ -62,9 +62,6 @@ def chosen_engine(engine: EngineChoice) -> Engine:
     return "float"
 
 
-# -------------------------------------------------------------------- one evaluation
-
-
 def plain(
     function: Function, inputs: Block, parameters: Block, memory: Block, *, new: Block, outputs: Block
 ) -> Evaluate:
@@ -95,9 +92,6 @@ def machine_code(address: int) -> Evaluate:
         function(*(part.ctypes.data for part in flat))
 
     return evaluate
-
-
-# -------------------------------------------------------------------- that both agree
 
 
 def verified(

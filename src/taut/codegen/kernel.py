@@ -176,8 +176,6 @@ class Kernel:
             self.step = context.builtin("step", METH_FASTCALL_KEYWORDS, "One tick: arrays in, a new array out.")
         self.tick = context.builtin("tick", METH_NOARGS, "One tick on the bound arrays.")
 
-    # ---------------------------------------------------------------- its state
-
     @property
     def ready(self) -> bool:
         """Whether memory has started and waits for nothing."""
@@ -208,8 +206,6 @@ class Kernel:
         self._ready_word = TAKEN if taken else READY
         if self._words["ready"]:
             self._words["ready"] = self._ready_word
-
-    # ---------------------------------------------------------------- a tick in Python
 
     def preview(self, parameters: Float64Array) -> dict[str, Float64Array]:
         """The memory that a tick with these parameters would leave, by path. Nothing is changed but the time."""
@@ -253,9 +249,6 @@ def _reads(program: Program, path: str) -> bool:
     field = program.inputs.field(path)
     index = range(field.offset, field.offset + field.size)
     return any(program.graph.ops[i] == 1 and program.graph.a[i] in index for i in program.live)
-
-
-# -------------------------------------------------------------------- any function of arrays
 
 
 def native(function: Callable[..., Array], **shapes: int | tuple[int, ...]) -> NativeFunction:

@@ -396,9 +396,6 @@ class _Body:
             ]
 
 
-# -------------------------------------------------------------------- functions around a kernel
-
-
 class Writer:
     """Collects the lines of one function; every value gets a name of its own."""
 

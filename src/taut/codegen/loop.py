@@ -174,9 +174,6 @@ def _native_run(address: int) -> Run:
     return run
 
 
-# -------------------------------------------------------------------- LLVM text
-
-
 def write_period(w: Writer, parameters: str, memory: str, repeats: int, after: str) -> None:
     """LLVM text, in a block called head, of `kernel` from `memory` to %new, and `repeats` times `substep` in %new.
 

@@ -182,8 +182,6 @@ def _linked(code: bytes, names: Sequence[str], *, cached: bool) -> NativeModule:
     return NativeModule({name: int(library[name]) for name in names}, cached, len(code), library)
 
 
-# -------------------------------------------------------------------- the cache: whole entries or none, and only ours
-
 MAGIC: Final = b"taut2\n"  # then a digest of the rest: the key, and the content
 DIGEST: Final = 32  # bytes of SHA-256
 ENVIRONMENT: Final = "TAUT_CACHE_DIR"

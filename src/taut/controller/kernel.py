@@ -173,9 +173,6 @@ def _random_samples(side: LawSide, blocks: Blocks) -> list[Flat]:
     return samples
 
 
-# -------------------------------------------------------------------- a tick that fails
-
-
 def not_finite(side: LawSide, kernel: Kernel) -> TautError:
     """The error that names the number that is not finite in a tick."""
     joints, blocks = side.arm.joint_names, kernel.blocks

@@ -104,9 +104,6 @@ class AttachedPlant(PlantInMujoco):
         return {"F_ext": self._F_ext, "tau_cut": self._cut, **self._poses()}
 
 
-# -------------------------------------------------------------------- the arm in the model
-
-
 def attached(model: mujoco.MjModel, data: mujoco.MjData, arm: Arm, prefix: str) -> AttachedPlant:
     """The arm in the user's simulation, with its motors there. Nothing in model or data is changed."""
     import mujoco
@@ -247,9 +244,6 @@ def _motors(rig: Rig) -> dict[int, int]:
             )
         out[i] = a
     return out
-
-
-# -------------------------------------------------------------------- the same arm
 
 
 def _at(model: mujoco.MjModel, data: mujoco.MjData, at: Any, q: Float64Array) -> mujoco.MjData:
