@@ -1,6 +1,6 @@
 """Style of figures: colours that colour-blind readers tell apart, letters that stay legible in a paper.
 
-Nothing here touches matplotlib's global state: every size and colour is given where it is used.
+matplotlib's global state stays as it is: every size and colour is given where it is used.
 """
 
 from __future__ import annotations

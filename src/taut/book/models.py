@@ -83,7 +83,7 @@ def on_link(
     v0: float = 0.0,
     **options: Any,
 ) -> Run:
-    """A run of a law on the link, or on another arm of one joint, that stands for continuous time.
+    """A run of a law on the link, or on another arm of one joint, that approximates continuous time.
 
     Ticks are 0.1 ms long, the velocity is measured, the plant has its friction and is integrated to fourth order.
     """
@@ -105,9 +105,6 @@ def total(terms: Mapping[str, Float64Array]) -> Float64Array:
     return added
 
 
-# -------------------------------------------------------------------- the same by SciPy
-
-
 @dataclass(frozen=True, kw_only=True)
 class Solved:
     """A solution at each time."""
@@ -120,23 +117,14 @@ class Solved:
 
 def solved(
     tau: Callable[..., Any],
-    times: Float64Array,
+    times: Float64Array,  # (k,) [s]
     *,
-    desired: Callable[[Any], Any] = np.zeros_like,
-    q0: float,
-    v0: float = 0.0,
+    desired: Callable[[Any], Any] = np.zeros_like,  # angle over time
+    q0: float,  # [rad]
+    v0: float = 0.0,  # [rad/s]
     gravity: bool = True,
 ) -> Solved:
-    """M a + m g r cos(theta) + b v = tau(t, theta, v, e_int) by SciPy's DOP853.
-
-    Args:
-        tau: The torque of a law, written out by hand.
-        times: (k,) where the solution is wanted [s].
-        desired: The desired angle over time.
-        q0: Angle at the start [rad].
-        v0: Its rate [rad/s].
-        gravity: Whether there is any.
-    """
+    """M a + m g r cos(theta) + b v = tau(t, theta, v, e_int) by SciPy's DOP853, with tau written out by hand."""
 
     def rate(t: float, y: Float64Array) -> list[float]:
         theta, v, e_int, _ = y

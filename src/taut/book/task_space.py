@@ -117,9 +117,6 @@ def eq_10_31() -> Shown:
     )
 
 
-# -------------------------------------------------------------------- a target that spins
-
-
 @dataclass(frozen=True)
 class Spinning:
     """A target that turns on the spot."""
