@@ -58,9 +58,6 @@ LIMITS: Final[Mapping[str, Mapping[str, bool]]] = {
 """The arm's own limits, in words: what they are to Limits.of."""
 
 
-# -------------------------------------------------------------------- laws
-
-
 @reads(Law)
 def _inner(table: Table, key: str) -> Law:
     return read_law(table.table(key, required=True))
@@ -122,9 +119,6 @@ def read_constraint(table: Table, key: str = "constraint") -> Constraint:
     return sum(constraints[1:], start=constraints[0])
 
 
-# -------------------------------------------------------------------- [control]
-
-
 def read_control(table: Table, arm: Arm) -> tuple[float, Sensing, Limits | None]:
     """Rate [Hz], sensing and limits."""
     with table.blamed():
@@ -156,22 +150,16 @@ def _limits(table: Table, arm: Arm, rate: float) -> Limits | None:
     return made
 
 
-# -------------------------------------------------------------------- laws as text
-
 EXAMPLE: Final = "PID(kp=100, kd=20)"
 MAX_TEXT: Final = 2000  # letters
 MAX_SHOWN: Final = 80  # of them in a message
 
 
 def law_of_text(text: str) -> tuple[str, Law]:
-    """A law and what it is called: the text itself, or the name that stands before it, "stiff: PID(kp=900)".
+    """A law and its name: the text, or what stands before it, "stiff: PID(kp=900)". Raises UsageError or ScenarioError.
 
     The names, gains and tables are those of [laws.LABEL] in a scenario: lists for arrays, dictionaries for tables,
-    laws within laws where a law holds one, and + for a sum.
-
-    Raises:
-        UsageError: No such form.
-        ScenarioError: No such law or gain; the message names what exists.
+    laws within laws for a wrapper, and + for a sum.
     """
     label, colon, rest = text.partition(":")
     named = bool(colon) and "(" not in label
@@ -191,11 +179,7 @@ def law_of_text(text: str) -> tuple[str, Law]:
 
 
 def _written(node: ast.expr) -> Any:
-    """A law as the table that [laws.LABEL] of a scenario would be; any other value as TOML has it.
-
-    Raises:
-        ValueError, TypeError, KeyError: Something else.
-    """
+    """A law as the table of [laws.LABEL], other values as TOML has them. Raises ValueError, TypeError or KeyError."""
     match node:
         case ast.Name(id=word):  # nan and inf are numbers, as in TOML, so that the law says which gain must be finite
             if word.lower() in ("nan", "inf"):
@@ -227,8 +211,6 @@ def _as_sum(table: Mapping[str, Any]) -> dict[str, Any]:
 
 Plant: TypeAlias = RigidPlant | PlantBase
 CHANGES: Final = ("bodies", "friction", "gears", "perturbed", "joint_values", "payload")
-
-# -------------------------------------------------------------------- [arm]
 
 
 def read_arm(table: Table) -> Arm:
@@ -304,8 +286,6 @@ def _changed(table: Table, arm: Arm) -> Arm:
     return read(arm.with_payload, table.table("payload")) if "payload" in table else arm
 
 
-# -------------------------------------------------------------------- [plant]
-
 ENVIRONMENTS: Final[Mapping[str, Callable[..., Any]]] = {
     "spring": Spring,
     "damper": Damper,
@@ -334,13 +314,7 @@ def _motor(table: Table, key: str) -> Any:
 
 
 def read_plant(table: Table, assumed: Arm, rate: float) -> Plant:
-    """A rigid plant or one in MuJoCo.
-
-    Args:
-        table: [plant].
-        assumed: The controllers' arm, from which the true one is made.
-        rate: Commands per second [Hz].
-    """
+    """A rigid plant or one in MuJoCo, from [plant]; the true arm is made from the assumed one."""
     make: Callable[..., Plant] = RigidPlant
     if table.choice("kind", ("rigid", "mujoco"), "rigid") == "mujoco":
         from taut.runtime.robots.mujoco.plant import MujocoPlant
@@ -378,16 +352,14 @@ def _require_start(plant: Plant, table: Table, rate: float) -> None:
         plant.start(plant.arm.home, rest, plant.parameters, dt)
 
 
-# -------------------------------------------------------------------- [spread]
-
 MAX_TILT: Final = 0.5 * np.pi  # [rad]
 
 
 class Spread(Declared):
-    """[spread]: how far chance puts the scene away from where [plant] has it, in each of several runs.
+    """[spread]: random displacement of the scene from where [plant] has it, in each of several runs.
 
-    Shift and tilt are each spread evenly over a disc across the world's z axis: the shift along a vector in it, the
-    tilt about one, at the origin of the scene. The place of a run depends on the seed and its number alone.
+    Shift and tilt are uniform over a disc across the world's z axis: the shift along a vector in it, the tilt about
+    one, at the origin of the scene. The place of a run depends on the seed and its number alone.
     """
 
     at: Part[Pose] = Part(Pose)  # where the scene stands in the file
@@ -422,11 +394,7 @@ def _on_disc(rng: np.random.Generator) -> Float64Array:
 
 
 def read_spread(root: Table) -> Spread | None:
-    """The spread of a scenario; None if it has none.
-
-    Raises:
-        ScenarioError: No numbers for it, no scene that could be elsewhere, cases too.
-    """
+    """The spread of a scenario; None if it has none. Raises ScenarioError."""
     if "spread" not in root:
         return None
     table, plant = root.table("spread"), root.table("plant")
