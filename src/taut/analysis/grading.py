@@ -143,20 +143,10 @@ def _word(ok: bool) -> str:
 def grade_law(
     law: tuple[str, Law], reference: tuple[str, Law], experiment: Experiment, *, tolerance: float = GRADE_TOLERANCE
 ) -> Grade:
-    """A law against a reference law on an experiment.
+    """A named law against a reference law on an experiment, tolerance relative to the reference's figures.
 
-    Both run; then both are given, tick by tick, the states that the reference's run went through, without limits, so
-    that a wrong term shows where it is wrong and not what it led to.
-
-    Args:
-        law: Its name, and the law.
-        reference: Likewise.
-        experiment: What both run on.
-        tolerance: Relative: to the reference's figures, and to its largest command.
-
-    Raises:
-        UsageError: A law that cannot be compiled or does not fit; a reference law whose run fails.
-        RangeError: A tolerance that is not positive, or above 1.
+    Both run; then both are given, tick by tick, the states of the reference's run, without limits, so that a wrong
+    term shows where it is wrong and not in its consequences.
     """
     tolerance = positive_scalar("tolerance", tolerance)
     if tolerance > 1.0:

@@ -86,16 +86,14 @@ def coupling(loop: Loop, *, at: ArrayLike | None = None) -> Coupling:
     """Coupling of the joints of an arm at a pose, in the sampled loop: whether decentralised control is enough.
 
     The dynamics are decoupled where each joint's acceleration depends on its own torque and state alone: in gantries,
-    and nearly in arms with large gears, whose rotors are most of the diagonal of M, and where gravity is small
-    beside the torques of the joints. How much that matters depends on the gains of the loop.
+    and nearly in arms with large gears, whose rotors dominate the diagonal of M, and with little gravity.
 
     Args:
         loop: A loop of a law of joints, with a reference that stays.
         at: (n,) joint positions to begin at [rad | m]; home if left out.
 
     Raises:
-        UsageError: A law that follows no joint positions; joints of metres beside joints of radians; an unstable
-            loop.
+        UsageError: A law that follows no joint positions; joints of different units; an unstable loop.
         RangeError: No equilibrium near `at`.
 
     Example:
@@ -199,16 +197,14 @@ def lyapunov(run: Run) -> Lyapunov:
                   M-dot - 2 C is skew, so that the Coriolis torques do no work
 
     The rate is that at the instant of each tick; between ticks the torque is held, so that V decreases by slightly
-    less or more than the integral. A model error of the law, such as another payload, shows as a difference of the
-    rates.
+    less or more than the integral. A model error of the law shows as a difference of the rates.
 
     Args:
         run: Of `GravityPID` with ki = 0 or `GravityCompensation`, on a plant with viscous friction at most.
 
     Raises:
-        UsageError: A run of another law, with an integral, with a reference that moves, with events, with dry
-            friction or gears that lose power or give way, on a plant that compensates gravity itself, or that was
-            loaded from a file and has no arm.
+        UsageError: A run without an arm, of another law, or with an integral, a moving reference, events, dry
+            friction, gears that lose power or give way, or a plant that compensates gravity itself.
 
     Example:
         >>> import taut
