@@ -130,7 +130,6 @@ class _Output:
 
 
 def _status(words: list[str]) -> int:
-    """Run the command line: the exit status."""
     try:
         arguments = _parser().parse_args(words)
         arguments.words = words

@@ -200,7 +200,6 @@ def _case_of(scenario: Scenario, case: str | None) -> Scenario:
 def _named(
     items: Sequence[Item | tuple[str, Item]] | Mapping[str, Item], own: Mapping[str, Law]
 ) -> dict[str, Law | Run]:
-    """Laws and runs by name, no two of the same."""
     if isinstance(items, str) or not isinstance(items, (Sequence, Mapping)):
         raise UsageError(
             "laws are given in a list or by name: ['PID(kp=100, kd=20)', taut.laws.PID(kp=...)]", name="laws"

@@ -105,7 +105,6 @@ class Table:
         return key in self.values
 
     def get(self, key: str, default: Any = None) -> Any:
-        """The value of a key, whatever it is."""
         return self.values.get(key, default)
 
     def error(self, text: str, key: str = "") -> ScenarioError:
@@ -156,7 +155,6 @@ class Table:
                 raise ScenarioError(text, name=self.below(key))
 
     def text(self, key: str, default: Any = None) -> Any:
-        """A text."""
         value = self.values.get(key, default)
         if value is not default and not isinstance(value, str):
             raise self.error(f"must be a text in quotes; got {shown(value)}", key)
@@ -170,7 +168,6 @@ class Table:
         raise self.error(f"must be an array of texts such as {example}; got {shown(value)}", key)
 
     def choice(self, key: str, options: Iterable[str], default: Any = None) -> Any:
-        """One of a few words."""
         value, words = self.values.get(key, default), tuple(options)
         if key in self.values and (not isinstance(value, str) or value not in words):
             raise self.error(f"must be one of {quoted_list(words, most=len(words))}; got {shown(value)}", key)
@@ -189,7 +186,6 @@ class Table:
                 raise FileError(f"{cause} (paths begin at the scenario's own folder)", name=cause.name) from cause
 
     def at(self, path: str, values: Mapping[str, Any]) -> Table:
-        """Another table of the same file."""
         return Table(self.file, path, values, self.folder)
 
     def table(self, key: str, *, required: bool = False) -> Table:
@@ -223,7 +219,6 @@ def _merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _names(value: object, name: str) -> bool:
-    """True where a value is a name, or has it among others."""
     return value == name if isinstance(value, str) else isinstance(value, (list, dict)) and name in value
 
 

@@ -60,7 +60,6 @@ HYBRID_MOTION: Final = hybrid_kind(TaskMotion)
 
 
 def _hold() -> Hold:
-    """A hold of the first state."""
     return Hold()
 
 
@@ -82,7 +81,7 @@ ONSET: Final = 0.7  # [s] in which the motion sets in
 
 
 class SamplePolicy(Declared):
-    """A stand-in for a learned policy: each period a chunk of poses along a smooth random path, no two in agreement."""
+    """A stand-in for a learned policy: each period a chunk of poses along a smooth random path, which disagree."""
 
     T: Part[Pose] = Part(Pose)  # the pose that it moves about
     period: Field = Field(0.1, unit="s", above=0.0)
@@ -228,7 +227,6 @@ class _Home:
             return self.T.p + finite_array(key, written, shape=(3,), unit="m")
 
     def _placed(self, table: Table) -> Pose:
-        """The pose of a table, in the world."""
         if not self.relative:  # where a zero is a place, and the identity an orientation, that few arms can take
             table.need("p", "its position p")
             if not any(word in table for word in ROTATIONS):
@@ -239,7 +237,6 @@ class _Home:
         return Pose(self.T.p + pose.p, R=pose.R @ self.T.R) if self.relative else pose
 
     def moved(self, samples: Samples | TaskSamples) -> Samples | TaskSamples:
-        """Samples of a file, in the world."""
         with self.table.blamed("file"):
             if isinstance(samples, Samples):
                 return dataclasses.replace(samples, q=self.q + samples.q) if self.relative else samples

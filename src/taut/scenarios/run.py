@@ -73,7 +73,6 @@ class ScenarioResult(Result):
         return not self.missed and not self.skipped and all(one.outcome.ok for one in self.runs.values())
 
     def json(self) -> dict[str, Any]:
-        """The result as plain values."""
         return {
             "scenario": self.scenario.name,
             "metrics": _metrics_by_case(self.runs),
@@ -230,7 +229,6 @@ def run_scenario(
 
 
 def _info(scenario: Scenario, trial: Trial) -> ScenarioInfo:
-    """The scenario as a run keeps it."""
     return ScenarioInfo(
         name=scenario.name,
         **trial._asdict(),

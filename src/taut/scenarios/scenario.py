@@ -74,7 +74,6 @@ class OfRuns(Declared):
 
     @property
     def span(self) -> tuple[float, float] | None:
-        """Start and end of the window [s]."""
         if self.window is None:
             return None
         start, end = np.asarray(self.window).tolist()
@@ -169,7 +168,6 @@ class Trial(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Its name in messages."""
         return f"{self.case}: {self.law}" if self.case else self.law
 
 

@@ -78,7 +78,6 @@ def read_law(table: Table) -> Law:
 
 
 def _one_law(gains: Table, table: Table, name: str) -> Law:
-    """The law of that name, which a table gives."""
     if name == "SideBySide":
         return _side_by_side(gains)
     known = {word: kind for word, kind in law_classes(all_laws).items() if word != "Sum"}
@@ -156,7 +155,7 @@ MAX_SHOWN: Final = 80  # of them in a message
 
 
 def law_of_text(text: str) -> tuple[str, Law]:
-    """A law and its name: the text, or what stands before it, "stiff: PID(kp=900)". Raises UsageError or ScenarioError.
+    """A law and its name: the text, or what stands before it, "stiff: PID(kp=900)". Raises UsageError, ScenarioError.
 
     The names, gains and tables are those of [laws.LABEL] in a scenario: lists for arrays, dictionaries for tables,
     laws within laws for a wrapper, and + for a sum.
@@ -203,7 +202,6 @@ def _written(node: ast.expr) -> Any:
 
 
 def _as_sum(table: Mapping[str, Any]) -> dict[str, Any]:
-    """The table of a law as that of a sum with one part."""
     gains = dict(table)
     name = gains.pop("law")
     return dict(table) if isinstance(name, list) else {"law": [name], name: gains}
@@ -267,7 +265,6 @@ def friction_word(table: Table, *words: str) -> str | None:
 
 
 def _changed(table: Table, arm: Arm) -> Arm:
-    """The arm with the changes that a table states."""
     bodies = table.table("bodies")
     for joint in bodies.values:
         arm = read(arm.with_body, bodies.table(joint), joint=joint)
@@ -369,7 +366,6 @@ class Spread(Declared):
     tilt: Field = Field(0.0, unit="rad", minimum=0.0, maximum=MAX_TILT)  # the largest, about any axis across z
 
     def check(self) -> None:
-        """Something is spread."""
         if not self.shift and not self.tilt:
             self.refuse("", "needs shift [m], tilt [rad] or both above zero")
 
