@@ -1,7 +1,7 @@
 """The control functions of the textbook's library, by its names, signatures and order of six-vectors.
 
-`taut.textbook.ComputedTorque` and `taut.textbook.SimulateControl` are for those who have code for the library
-`modern_robotics`: change the import. The integral is that of equation 10.21, where the library's has no time step.
+For code that uses the library `modern_robotics`: change the import to `taut.textbook`. The integral is that of
+equation 10.21, where the library's has no time step.
 
 References:
     Lynch and Park, Modern Robotics (2017), sections 8.9 and 11.4; chapter, equation 10.21 and figure 10.13.

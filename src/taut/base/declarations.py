@@ -142,7 +142,6 @@ class Field(Declaration[Any]):
 
     @property
     def unit_words(self) -> str:
-        """The unit in brackets, for messages."""
         return f" [{self.unit}]" if self.unit else ""
 
     def size(self, owner: Any, joints: Joints = None) -> int | None:
@@ -182,7 +181,6 @@ class Field(Declaration[Any]):
         self._shaped(np.zeros(shape), self.size(owner, joints), joints)
 
     def _shaped(self, array: Float64Array, size: int | None, joints: Joints = None) -> Float64Array:
-        """The array in one of the forms that the field takes."""
         if "pair" in self.accepts and size == 6 and array.shape == (2,):
             return np.repeat(array, 3)
         if "force" in self.accepts and size == 6 and array.shape == (3,):
@@ -262,7 +260,6 @@ class Part(Declaration[T]):
         self.of, self.inline = of, inline
 
     def rule(self) -> str:
-        """The rule in words."""
         return " or ".join(IN_WORDS.get(kind, f"{_article(kind.__name__)} {kind.__name__}") for kind in self.of)
 
     def checked(self, value: Any, owner: Any = None, joints: Joints = None) -> Any:  # noqa: ARG002

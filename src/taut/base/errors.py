@@ -66,7 +66,6 @@ class TautError(Exception):
 
 
 def _revived(kind: type[TautError], args: tuple[Any, ...], state: Mapping[str, Any]) -> TautError:
-    """An error with these arguments and attributes."""
     error = kind.__new__(kind, *args)
     super(TautError, error).__init__(*args)  # that of the built-in class beside it
     for key, value in state.items():

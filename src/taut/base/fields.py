@@ -226,11 +226,9 @@ class Declared:
         return checked
 
     def units(self) -> dict[str, str]:
-        """Unit of each run-time parameter by path."""
         return {path: self.find(path)[1].unit for path in self.parameters()}
 
     def _below(self, name: str) -> str:
-        """The beginning of the paths of a part."""
         field = self.declared.get(name)
         return "" if isinstance(field, Part) and field.inline else f"{name}."
 
@@ -276,7 +274,6 @@ def _shown(value: Any) -> str:
 
 
 def _same(stored: Any, default: Any) -> bool:
-    """True where a stored value is the default of its field."""
     if stored is default:
         return True
     if stored is None or default is None or default is REQUIRED:

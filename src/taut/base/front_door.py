@@ -128,7 +128,6 @@ def _refusing(function: FunctionType) -> FunctionType:
 def _wrong(
     function: Callable[..., Any], name: str, args: tuple[Any, ...], kwargs: dict[str, Any]
 ) -> UsageError | None:
-    """The error of the arguments of a call; None if they are right."""
     parameters = list(inspect.signature(function).parameters.values())
     if parameters[:1] and parameters[0].name in ("self", "cls"):
         parameters, args = parameters[1:], args[1:]

@@ -94,7 +94,6 @@ class Parameters(MutableMapping[str, Float64Array]):
         return path in self._values
 
     def get(self, path: str, default: Any = None) -> Any:
-        """The value of a parameter, or the default where there is no such parameter."""
         return self[path] if path in self._values else default
 
     def __delitem__(self, path: str) -> None:

@@ -56,7 +56,6 @@ def table(pages: Iterable[Page]) -> Table:
 
 
 def _number(value: float) -> str:
-    """A number with at most six digits."""
     return f"{value:.6g}" if abs(value) >= 1e-13 or value == 0.0 else "0"
 
 

@@ -192,7 +192,6 @@ class TwoLinks:
         return about[0], about[1]
 
     def M(self, q: Float64Array) -> Float64Array:
-        """(2, 2) mass matrix."""
         I1, I2 = self.inertias
         c1, c2, cos = 0.5 * self.L1, 0.5 * self.L2, math.cos(q[1])
         both = I2 + self.m2 * (c2**2 + self.L1 * c2 * cos)
@@ -200,22 +199,18 @@ class TwoLinks:
         return np.array([[first, both], [both, I2 + self.m2 * c2**2]])
 
     def M_rate(self, q: Float64Array, v: Float64Array) -> Float64Array:
-        """(2, 2) d M / dt."""
         k = -self.m2 * self.L1 * 0.5 * self.L2 * math.sin(q[1]) * v[1]
         return np.array([[2.0 * k, k], [k, 0.0]])
 
     def Cv(self, q: Float64Array, v: Float64Array) -> Float64Array:
-        """(2,) Coriolis and centripetal torques."""
         k = self.m2 * self.L1 * 0.5 * self.L2 * math.sin(q[1])
         return np.array([-k * (2.0 * v[0] * v[1] + v[1] ** 2), k * v[0] ** 2])
 
     def g(self, q: Float64Array) -> Float64Array:
-        """(2,) gravity torques."""
         second = self.m2 * G * 0.5 * self.L2 * math.cos(q[0] + q[1])
         return np.array([(0.5 * self.m1 + self.m2) * self.L1 * G * math.cos(q[0]) + second, second])
 
     def h(self, q: Float64Array, v: Float64Array) -> Float64Array:
-        """(2,) C v + g."""
         return self.Cv(q, v) + self.g(q)
 
     def tip(self, q: Float64Array) -> Float64Array:
@@ -232,7 +227,6 @@ class TwoLinks:
         return np.array([[-self.L1 * math.sin(a) + x2, x2], [self.L1 * math.cos(a) + z2, z2]])
 
     def Jdot_v(self, q: Float64Array, v: Float64Array) -> Float64Array:
-        """(2,) J-dot v."""
         a, b, w = q[0], q[0] + q[1], v[0] + v[1]
         one, two = self.L1 * v[0] ** 2, self.L2 * w**2
         return np.array([-one * math.cos(a) - two * math.cos(b), -one * math.sin(a) - two * math.sin(b)])

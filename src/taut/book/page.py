@@ -40,7 +40,6 @@ class Row:
 
     @property
     def difference(self) -> float:
-        """Computed less expected."""
         return self.computed - self.expected
 
     @property
@@ -49,7 +48,6 @@ class Row:
         return abs(self.difference) <= self.within
 
     def json(self, name: str) -> dict[str, Any]:
-        """Plain values, under an id."""
         keys = ("quantity", "unit", "computed", "expected", "source")
         return {"id": name, **{key: getattr(self, key) for key in keys}}
 

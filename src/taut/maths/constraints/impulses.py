@@ -147,7 +147,6 @@ class _Block:
             p[i] = choose(on, value, 0.0)
 
     def _rubbing(self, r_h: Vector, r_t: Vector, y: Vector, p_h: list[Any], mu: Any) -> list[Any]:
-        """Impulses with friction."""
         assert self.all is not None
         assert self.across is not None
         assert self.plane is not None
@@ -324,7 +323,6 @@ def _part(W: Matrix, rows: Sequence[int], columns: Sequence[int]) -> Matrix:
 
 
 def _regularised(W: Matrix) -> Matrix:
-    """W with its `_diagonal`."""
     for i, value in enumerate([_diagonal(W, i) for i in range(len(W))]):
         W[i, i] = value
     return W
