@@ -253,7 +253,7 @@ class Contacts(Declared):
             )
 
     def check_start(self, q: Vector, v: Vector) -> None:
-        """RangeError for a start off a two-sided row, moving against it, or behind a one-sided one; or dependent rows."""
+        """RangeError for a start off a two-sided row, against it, or behind a one-sided one; or dependent rows."""
         x = self._snapshot(q, v)
         for place in self.places:
             rows = place.piece.at(x)
@@ -326,7 +326,7 @@ class FeedsForceBack(Protocol):
     """A law that feeds a measured force back."""
 
     def force_loop_gain(self, dt: float, touch: RigidTouch | None) -> float:
-        """The largest eigenvalue of (kfp + kfi dt / 2) P at a contact, the law's own for None; 0 where it is unknown."""
+        """The largest eigenvalue of (kfp + kfi dt / 2) P at a contact, the law's own for None; 0 if unknown."""
         ...
 
 

@@ -113,7 +113,7 @@ class Transmission(Declared):
 
 
 def require_rotors(arm: Arm, joints: tuple[int, ...], rotor_inertia: Float64Array | None = None) -> None:
-    """UsageError for a motor that moves apart from its link without a rotor; `rotor_inertia` is by default the arm's."""
+    """UsageError for a motor that moves apart from its link without a rotor; `rotor_inertia` is the arm's if None."""
     rotor = arm.rotor_inertia if rotor_inertia is None else rotor_inertia
     for i in joints:
         if rotor[i] <= 0.0:

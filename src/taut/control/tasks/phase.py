@@ -164,7 +164,7 @@ def settled(
 
 
 def moved(x: GuardView, distance: float, tool: str | None = None) -> Any:
-    """Guard: whether the origin of the tool, or of another frame, is a distance [m] away from where the phase began."""
+    """Guard: whether the origin of the tool, or of another frame, is a distance [m] from where the phase began."""
     distance = finite_scalar("distance", distance, unit="m", minimum=0.0)
     frame = x.tool if tool is None else tool
     return tm.norm(x.T(frame).p - x.begin.T(frame).p) >= distance

@@ -170,7 +170,7 @@ class Task(Declared):
                     self.laws[name].check_references(x, reference, rate, later=i > 0)
 
     def check_begin(self, name: str, x: Snapshot, ref: Reference, rate: float) -> None:
-        """RangeError or UsageError for a phase that has no meaning at x, unless it is refused there without contact."""
+        """RangeError or UsageError for a phase that has no meaning at x, unless refused there without contact."""
         phase = self.phases[name]
         if phase.needs_contact and not condition(phase.in_contact(x), f"contact of phase '{name}'"):
             return

@@ -1,4 +1,4 @@
-"""References: a hold, a trajectory with `at(t)`, a stream of samples, or a chunk of them; a law sees one sample a tick."""
+"""References: a hold, a trajectory with `at(t)`, a stream or a chunk of samples; a law sees one sample a tick."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Sample(ABC):
     @classmethod
     @abstractmethod
     def at_rest(cls, x: Snapshot, tool: str | None) -> Self:
-        """The sample that asks to stay as in the snapshot; `tool` is the frame that the law controls, None for the arm's."""
+        """The sample that asks to stay as in the snapshot; `tool` is the frame that the law controls."""
 
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)

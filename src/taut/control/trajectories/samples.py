@@ -287,7 +287,7 @@ def _through_poses(t: Float64Array, poses: Sequence[Pose]) -> list[TaskMotion]:
 def read_rows(
     path: str | os.PathLike[str], columns: Callable[[Sequence[str]], Sequence[str]]
 ) -> tuple[list[str], Float64Array]:
-    """Header and numbers (rows, columns) of a CSV file whose first column is t; `columns` gives the expected header."""
+    """Header and numbers (rows, columns) of a CSV file with first column t; `columns` gives the expected header."""
     file = readable_file("CSV file", path)
     name = str(file)
     if file.stat().st_size > MAX_CSV_BYTES:

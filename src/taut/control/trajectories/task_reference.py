@@ -129,7 +129,7 @@ def between(times: Float64Array, knots: Float64Array, rows: Rows) -> dict[str, F
 
 
 def quintic_between(x: Float64Array, h: Float64Array | float, start: Offset, end: Offset) -> Offset:
-    """The quintic, and its two rates, with value, rate and acceleration (k, m) at x = 0 and 1; h [s] from end to end."""
+    """The quintic, and its two rates, with value, rate, acceleration (k, m) at x = 0 and 1; h [s] between them."""
     x, h = x[:, np.newaxis], np.asarray(h, dtype=np.float64).reshape(-1, 1)
     (y0, v0, a0), (y1, v1, a1) = start, end
     v0, v1, a0, a1 = v0 * h, v1 * h, a0 * h**2, a1 * h**2

@@ -49,7 +49,7 @@ class Environment(Declared):
         raise NotImplementedError
 
     def rates(self, mobility: Float64Array, parameters: Values) -> tuple[float, float]:
-        """How fast the tool oscillates in it [rad/s], and how fast its damping brakes the tool [1/s]; zero by default.
+        """How fast the tool oscillates in it [rad/s], and how fast its damping brakes the tool [1/s]; by default 0.
 
         Args:
             mobility: (6, 6) acceleration of the tool per wrench, Lambda^-1; zero for a tool that nothing moves.
