@@ -173,11 +173,7 @@ class Check:
     follows: tuple[str, ...] = ()
 
     def examine(self, run: ExaminedRun) -> Finding | None:
-        """The finding of a run that has what the check needs, with its sentences; None where there is no fault.
-
-        Raises:
-            UsageError: A sentence names a number that the finding does not have.
-        """
+        """The finding of a run that has what the check needs, with its sentences; None where there is no fault."""
         found = self.test(run)
         if found is None:
             return None
@@ -242,8 +238,6 @@ class ExaminedRun:
         """(k, n) whether a joint is at rest."""
         return np.asarray(np.abs(self.run.v) < RESTING)
 
-    # ---------------------------------------------------------------- errors
-
     @cached_property
     def length(self) -> float:
         """[m] of the stretched arm, from the first joint to the tool: 1 rad of a joint moves the tool as far."""
@@ -266,9 +260,8 @@ class ExaminedRun:
     def error(self) -> Float64Array | None:
         """(k, n) error of the joints [rad | m], desired minus actual; of a task J^+ X_e.
 
-        Of a law that promises an impedance: against the pose that the measured wrench should have moved the tool to.
-        None of a law that controls a force, whose error of motion is only
-        known along its constraint.
+        Of an impedance: against the pose to which the measured wrench should have moved the tool. None of a law that
+        controls a force, whose error of motion is only known along its constraint.
         """
         if self.run.error is not None or self.presses or not self.of_task:
             return None if self.presses else self.run.error
@@ -319,7 +312,7 @@ class ExaminedRun:
         """(n,) whether a joint has settled: its reference rests, and its error changes by less than a tenth.
 
         The change is the difference of the means of the last two tenths of the run, relative to the larger of the
-        error that is left and the tolerance.
+        remaining error and the tolerance.
         """
         ends = self._tail(2)
         if self.error is None or ends.start < 0 or np.any(self.reference_speed[ends.start :]):
@@ -335,8 +328,6 @@ class ExaminedRun:
         if self.error is None:
             return np.zeros(self.n)
         return np.where(self.settled, self.error[self.end].mean(axis=0), 0.0)
-
-    # ---------------------------------------------------------------- torques
 
     @cached_property
     def feedback_terms(self) -> dict[str, Float64Array]:
