@@ -1,6 +1,6 @@
 """RigidPlant: a rigid arm with drives, friction, sensors and an environment, as pure functions.
 
-Written like a law, so that it runs on floats, is fused with a controller into one native loop, and differentiated.
+It runs on floats, is fused with a controller into one native loop, and is differentiated.
 """
 
 from __future__ import annotations
@@ -136,8 +136,6 @@ class RigidPlant:
         """A plant of the same arguments but these."""
         return dataclasses.replace(self, arm=arm or self.arm, sensors=sensors or self.sensors)
 
-    # ---------------------------------------------------------------- what it declares
-
     @property
     def name(self) -> str:
         """What it is called in messages."""
@@ -173,30 +171,17 @@ class RigidPlant:
         return dict(self.parts.values)
 
     def checked_parameter(self, path: str, value: ArrayLike) -> Float64Array:
-        """A new value of a parameter, checked like the first one and in its shape.
-
-        Raises:
-            UnknownNameError: There is no such parameter.
-            ShapeError: Another shape.
-            RangeError: NaN, infinite or negative.
-        """
+        """A new value of a parameter, checked and in its shape. Raises UnknownNameError, ShapeError, RangeError."""
         return self.parts.checked(path, value)
 
     def check_together(self, values: Mapping[str, ArrayLike]) -> None:
-        """Refuse values by path that do not go together, each of which is right by itself.
-
-        Raises:
-            RangeError: Less friction at rest than in motion.
-        """
+        """RangeError for values by path that do not go together: less friction at rest than in motion."""
         self.parts.check_together(values)
-
-    # ---------------------------------------------------------------- the pure functions
 
     def start(self, q: Vector, v: Vector, parameters: Values, dt: float) -> dict[str, Any]:
         """Memory by path at the start of a run, from the true state.
 
-        The drives hold the arm against gravity until the first command arrives, as its brakes did before; that is
-        also what a limit of the torque rate starts from.
+        Until the first command the drives carry gravity; a limit of the torque rate starts from there.
         """
         n = self.arm.n
         rest = np.zeros(n)
@@ -246,7 +231,7 @@ class RigidPlant:
     def extra(self, before: Values, after: Values) -> dict[str, Any]:
         """What a run records of a tick, besides motion and torques: from memory at the tick and after the first step.
 
-        F_ext, friction_residual and contact.* are those of that step, work.* what was done until the tick.
+        F_ext, friction_residual and contact.* are those of that step, work.* is until the tick.
         """
         reported = ("F_ext", "friction_residual", *(f"contact.{name}" for name in REPORTED))
         out = {name: after[name] for name in reported if name in after}

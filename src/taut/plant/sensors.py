@@ -404,8 +404,6 @@ class Sensors(Declared):
     wrench: OneSensor = OneSensor(WrenchSensor, default=WrenchSensor(), optional=True)
     tip: OneSensor = OneSensor(Accelerometer, optional=True)
 
-    # ---------------------------------------------------------------- what they declare
-
     def by_measurement(self, *, touched: bool = True) -> dict[str, tuple[str, Sensor]]:
         """Name and sensor of each that reads something; `touched` if something touches the tool."""
         return {
@@ -438,8 +436,6 @@ class Sensors(Declared):
         shapes, there = measurement_shapes(arm.n), self.by_measurement(touched=touched)
         return {name: shapes[name] for name, (_, sensor) in there.items() if "noise" in sensor.parameters()}
 
-    # ---------------------------------------------------------------- checks
-
     def check_arm(self, arm: Arm, *, touched: bool) -> None:
         """Whether they fit the arm.
 
@@ -458,21 +454,16 @@ class Sensors(Declared):
                 name="wrench",
             )
 
-    # ---------------------------------------------------------------- the pure function
-
     def read(self, model: Model, true: Values, noise: Values, parameters: Values) -> dict[str, Any]:
-        """What they give, by measurement; and saturated.F_ext, saturated.a_tip: 1.0 in a tick that is at its range.
+        """Their readings, by measurement; and saturated.F_ext, saturated.a_tip: 1.0 in a tick that is at its range.
 
         Args:
             model: The constants of the true arm.
-            true: What is true, by name: q, v and tau; q_motor, v_motor and tau_link where the transmission makes
-                them differ; F_ext where something touches the tool; a, the joints' acceleration, for `tip` and
-                for a wrench sensor that weighs, and payload.mass, payload.com and payload.inertia for the latter.
+            true: By name: q, v and tau; q_motor, v_motor and tau_link where the transmission makes them differ; F_ext
+                where something touches the tool; a, the joints' acceleration, for `tip` and for a wrench sensor that
+                weighs, and payload.mass, payload.com and payload.inertia for the latter.
             noise: Standard normal numbers by measurement.
             parameters: The sensors' parameters, by path below "sensors".
-
-        Raises:
-            ShapeError: A sensor of the user's own gives a reading of another shape.
         """
         out: dict[str, Any] = {}
         shapes = measurement_shapes(model.arm.n)

@@ -32,10 +32,7 @@ MAX_ACROSS: Final = math.sqrt(0.5)  # of the acceleration that a trapezoid on a 
 
 
 class Motion(Declared, Generic[S]):
-    """Base of the trajectories of this package: declared fields, and samples at many times by `rows`.
-
-    Before its start a motion rests at its first point, after its end at its last.
-    """
+    """Base of trajectories: declared fields, and samples at many times by `rows`; at rest outside its duration."""
 
     def rows(self, times: Float64Array) -> S:
         """Samples at many times, as arrays (k, ...)."""
