@@ -126,11 +126,7 @@ FRICTION_FIELDS: Final = tuple(field.name for field in fields(Friction))
 
 
 def check_at_rest(at_rest: ArrayLike, moving: ArrayLike, name: str, prefix: str = "friction.") -> None:
-    """Friction at rest is no less than friction in motion.
-
-    Raises:
-        RangeError: It is.
-    """
+    """Friction at rest is no less than friction in motion."""
     rest, kinetic = np.broadcast_arrays(np.asarray(at_rest, dtype=np.float64), np.asarray(moving, dtype=np.float64))
     wrong = np.argwhere(np.atleast_1d(rest < kinetic))
     if len(wrong):
