@@ -273,8 +273,7 @@ def natural_constraints(
     Args:
         constraint: The constraint.
         at: A pose of the constrained frame, or a snapshot of the arm.
-        frame: The task frame in the world; at the tool's origin if left out, with the world's axes, or the tool's
-            where each constraint is along one of these.
+        frame: The task frame in the world; by default at the tool's origin, along the world's or the tool's axes.
         mode: "slide", "stick" or "apart".
 
     Raises:

@@ -64,16 +64,12 @@ class Grade(Result):
     """A law beside a reference law; print it for the report.
 
     Args:
-        name: Of the law.
-        reference: Name of the reference law.
         on: Name of the experiment.
         marks: Each figure of the runs.
         command: The largest difference of the commands along the reference's own trajectory.
         terms: Of terms that both name, where they differ, the largest difference first.
         only_law: Terms that only the law has.
         only_reference: Terms that only the reference has.
-        run: The law's run.
-        reference_run: The reference's run.
         tolerance: Relative.
         settings: Of laws and experiment, as text by name.
         texts: Longer texts by title, such as that of a scenario.

@@ -55,8 +55,7 @@ class ToolImpedance(Result):
     or noise.
 
     Args:
-        loop: The loop.
-        lin: Its linear model.
+        lin: The linear model of the loop.
         direction: (6,) unit vector in world axes: a force, or a moment.
         specified: What `Impedance` or `Admittance` specifies, in the motions that the tool can make; None of others.
 

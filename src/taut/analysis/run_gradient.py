@@ -39,7 +39,6 @@ class Tick:
         tau: (n,) torques [N m | N].
         command: (n,) what the controller commands.
         ref: The sample of the reference.
-        loop: The loop.
     """
 
     t: Any

@@ -37,8 +37,7 @@ class Coupling(Result):
 
     Args:
         joints: Their names.
-        inertia: 0 to 1, one less the smallest eigenvalue of D^-1/2 M D^-1/2, with D the diagonal of M, and M with
-            rotors and payload: 0 for axes whose accelerations are decoupled.
+        inertia: 0 (decoupled) to 1: one less the smallest eigenvalue of D^-1/2 M D^-1/2, with D = diag(M).
         crosstalk: (n, n) largest gain over all frequencies from the reference of each joint (column) to each (row).
         droop: (n,) steady-state error of each joint under gravity [rad | m].
         unit: Of the joints, all of one kind.
@@ -138,9 +137,6 @@ def coupling(loop: Loop, *, at: ArrayLike | None = None) -> Coupling:
         droop=lin.point.moved,
         unit=units[0],
     )
-
-
-# -------------------------------------------------------------------- the Lyapunov function, eqs. 10.24 to 10.27
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -176,8 +176,8 @@ def tune(
     Args:
         loops: One or more loops that share the parameters, and begin with them; they stay as they are.
         paths: Such as ("law.kp", "law.kd"), "sensing.velocity.cutoff"; one number, or one per joint.
-        cost: "tracking", "rotation", "effort" or "speed", or weights of them, {"tracking": 1.0, "effort": 1e-6}; or a
-            function of a `taut.analysis.Tick`, written with `taut.math`, whose mean over the ticks counts.
+        cost: "tracking", "rotation", "effort" or "speed", or weights of them, {"tracking": 1.0, "effort": 1e-6}; or
+            a function of a `taut.analysis.Tick` in `taut.math`, of which the mean over the ticks is taken.
         bounds: By path (low, high), logarithmic if both are positive; a tenth and ten times the start if left out.
         limits: To keep within: `taut.Limits.of(arm)`; None for none.
         chatter: Largest chatter over that at the start: 1.0 for no more; None for any.

@@ -298,7 +298,7 @@ def _words(u: Float64Array) -> str:
 def calibration_poses(
     arm: Arm, *, count: int = 8, travel: float = 1.5, q: ArrayLike | None = None, frame: str | None = None
 ) -> Float64Array:
-    """Poses for `taut.analysis.calibrate_wrist`, in which bias, mass and centre of mass are well determined.
+    """(count, n) poses [rad | m] for `calibrate_wrist`, in which bias, mass and its centre are well determined.
 
     After the arm's own pose, each is the candidate that adds the most to the determinant of the information on the
     centre of mass, less a little for the displacement, with a margin to the limits of joints and torques. Obstacles
@@ -306,13 +306,11 @@ def calibration_poses(
 
     Args:
         arm: The arm.
-        count: Number of poses, 3 at least.
+        count: Number of poses, at least 3.
         travel: Largest displacement of a joint from q [rad | m].
         q: (n,) where to start from; home if None.
         frame: The sensor's frame, one of the tool's body; the tool's own if None.
 
-    Returns:
-        (count, n) positions [rad | m].
 
     Raises:
         RangeError: Fewer than three poses, no travel.

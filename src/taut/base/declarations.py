@@ -58,10 +58,7 @@ class Declaration(Generic[T]):
         def __set__(self, obj: object, value: Any) -> None: ...
 
     def checked(self, value: Any, owner: Any = None, joints: Joints = None) -> Any:
-        """The value as it is stored; the TautError of one that the field does not take begins with the field's name.
-
-        `owner` is the object whose field it is, for sizes that it knows; `joints` their names or number, where known.
-        """
+        """The value as stored, or a TautError that begins with the field's name; `owner` and `joints` know sizes."""
         raise NotImplementedError
 
     def refuse(self, rule: str, value: object, kind: type[TautError] = UsageError) -> NoReturn:

@@ -71,10 +71,7 @@ _LISTED = inspect.Parameter.VAR_POSITIONAL
 
 
 def checked_arguments(thing: Any, module: str, name: str) -> Any:
-    """A public function that refuses arguments in words; functions of a class or a module then do, in place.
-
-    `module` is the front door that has the name, where pickle finds a function again.
-    """
+    """A public function that refuses arguments in words, which pickle finds in `module`; of a class, its methods."""
     if isinstance(thing, FunctionType):
         function = _refusing(thing)
         function.__module__, function.__qualname__ = module, name

@@ -1,7 +1,4 @@
-"""Style of figures: colours that colour-blind readers tell apart, letters that stay legible in a paper.
-
-matplotlib's global state stays as it is: every size and colour is given where it is used.
-"""
+"""Style of figures: colours for colour-blind readers, legible letters; matplotlib's globals stay untouched."""
 
 from __future__ import annotations
 

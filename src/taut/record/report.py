@@ -85,14 +85,10 @@ def report(x: object, path: str | os.PathLike[str], *, title: str = "", repeat: 
     The file needs no other file, no network and no script. It names files without their folders, and no machine.
 
     Args:
-        x: A `taut.Run`; or a result of an analysis, such as `taut.design`, `taut.compare`, `taut.doctor` or
-            `taut.linearise` give: anything that describes itself in `content()`.
+        x: A `taut.Run`; or a result, as of `taut.design` or `taut.doctor`: anything with a `content()`.
         path: Where to, ending in .html, in a folder that exists. What is there stays until the new file is whole.
         title: A title, instead of the usual one.
-        repeat: How to do it again, instead of what is known: a run of a scenario knows its command.
-
-    Returns:
-        The path.
+        repeat: How to do it again; a run of a scenario knows its command.
 
     Raises:
         UsageError: Nothing that can be reported; a run without two ticks.

@@ -211,14 +211,11 @@ class Run:
         )
 
     def plot(self, *, joints: Iterable[str | int] | None = None) -> Figure:
-        """Positions, tracking error, torque and its terms over time, as a matplotlib Figure.
+        """Positions, tracking error, torque and its terms over time, as a matplotlib Figure (`figure.savefig`).
 
         Args:
-            joints: Names or indices of the joints to show; by default all, of more than eight those with the
-                largest error.
+            joints: Names or indices; by default all, of more than eight those with the largest error.
 
-        Returns:
-            The figure, which no window shows; save it with `figure.savefig("run.pdf")`.
 
         Raises:
             UnknownNameError: The run has no such joint.
@@ -252,9 +249,6 @@ class Run:
                 the plane of an arm that moves in one, else from ahead and above.
             arm: The arm to draw; the plant's by default. A run from a file needs it.
             progress: Show progress; by default on a terminal when it takes a while.
-
-        Returns:
-            The path.
 
         Raises:
             FileError: Another suffix, no such folder, no ffmpeg.

@@ -84,10 +84,7 @@ def _refuse_hostile(root: Table) -> None:
 
 
 class Table:
-    """One table of a file: its values, and the place that messages name.
-
-    `path` is that of the table, "plant.actuation", empty for the root; files that it names lie in `folder`.
-    """
+    """One table of a file: its values and the place that messages name; `path` is "" for the root."""
 
     def __init__(self, file: str, path: str, values: Mapping[str, Any], folder: Path = Path()) -> None:
         self.file, self.path, self.values, self.folder = file, path, dict(values), folder

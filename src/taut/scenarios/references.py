@@ -81,7 +81,7 @@ ONSET: Final = 0.7  # [s] in which the motion sets in
 
 
 class SamplePolicy(Declared):
-    """A stand-in for a learned policy: each period a chunk of poses along a smooth random path, which disagree."""
+    """A stand-in for a learned policy: each period a chunk of poses along a smooth random path, no two alike."""
 
     T: Part[Pose] = Part(Pose)  # the pose that it moves about
     period: Field = Field(0.1, unit="s", above=0.0)
@@ -140,10 +140,7 @@ FROM_BEGIN: Final[Mapping[str, Callable[..., Any]]] = {"steady": Steady, "by": _
 
 
 def read_reference(table: Table, arm: Arm, home: Float64Array, laws: Mapping[str, Law]) -> Reference:
-    """[reference]: a hold, a set-point or a trajectory, of joints, tool or force; a hold of the first state if empty.
-
-    `home` (n,) is what "home" and relative_to_home mean; the pose "home" is that of the frame which the laws control.
-    """
+    """[reference]: a hold, a set-point or a trajectory of joints, tool or force; `home` (n,) is its "home"."""
     if not table.values:
         return Hold()
     table.need("kind")

@@ -66,8 +66,8 @@ class Finding:
     A check's test makes it by `run.finding(...)`; the check adds its name and its sentences.
 
     Args:
-        term: The term of the command that is responsible, as in `run.terms`; "delay" for what is between command
-            and torque, "friction" and "transmission" for the joint, "contact", "constraint", "period".
+        term: The responsible term of the command, as in `run.terms`; or "delay" (between command and torque),
+            "friction", "transmission", "contact", "constraint", "period".
         joint: The joint where it is worst; None where it concerns the whole arm.
         fraction: 0 to 1: the part of the feedback effort that it explains, or of what `of` names.
         evidence: The numbers that it was found by.
@@ -136,8 +136,7 @@ class Check:
         needs: What it needs to know of a run; where a run lacks it, the check is left out and a note says so.
         thresholds: The numbers that the test compares with.
         cause: What happened, in a sentence. {joint}, {term} and the names of the evidence are replaced.
-        remedy: What to do about it, likewise; a mapping from the term to the sentence where it depends on that, with
-            "" for all other terms.
+        remedy: What to do about it, likewise; or by term, with "" for all other terms.
         follows: Names of findings that bring this one about: it then stands behind them.
 
     Example:
@@ -430,11 +429,10 @@ class ExaminedRun:
         """A finding of this run, to which its check adds the name and the sentences.
 
         Args:
-            term: The term of the command that is responsible, as in `run.terms`.
+            term: As of `Finding`.
             joint: Index of the joint where it is worst; None where it concerns the whole arm.
-            fraction: 0 to 1: the part of the feedback effort that it explains, or of what `of` names.
-            evidence: The numbers that it was found by: value and unit, by name; "joint" and "torque" stand for the
-                unit of the joint and of its torque.
+            fraction: As of `Finding`.
+            evidence: Value and unit by name; "joint" and "torque" stand for the unit of the joint and of its torque.
             signals: (k,) by name with unit: its figure; error, feedback and command of the joint if left out.
             marked: (k,) ticks that are shaded in it.
             window: The ticks that it shows; all if left out.

@@ -92,12 +92,9 @@ def doctor(run: Run, *, arm: Arm | None = None, checks: Sequence[Check] = CHECKS
 
     Args:
         run: From `taut.run` or `taut.load_run`.
-        arm: The arm that the controller was compiled for; by default the run's own, in memory and in its log. Without
-            one, checks that need a model are left out.
+        arm: The controller's arm; by default the run's own. Without one, checks that need a model are left out.
         checks: The checks to make; `[*taut.analysis.CHECKS, mine]` adds one of your own.
 
-    Returns:
-        The diagnosis; `str()` of it is a report.
 
     Raises:
         UsageError: No run, no arm, no checks.

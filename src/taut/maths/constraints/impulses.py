@@ -204,11 +204,7 @@ def _turn(W: Matrix, r: Vector, touch: Touch, p: list[Any], limit: Any) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class _Mode:
-    """Behaviour of a contact at some impulses, and what Newton's method needs of it.
-
-    With z = p_t - step u_t its friction is z within the cone, else shortened to its border: p_t = fraction z = limit
-    d.
-    """
+    """Behaviour of a contact for Newton's method: friction is z = p_t - step u_t within the cone, else limit d."""
 
     on: Any  # whether it touches
     sticks: Any

@@ -47,14 +47,12 @@ def load_run(path: str | os.PathLike[str]) -> Run:
     """Read a log that `run.save` or `taut.run(..., log=)` wrote.
 
     Every array, the outcome and the info are exactly what was recorded, `run.arms` among it; only what is drawn of an
-    arm is not in the file. Of a file that was cut off or damaged, the ticks before that are returned, and the outcome
-    says so.
+    arm is not in the file (`run.arm` is None). Of a file that was cut off or damaged, the ticks before that are
+    returned, and the outcome says so.
 
     Args:
         path: A .mcap file.
 
-    Returns:
-        The run, with `run.arm` None.
 
     Raises:
         FileError: No such file, a folder, an empty file, no log, or one without a whole description of the run.

@@ -44,8 +44,7 @@ class Metric:
         title: What it is called in tables and plots; the name in words if left out.
         doc: What it is, in a sentence; the first sentence of the function's docstring if left out.
         per_joint: Whether the function gives (n,) numbers, one for each joint; else it gives one, of the arm or tool.
-        together: How those of several joints become one: their sum, the largest with its sign, their norm, or a
-            function of the run and their indices.
+        together: Of several joints: their sum, the largest with its sign, their norm, or a function.
         needs: What the reference has to ask for, so that a scenario can refuse it elsewhere.
         compute: The function; given by decorating it.
 
