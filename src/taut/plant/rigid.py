@@ -48,8 +48,7 @@ class RigidPlant:
         semi-implicit Euler: v+ = v + dt a with b v taken at v+, q+ = q + dt v+; dry friction really sticks, and
         depends on speed and load as they are when a step begins.
         rk4: fourth order in smooth motion; dry friction and elastic transmissions are refused.
-        A joint with an elastic transmission or backlash has a motor that moves by itself: see
-        taut.drives.Transmission.
+        A joint with elasticity or backlash has a motor that moves by itself: see taut.drives.Transmission.
 
     Frames:
         F_ext is the wrench of the environment on the arm, force first, in world axes at the tool's origin. Like the
@@ -78,8 +77,7 @@ class RigidPlant:
             `taut.plant.motion`.
 
     Raises:
-        UsageError: Options that do not go together, or are of another kind.
-        ShapeError: Sensors for another number of joints.
+        UsageError, ShapeError: Options that do not go together, or are of another kind or size.
     """
 
     arm: Arm

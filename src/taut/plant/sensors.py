@@ -186,9 +186,6 @@ class Tachometer(ShaftSensor):
 
     Raises:
         RangeError: Negative noise, NaN.
-
-    References:
-        Chapter, section 10.1 control system overview.
     """
 
     quantity = "v"
@@ -214,9 +211,6 @@ class TorqueSensor(FaultySensor):
 
     Raises:
         RangeError: A resolution of zero or below, negative noise, NaN.
-
-    References:
-        Chapter, section 10.1 control system overview.
     """
 
     resolution: Field = Field(unit="N m | N", shape="n", above=0.0, zero_for_none=True, optional=True, hint=NO_STEPS)
@@ -256,8 +250,7 @@ class WrenchSensor(FaultySensor):
         frame: Where it stands: a frame of the tool's body; the tool's own if None.
 
     Raises:
-        ShapeError: One number for forces and moments.
-        RangeError: A range of zero or below, negative noise, NaN.
+        ShapeError, RangeError: One number for forces and moments; a range of zero or below, negative noise, NaN.
         UsageError: A tool that is no payload.
 
     Example:
