@@ -39,31 +39,31 @@ class RigidContact(Declared):
         one-sided rows: phi >= 0, lam <= 0, phi lam = 0; the contact pushes and does not pull
         friction in the two directions across the gradient at the contact's point, a round cone: it holds the point,
         |f| <= friction |F_n|, or it brakes its sliding with f = -friction |F_n| v / |v|; a face, with torsion, has a
-        moment about the gradient too: |m| <= torsion friction |F_n|, against its turning
+        moment about the gradient too: |m| <= torsion friction |F_n|, against its rotation
         impact: where the gap closes at a speed u, friction times the impulse acting too, it opens at restitution u;
         rebounds whose flight would be shorter than two steps do not take place
 
     A step's positions are those with phi = 0 at its end, its velocities those with A_q v + dphi/dt = 0 there, each by
-    impulses of the constraint (as RATTLE does), so that nothing drifts and a frictionless contact keeps the energy.
-    Of a gap that closes in a step, the instant is interpolated.
+    impulses of the constraint (as RATTLE does): no drift, and a frictionless contact keeps the energy. The instant at
+    which a gap closes within a step is interpolated.
 
-    A row that holds both ways beside one-sided ones of the same function, as the two tilts of `plane(face=...)`,
-    holds as long as one of them touches; a tilt at landing falls to zero with 20 ms, as of a face that lies down. The
-    corners of a face as four one-sided rows can tip over an edge, which a `face` cannot.
+    A two-sided row beside one-sided ones of the same function, as the two tilts of `plane(face=...)`, holds as long
+    as one of them touches; a tilt at landing decays to zero in 20 ms, as of a face that lies down. The corners of a
+    face as four one-sided rows can tip over an edge, which a `face` cannot.
 
     Columns of a run:
-        contact.lam (k,), the multipliers at the tick, at the same state and torque, without any correction of drift;
-        of a gap that closes in the step, impulse / dt. contact.on (k,), 1.0 for rows that act after the step.
-        contact.drift, the largest size of phi of what touches at the tick. contact.correction, by how much the step's
-        impulses / dt differ from lam: what the way through the step takes. contact.slip (c, 3) [m/s], at which points
-        with friction slide at the tick.
+        contact.lam (k,), the multipliers at the tick, at the same state and torque, without correction of drift; of a
+        gap that closes in the step, impulse / dt. contact.on (k,), 1.0 for rows that act after the step.
+        contact.drift, the largest |phi| of touching rows at the tick. contact.correction, the difference of the
+        step's impulses / dt and lam. contact.slip (c, 3) [m/s], sliding velocities of points with friction at the
+        tick.
 
     Args:
         constraint: What holds: a taut.Constraint.
-        friction: Coulomb's mu, of contacts at a point: each function of it is a number that depends on where the
-            origin of a frame is, and not on how it is turned, such as a plane, a sphere, a cylinder. None for none.
-            The surface rests across its gradient, however it moves along it.
-        torsion: Radius of the moment that resists turning about the gradient, for contacts with friction [m]: 2/3 of
+        friction: Coulomb's mu, of contacts at a point: each function is a number that depends on the origin of a
+            frame and not on its orientation, such as a plane, a sphere, a cylinder. None for none. The surface rests
+            across its gradient, however it moves along it.
+        torsion: Radius of the moment that resists rotation about the gradient, for contacts with friction [m]: 2/3 of
             that of a round pad. None for none.
         restitution: Speed after an impact over that before, from 0 to 1. None for 0.
 

@@ -23,17 +23,17 @@ RESTS: Final = 1e-9  # [rad/s | m/s] of a joint that friction holds: in MuJoCo i
 
 
 class Transmission(Declared):
-    """Gears that lose power, have play, or give way. The ratio itself and the rotor stand in the Arm.
+    """Gears that lose power, have backlash, or are elastic. The ratio itself and the rotor are the Arm's.
 
     Model:        power: the motor drives, P_out = efficiency P_in; the load drives, P_in = efficiency P_out back
                   as a friction of the gear: |f| <= (1 - efficiency) |tau_in| against motion that the motor drives,
                   |f| <= (1 / efficiency - 1) |tau_in| against motion that the load drives; at rest it sticks
                   tau_in = tau - B a_motor is what reaches the gear: the motor's torque less what accelerates its
                   rotor, so that M a = efficiency (tau - B a) + ... where the motor drives. Of a motor without torque
-                  a load has the rotor alone to accelerate; what it holds besides is taut.Friction(load_external=...)
-                  play and elasticity: tau_link = K z(delta) + D delta_dot where the teeth touch, delta = q_motor - q,
-                  z(delta) = delta beyond +-backlash / 2, else 0; the rotor then has a motion of its own,
-                  B a_motor = tau - friction - tau_link, and friction acts on its side
+                  a load has the rotor alone to accelerate; further load friction is taut.Friction(load_external=...)
+                  backlash and elasticity: tau_link = K z(delta) + D delta_dot where the teeth touch,
+                  delta = q_motor - q, z(delta) = delta beyond +-backlash / 2, else 0; the rotor then has a motion of
+                  its own, B a_motor = tau - friction - tau_link, and friction acts on its side
 
     Args:
         efficiency: Of the gears, in (0, 1]; 1 for none lost.

@@ -143,8 +143,7 @@ class Encoder(ShaftSensor):
         The shaft is the link, or the motor behind a gear: then the numbers are those of the motor's shaft, and the
         joint sees each of them divided by the gear ratio, `arm.gear`. Either way the reading is in joint units.
 
-    The noise is white from tick to tick: its standard deviation is the same at every rate, so that its density grows
-    as the rate falls.
+    The noise is white, with one standard deviation at every rate, so that its density grows as the rate falls.
 
     Args:
         resolution: (n,) or scalar, the step [rad | m at the link, rad at the motor]; None for none, and among
@@ -187,9 +186,6 @@ class Tachometer(ShaftSensor):
 
     Raises:
         RangeError: Negative noise, NaN.
-
-    References:
-        Chapter, section 10.1 control system overview.
     """
 
     quantity = "v"
@@ -215,9 +211,6 @@ class TorqueSensor(FaultySensor):
 
     Raises:
         RangeError: A resolution of zero or below, negative noise, NaN.
-
-    References:
-        Chapter, section 10.1 control system overview.
     """
 
     resolution: Field = Field(unit="N m | N", shape="n", above=0.0, zero_for_none=True, optional=True, hint=NO_STEPS)
@@ -235,16 +228,17 @@ class WrenchSensor(FaultySensor):
     """A six-axis force-torque sensor between arm and tool.
 
     Model:
-        reading = the wrench of the environment on the arm + load + bias + noise, cut at +-range: that is what the
-        real part does, and a run records in how many ticks it did
+        reading = the wrench of the environment on the arm + load + bias + noise, cut at +-range
         load = m (g - a_c) and its moment, less I alpha + omega x I omega: weight and inertia of the tool and of the
-        plant's payload, where `tool` is given; without it nothing weighs, as if all that had been taken out exactly
+        plant's payload, where `tool` is given; without it there is no load, as if perfectly compensated
+        A run records in how many ticks the reading was cut.
 
     Frames:
-        What it gives is F_ext, in world axes at the tool's origin. Bias, noise, range and load are of the sensor's
-        own axes and origin, force first: those of `frame`. A driver rotates the reading into the world by the
-        positions that the arm measures, and so does this: an encoder that is wrong rotates it wrongly. Accelerations
-        are those of the last step of the integrator, zero before the first, as F_ext is.
+        It gives F_ext in world axes at the tool's origin. Bias, noise, range and load are of the sensor's own axes
+        and origin, force first: those of `frame`. As by a driver, the reading is rotated into the world by the
+        measured
+        positions: an encoder that is wrong rotates it wrongly. Accelerations are those of the last step of the
+        integrator, zero before the first, as F_ext is.
 
     Args:
         bias: (6,) or (force, moment), what it reads without load [N, N m].
@@ -256,8 +250,7 @@ class WrenchSensor(FaultySensor):
         frame: Where it stands: a frame of the tool's body; the tool's own if None.
 
     Raises:
-        ShapeError: One number for forces and moments.
-        RangeError: A range of zero or below, negative noise, NaN.
+        ShapeError, RangeError: One number for forces and moments; a range of zero or below, negative noise, NaN.
         UsageError: A tool that is no payload.
 
     Example:

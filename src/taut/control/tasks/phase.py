@@ -257,15 +257,13 @@ class KnowsContact(Protocol):
 class Phase:
     """One phase of a task: a law, what it follows, and when it ends. A task is a list of them.
 
-    A law starts in the tick in which its phase begins, with its integrators at zero and whatever else it remembers;
-    a phase that is entered again starts afresh. Guards are looked at in each tick, on what is measured then; what
-    they decide acts from the next tick on. Where several hold, `unless` comes before `until`, and both before
-    `timeout`.
+    A law starts in the tick in which its phase begins, with its integrators at zero and its memory afresh, also where
+    a phase is entered again. Guards are evaluated in each tick, on its measurements; what they decide acts from the
+    next tick on. Where several hold, `unless` comes before `until`, and both before `timeout`.
 
     A guard is a function of the snapshot that gives one condition: `lambda x: taut.guards.contact(x, 2.0)`. Besides
-    what
-    a law sees it may ask for `x.elapsed`, the time in the phase [s], `x.ref`, the sample that its law follows, and
-    `x.begin`, the arm where the phase began. It is traced like a law: combine conditions with & | ~.
+    what a law sees it may ask for `x.elapsed`, the time in the phase [s], `x.ref`, the sample that its law follows,
+    and `x.begin`, the arm where the phase began. It is traced like a law: combine conditions with & | ~.
 
     A law that controls forces never starts without contact: where there is none when its phase begins, the arm is
     held for that tick and the task goes on as `otherwise` says.
@@ -273,8 +271,7 @@ class Phase:
     Args:
         law: What controls the arm.
         reference: A sample, hold, trajectory, stream or chunk, whose time counts from the begin of the phase; or a
-            function of the snapshot at its begin that gives one of these: `lambda x:
-            taut.trajectories.Line(T0=x.T(), ...)`. A
+            function of the snapshot at its begin that gives one: `lambda x: taut.trajectories.Line(T0=x.T(), ...)`. A
             hold of the state at the begin if left out.
         until: Guard that ends the phase well.
         unless: Guard that says that something is wrong.

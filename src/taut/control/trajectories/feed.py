@@ -82,8 +82,7 @@ class ReferenceFeed(Feed):
         """Write the reference of the ticks from `first` on into views (k, ...) by field; the number of filled ticks.
 
         Less than k are filled where the reference fails in a later tick; in the first it raises. `state` gives the
-        snapshot at the first tick, for a source; `ahead` refuses a later sample that does not fit already before tick
-        0.
+        snapshot at the first tick, for a source; `ahead` refuses a later sample that does not fit before tick 0.
         """
         count = len(next(iter(views.values())))
         if isinstance(self._ref, Stream):

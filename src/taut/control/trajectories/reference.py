@@ -82,8 +82,7 @@ class JointMotion(Sample):
         a: (n,) accelerations [rad/s^2 | m/s^2]; zero if left out.
 
     Raises:
-        ShapeError: The three have different lengths.
-        RangeError: An entry is NaN or infinite.
+        ShapeError, RangeError: Different lengths; NaN or infinite entries.
 
     Example:
         >>> JointMotion(q=[0.1, 0.2]).v.tolist()

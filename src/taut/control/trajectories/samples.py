@@ -139,8 +139,7 @@ class TaskSamples(Sampled[TaskMotion]):
         poses: k poses.
 
     Raises:
-        ShapeError: Not as many poses as times, or only one.
-        RangeError: Times that do not increase.
+        ShapeError, RangeError: Not as many poses as times, or only one; times that do not increase.
         UsageError: Something that is no pose.
     """
 
@@ -253,8 +252,7 @@ def chunk(times: ArrayLike, targets: Sequence[Sample] | Sequence[Pose] | ArrayLi
         targets: k samples, or k poses, or joint positions (k, n), whose velocities then follow from the differences.
 
     Raises:
-        ShapeError: Not as many targets as times.
-        RangeError: Times that do not increase.
+        ShapeError, RangeError: Not as many targets as times, or times that do not increase.
 
     Example:
         >>> chunk([0.0, 0.1], [[0.0], [1.0]]).at(0.05).q.tolist()

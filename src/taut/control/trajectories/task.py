@@ -109,7 +109,7 @@ class Circle(TaskPath):
         T0: First pose; its origin is on the circle.
         centre: (3,) [m].
         axis: (3,) normal of the circle's plane, of any length; the tool goes about it by the right-hand rule.
-        angle: [rad] how far; a whole turn by default, negative for the other way round, more for more turns.
+        angle: [rad]; a whole turn by default, negative for the other direction, more for several turns.
         orientation: "keep" the first orientation, or "turn" with the circle.
         duration: [s], in place of the limits. Afterwards: how long it takes.
         velocity: (linear, angular) largest speeds [m/s, rad/s].
@@ -118,8 +118,7 @@ class Circle(TaskPath):
 
     Raises:
         UsageError: No Pose, not a duration or both limits, another word.
-        ShapeError: A wrong number of entries.
-        RangeError: No axis, a centre that is T0 itself or off the plane.
+        ShapeError, RangeError: A wrong number of entries; no axis, a centre that is T0 itself or off the plane.
 
     Example:
         >>> ring = Circle(T0=Pose([0.5, 0.0, 0.3]), centre=[0.4, 0.0, 0.3], axis=[0, 0, 1], duration=4.0)
@@ -186,8 +185,7 @@ class Steady(Motion[TaskMotion]):
 
     Raises:
         UsageError: No Pose.
-        ShapeError: A wrong number of entries.
-        RangeError: No velocity at all, a ramp that is not above zero.
+        ShapeError, RangeError: A wrong number of entries; no velocity at all, a ramp that is not above zero.
 
     Example:
         >>> down = Steady(T0=Pose([0.4, 0.0, 0.3]), velocity=[0.0, 0.0, -0.02], ramp=0.1)

@@ -55,11 +55,7 @@ class Size:
 
 @dataclass(frozen=True, kw_only=True)
 class Timing:
-    """s over time: a polynomial, or a trapezoid with a largest rate and acceleration. It rests outside 0 to duration.
-
-    Raises:
-        RangeError: A duration with which speed or acceleration are beyond what floats can work with.
-    """
+    """s over time: a polynomial, or a trapezoid of limited rate and acceleration; at rest outside [0, duration]."""
 
     kind: ScalingKind
     duration: float  # [s]
