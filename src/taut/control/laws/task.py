@@ -233,11 +233,7 @@ def _joint_speeds(J: Any, damping: GainValue, V: Terms) -> Terms:
 
 
 def check_feedback(kp: GainValue, rate: float) -> None:
-    """An error cannot be taken away faster than the rate [Hz].
-
-    Raises:
-        RangeError: It is asked to.
-    """
+    """Feedback must not correct an error faster than the rate [Hz]."""
     values = np.asarray(kp.as_array(), dtype=np.float64)
     largest = np.linalg.eigvalsh(values) if values.ndim == 2 else values
     require_at_most("kp", largest, rate, "1/s", "the rate, with which the error is gone in one tick")
