@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "SHOWABLE",
+    "SIZES",
     "Colour",
     "MeshPaths",
     "OutsideError",
