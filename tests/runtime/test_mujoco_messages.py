@@ -129,7 +129,7 @@ def test_parameters_are_checked_before_a_run_begins(
     [
         (
             "<geom size='0.1'/> and a text",
-            "scene: <mujoco>: a scene is made of elements, such as <geom .../>; got the text 'and a text' outside of "
+            "scene: <mujoco>: a scene is made of MJCF elements, such as <geom .../>; got the text 'and a text' outside of "
             "them (line 1)",
         ),
         ("<geom size='nan'/>", "scene: <geom>: size must be finite; got 'nan' (line 1)"),
