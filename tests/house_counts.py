@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "taut"
 APART = ("tests", "benchmarks", "docs", "notebooks")
 FAMILIES = (  # members of a family, and front doors, may have one importer
-    "control/laws", "control/trajectories", "control/sensing", "plant/environments",
+    "control/laws", "control/trajectories", "plant/environments",
     "arm/loaders", "cli", "book",
 )  # fmt: skip
 EXPRESSIONS = (  # the twenty unambiguous ones of the left column of the glossary

@@ -105,10 +105,7 @@ class HasLawSide(Protocol):
 
 
 def check_fit(side: LawSide, plant: AnyPlant) -> None:
-    """MatchError, ShapeError or RangeError for a controller and a plant that do not fit.
-
-    Force feedback that is unstable on a rigid contact is among the reasons.
-    """
+    """MatchError, ShapeError or RangeError for a controller and a plant that do not fit, or unstable contact."""
     law, probe = side.title, side.probe
     if side.arm.n != plant.arm.n:
         raise ShapeError(
@@ -279,8 +276,6 @@ class Loop:
         """Number of control ticks, both ends included."""
         return round(self.duration * self.side.rate) + 1
 
-    # ---------------------------------------------------------------- layout
-
     def input_shapes(self) -> dict[str, tuple[int, ...]]:
         """What each tick gets from outside: time, the reference, noise."""
         reference = self.side.law.reference.fields(self.side.arm.n)
@@ -291,8 +286,6 @@ class Loop:
     def parameter_shapes(self) -> dict[str, tuple[int, ...]]:
         """All parameters, and the period."""
         return {path: value.shape for path, value in self.parameters.items()} | {DT: ()}
-
-    # ---------------------------------------------------------------- the pure functions
 
     def start(self, q: Vector, v: Vector, inputs: Values, parameters: Values) -> dict[str, Any]:
         """Memory by path in the first tick: of the plant at its true state, and of the law side."""

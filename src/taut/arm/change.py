@@ -27,8 +27,6 @@ from taut.base.types import ArrayLike, Float64Array
 if TYPE_CHECKING:
     from taut.arm.description import Arm
 
-__all__ = ["body_replaced", "geared", "home_replaced", "joints_replaced", "locked_copy", "perturbed_copy"]
-
 ROOT = "<base>"
 LIMITS: Final = ("lower", "upper", "velocity", "effort")  # which may be infinite
 JOINT_FIELDS: Final = (*LIMITS, *FRICTION_FIELDS, "gear", "rotor_inertia")
@@ -198,11 +196,9 @@ def _column(arm: Arm, name: str, given: ArrayLike | Mapping[str, float]) -> Floa
 
 
 def perturbed_copy(arm: Arm, *, seed: int, mass: float, com: float, inertia: float, friction: float) -> Arm:
-    """The arm with random errors in masses, centres of mass, sizes and friction.
+    """The arm with random errors in masses, centres of mass, sizes and friction, log-normal where positive.
 
-    Spreads are log-normal where a value must stay positive, so that every draw is a possible arm. The size
-    acts on the second moment of mass, S = tr(I)/2 1 - I, axis by axis: any positive S is a rigid body, so the
-    triangle inequality holds by construction.
+    The size acts on the second moment of mass S = tr(I)/2 1 - I axis by axis: any S > 0 is a rigid body.
     """
     seed = whole_number("seed", seed)
     for name, value in (("mass", mass), ("com", com), ("inertia", inertia), ("friction", friction)):

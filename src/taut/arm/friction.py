@@ -12,8 +12,6 @@ from taut.base.checks import entry_names, finite_array, read_only
 from taut.base.errors import RangeError, ShapeError
 from taut.base.types import ArrayLike, Float64Array
 
-__all__ = ["FRICTION_FIELDS", "FRICTION_UNITS", "Friction"]
-
 # What stands at rest, and what it must not be less than: the same in motion.
 AT_REST: Final = {"static": "coulomb", "load_motor_static": "load_motor", "load_external_static": "load_external"}
 
@@ -128,11 +126,7 @@ FRICTION_FIELDS: Final = tuple(field.name for field in fields(Friction))
 
 
 def check_at_rest(at_rest: ArrayLike, moving: ArrayLike, name: str, prefix: str = "friction.") -> None:
-    """Friction at rest is no less than friction in motion.
-
-    Raises:
-        RangeError: It is.
-    """
+    """Friction at rest is no less than friction in motion."""
     rest, kinetic = np.broadcast_arrays(np.asarray(at_rest, dtype=np.float64), np.asarray(moving, dtype=np.float64))
     wrong = np.argwhere(np.atleast_1d(rest < kinetic))
     if len(wrong):

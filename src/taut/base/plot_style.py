@@ -1,7 +1,4 @@
-"""Style of figures: colours that colour-blind readers tell apart, letters that stay legible in a paper.
-
-Nothing here touches matplotlib's global state: every size and colour is given where it is used.
-"""
+"""Style of figures: colours for colour-blind readers, legible letters; matplotlib's globals stay untouched."""
 
 from __future__ import annotations
 
@@ -17,26 +14,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import FigureBase
     from matplotlib.lines import Line2D
-
-__all__ = [
-    "COLOURS",
-    "DASHED",
-    "DOTTED",
-    "INK",
-    "LETTER",
-    "SMALL",
-    "WIDTH",
-    "LineStyle",
-    "colour",
-    "dashes",
-    "legend_above",
-    "legend_rows",
-    "line",
-    "prepared",
-    "short",
-    "short_name",
-    "wrapped",
-]
 
 LineStyle: TypeAlias = Literal["-"] | tuple[float, tuple[float, ...]]
 

@@ -34,8 +34,6 @@ from taut.book.single_joint import W, angles, ticks, trajectory
 from taut.laws import PID, ComputedTorque, FeedForward, FrictionCompensation
 from taut.trajectories import Sine
 
-__all__: list[str] = []
-
 LINE_BY_LINE: Final = "the pseudocode, line by line"
 STATE: Final = JointMotion(q=[0.9], v=[0.5], a=[-1.2])  # desired, chosen
 THETA, V = 0.7, 1.3  # [rad], [rad/s] actual, chosen
@@ -72,9 +70,6 @@ def fig_10_9() -> Shown:
     yield row("last torque of 100 ticks at 100 Hz [N m]", got[-1], written[-1], LINE_BY_LINE, rel=1e-11)
     yield row("the torque that differs most [N m]", got[worst], written[worst], LINE_BY_LINE)
     yield "Chosen: a sine as trajectory."
-
-
-# -------------------------------------------------------------------- figures 10.10 and 10.12
 
 
 CENTRES: Final = {1: -0.5 * math.pi, 2: 0.5 * math.pi}  # [rad] of the tasks of figure 10.10
@@ -199,9 +194,6 @@ def fig_10_12() -> Shown:
         "the gains over M. Both confirm the chapter: better tracking than either alone, less effort than feedback "
         "alone. " + FRICTION
     )
-
-
-# -------------------------------------------------------------------- feedback linearisation
 
 
 @entry("eq-10.17", "error dynamics along any trajectory")

@@ -20,8 +20,6 @@ from taut.book.single_joint import ConstantTorque
 from taut.environments import Damper, Environments, Spring
 from taut.laws import ForceControl
 
-__all__ = ["eraser"]
-
 F: Final = np.array([5.0, -3.0, -10.0, 0.3, 0.2, -0.1])  # [N, N m] of the arm on what it touches
 KFP, KFI = 0.5, 3.0  # [1], [1/s] those of MATHS: the pole is -2, the chapter's is -6
 UNKNOWN: Final = 0.5  # [kg] that the law does not know

@@ -23,9 +23,6 @@ from taut.laws import PID, Dither, RaisedGains
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__: list[str] = []
-
-
 STATIC, KINETIC, VISCOUS, STRIBECK = 0.5, 0.3, 0.2, 0.1  # [N m], [N m], [N m s/rad], [rad/s] chosen
 LAWS: Final = {
     "(a) viscous": Friction(viscous=VISCOUS),

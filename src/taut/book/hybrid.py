@@ -18,8 +18,6 @@ from taut.laws import HybridMotionForce, TaskComputedTorque
 from taut.maths.constraints.multipliers import force_projector
 from taut.trajectories import Line
 
-__all__: list[str] = []
-
 BOARD_HEIGHT: Final = 0.4  # [m] of the board
 BY_HAND: Final = "the equation in NumPy, with MuJoCo's M, h and J"
 V_JOINTS: Final = np.array([0.3, -0.2, 0.25, 0.1, -0.4, 0.3, 0.2])  # [rad/s] chosen, before the board is kept to

@@ -40,8 +40,6 @@ from taut.drives import Actuation
 from taut.laws import PID
 from taut.trajectories import Sine
 
-__all__: list[str] = []
-
 HOME: Final = -math.pi / 2.0  # [rad] where figure 10.6 starts
 PID_DURATION: Final = 12.0  # [s]
 BOUND: Final = (B + KD) * KP / M  # [N m/(rad s)] of Ki

@@ -20,8 +20,6 @@ from taut.book.page import MUJOCO, TWO_BY_HAND, Row, Shown, compared, curve, ent
 from taut.laws import PID, ComputedTorque, FrictionCompensation, GravityPID
 from taut.trajectories import Sine
 
-__all__ = ["Q", "V"]
-
 Q: Final = np.array([0.3, -0.5, 0.4, -1.9, 0.2, 1.6, 0.7])  # [rad] of the Panda, chosen
 V: Final = np.array([0.5, -0.3, 0.4, 0.2, -0.6, 0.7, -0.4])  # [rad/s]
 A: Final = np.array([1.0, 0.5, -0.7, 0.9, -0.4, 0.3, 1.1])  # [rad/s^2]
@@ -59,8 +57,6 @@ def eq_10_22() -> Shown:
     yield from compared(TORQUE, got, wanted, MUJOCO)
     yield "Chosen: kp = 80, kd = 12, ki = 30."
 
-
-# -------------------------------------------------------------------- PD with gravity compensation
 
 KP, KD = np.array([40.0, 20.0]), np.array([3.0, 1.0])  # [N m/rad], [N m s/rad] of two links, chosen
 START, GOAL = np.array([1.2, -0.9]), np.array([-0.4, 0.8])  # [rad]
@@ -166,9 +162,6 @@ def eq_10_27() -> Shown:
         "Where theta-dot = 0 off the goal, the spring ensures that theta-ddot is not zero, so that theta-dot becomes "
         "so; the chapter writes that theta-dot is not zero. Numbers of equation 10.23."
     )
-
-
-# -------------------------------------------------------------------- decentralised control
 
 
 def crosstalk(M: Float64Array, kp: Float64Array, kd: Float64Array) -> float:

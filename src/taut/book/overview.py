@@ -20,8 +20,6 @@ from taut.trajectories import Sine
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__: list[str] = []
-
 RATES: Final = (100.0, 200.0, 500.0, 1000.0, 2000.0, 5000.0)  # [Hz]
 KP, KD = 400.0, 40.0  # [1/s^2], [1/s]
 SIZE, PACE, LONG = 0.8, 4.0, math.pi  # [rad], [rad/s], [s] of the sine that is followed

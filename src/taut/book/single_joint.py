@@ -55,8 +55,6 @@ from taut.control.trajectories.reference import Sample
 from taut.laws import PID, FrictionCompensation
 from taut.trajectories import Sine
 
-__all__: list[str] = []
-
 THETA, V, A = 0.7, 1.3, -0.4  # [rad], [rad/s], [rad/s^2] a state of the link, chosen
 STATE: Final = f"Chosen: theta = {THETA} rad, theta-dot = {V} rad/s, theta-ddot = {A} rad/s^2."
 

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from taut.control.law import Law
     from taut.record.run import Run
 
-__all__ = ["COMPARE", "DESIGN"]
-
 
 def _compare(arguments: argparse.Namespace, say: Say) -> Answer:
     """Compare or grade, and write the report; a request that is wrong is refused before anything runs."""
@@ -122,8 +120,6 @@ states of the reference's own run.
 {STATUS}""",
 )
 
-
-# -------------------------------------------------------------------- design
 
 NUMBERS: Final = {
     "zeta": "damping ratio; 1 for critical damping",

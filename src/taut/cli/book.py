@@ -15,8 +15,6 @@ from taut.cli.command import DONE, FAILED, STATUS, Answer, Command, Say
 if TYPE_CHECKING:
     from taut.book.page import Page
 
-__all__ = ["BOOK"]
-
 LINE_LETTERS: Final = 120  # letters of a line in a file or a pipe
 
 

@@ -16,8 +16,6 @@ from taut.base.errors import ModelError, count_of
 from taut.base.result import Table
 from taut.cli.command import DONE, WRONG, Answer, Command, Say
 
-__all__ = ["ARMS", "BENCH", "CHECK", "LAWS"]
-
 
 def _arms(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
     from taut.arm.report import arm_rows

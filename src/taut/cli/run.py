@@ -10,8 +10,6 @@ from taut.base.errors import UsageError
 from taut.base.result import Table
 from taut.cli.command import DONE, FAILED, GAIN, STATUS, WRONG, Answer, ByName, Command, Say, load_law
 
-__all__ = ["DOCTOR", "REPORT", "RUN", "SCENARIOS"]
-
 
 def _run(arguments: argparse.Namespace, say: Say) -> Answer:
     from taut.scenarios.run import run_scenario

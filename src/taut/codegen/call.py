@@ -24,19 +24,6 @@ from taut.codegen.llvm import Writer
 from taut.codegen.native import NativeModule
 from taut.codegen.program import Block
 
-__all__ = [
-    "METH_FASTCALL_KEYWORDS",
-    "METH_NOARGS",
-    "READY",
-    "TAKEN",
-    "Argument",
-    "CallPath",
-    "Context",
-    "layout_key",
-    "offsets",
-    "slot_offsets",
-]
-
 METH_NOARGS: Final = 0x4
 METH_FASTCALL_KEYWORDS: Final = 0x82
 NPY_DOUBLE: Final = 12
@@ -50,9 +37,6 @@ class Argument:
 
     fields: tuple[str, ...]
     is_object: bool = False
-
-
-# -------------------------------------------------------------------- how Python objects lie in memory
 
 
 @dataclass(frozen=True)
@@ -132,9 +116,6 @@ def slot_offsets(cls: type, names: tuple[str, ...]) -> tuple[int, ...] | None:
 def layout_key() -> bytes:
     """What of Python's and NumPy's memory layout is baked into generated code."""
     return repr((offsets(), object.__basicsize__)).encode()
-
-
-# -------------------------------------------------------------------- the context
 
 
 WORDS: Final = (
@@ -253,8 +234,6 @@ def _address(function: Any) -> int:
     assert address is not None
     return address
 
-
-# -------------------------------------------------------------------- text
 
 _BLOCKS: Final = ("inputs", "parameters", "memory", "new", "before", "seen", "outputs")
 

@@ -17,19 +17,6 @@ from taut.codegen import native
 from taut.codegen.native import NativeModule
 from taut.codegen.program import Block, Function, Program, trace
 
-__all__ = [
-    "Engine",
-    "EngineChoice",
-    "Evaluate",
-    "Flat",
-    "Steps",
-    "best_engine",
-    "chosen_engine",
-    "machine_code",
-    "plain",
-    "verified",
-]
-
 Engine: TypeAlias = Literal["native", "float"]
 EngineChoice: TypeAlias = Literal["auto", "native", "float"]
 ENGINES: Final[tuple[EngineChoice, ...]] = ("auto", "native", "float")
@@ -75,9 +62,6 @@ def chosen_engine(engine: EngineChoice) -> Engine:
     return "float"
 
 
-# -------------------------------------------------------------------- one evaluation
-
-
 def plain(
     function: Function, inputs: Block, parameters: Block, memory: Block, *, new: Block, outputs: Block
 ) -> Evaluate:
@@ -108,9 +92,6 @@ def machine_code(address: int) -> Evaluate:
         function(*(part.ctypes.data for part in flat))
 
     return evaluate
-
-
-# -------------------------------------------------------------------- that both agree
 
 
 def verified(

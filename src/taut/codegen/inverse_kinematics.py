@@ -20,8 +20,6 @@ from taut.maths.ik import DIRECTIONS, Directions, IkOutcome, Task, posture_step,
 from taut.maths.model import model_of
 from taut.trace.pose import Pose
 
-__all__ = ["IkResult", "inverse_kinematics"]
-
 STEPS: Final = 100  # of a search from one start
 FLAT_SLOPE: Final = 1e-9  # slope of the error, without dimension, under which it does not fall any more
 STUBBORN: Final = 1e5  # damping at which no step was better for long
@@ -78,28 +76,27 @@ def inverse_kinematics(
     """Joint positions that bring a frame of the arm to a pose.
 
     Law:
-        Levenberg-Marquardt steps dq = (J^T J + mu |e| I)^-1 J^T e, kept where |e| falls; a joint at its limit that
-        the gradient J^T e would drive beyond it is held. Redundant arms then go along their free motion to
-        the position that is nearest to the posture. Joints that turn further than once end within half a turn of q0
-        where their limits allow.
+        Levenberg-Marquardt steps dq = (J^T J + mu |e| I)^-1 J^T e, accepted where |e| falls; a joint at a limit that
+        the gradient J^T e would drive beyond it is held. Redundant arms then move in the null space to the position
+        nearest to the posture. Joints with a range above one turn end within half a turn of q0 where their limits
+        allow.
 
     Args:
         arm: The arm.
-        pose: T_WD, where the frame is to be.
-        q0: (n,) where the search starts [rad | m]; home if left out. Further starts are random.
+        pose: T_WD, the target of the frame.
+        q0: (n,) start of the search [rad | m]; home if left out. Further starts are random.
         frame: The frame; the arm's tool if left out.
         posture: (n,) what redundant arms stay near to [rad | m]; q0 if left out.
         directions: "all" six; "position"; "pointing", for tools that may spin: position, and where z points.
-        tolerance: How much error may be left [m, rad].
-        restarts: How many random starts are tried where q0 does not lead to the target.
+        tolerance: Largest error of position [m] and of rotation [rad].
+        restarts: Number of random starts that are tried where q0 does not lead to the target.
         seed: Of the random starts.
 
     Returns:
-        The positions, the outcome, what is left of the error. A target that is out of reach is an outcome, no error.
+        The positions, the outcome, the remaining error. A target that is out of reach is an outcome, no error.
 
     Raises:
-        UsageError: Not an arm, not a pose, unknown directions.
-        UnknownNameError: The arm has no such frame.
+        UsageError, UnknownNameError: Not an arm, not a pose, unknown directions, no such frame.
         ShapeError: q0 or posture of another size.
         RangeError: Positions that are not finite, in degrees, or beyond the limits; a tolerance that is not positive.
 

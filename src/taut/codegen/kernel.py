@@ -29,8 +29,6 @@ from taut.codegen.llvm import declarations, kernel
 from taut.codegen.native import available, compiled, warn_of_plain_python
 from taut.codegen.program import Block, Function, Program, Values, trace
 
-__all__ = ["Alone", "Blocks", "Call", "Kernel", "NativeFunction", "native"]
-
 
 class Blocks:
     """The numbers that a kernel reads and writes, each block one flat array."""
@@ -178,8 +176,6 @@ class Kernel:
             self.step = context.builtin("step", METH_FASTCALL_KEYWORDS, "One tick: arrays in, a new array out.")
         self.tick = context.builtin("tick", METH_NOARGS, "One tick on the bound arrays.")
 
-    # ---------------------------------------------------------------- its state
-
     @property
     def ready(self) -> bool:
         """Whether memory has started and waits for nothing."""
@@ -210,8 +206,6 @@ class Kernel:
         self._ready_word = TAKEN if taken else READY
         if self._words["ready"]:
             self._words["ready"] = self._ready_word
-
-    # ---------------------------------------------------------------- a tick in Python
 
     def preview(self, parameters: Float64Array) -> dict[str, Float64Array]:
         """The memory that a tick with these parameters would leave, by path. Nothing is changed but the time."""
@@ -255,9 +249,6 @@ def _reads(program: Program, path: str) -> bool:
     field = program.inputs.field(path)
     index = range(field.offset, field.offset + field.size)
     return any(program.graph.ops[i] == 1 and program.graph.a[i] in index for i in program.live)
-
-
-# -------------------------------------------------------------------- any function of arrays
 
 
 def native(function: Callable[..., Array], **shapes: int | tuple[int, ...]) -> NativeFunction:

@@ -12,8 +12,6 @@ from typing import Final
 from taut.codegen.program import Program
 from taut.trace.graph import BOOLEAN_OPS, LARGEST, NONE, Op
 
-__all__ = ["LIBM", "Writer", "declarations", "kernel"]
-
 # A product and a sum are rounded once, together, where the processor can. Which of them is decided here and not by
 # LLVM, so that code gives the same numbers at each of its levels.
 #
@@ -396,9 +394,6 @@ class _Body:
                 f" %{block}{offset} = getelementptr double, ptr %{block}, i64 {offset}",
                 f" store double {self._value(i)}, ptr %{block}{offset}",
             ]
-
-
-# -------------------------------------------------------------------- functions around a kernel
 
 
 class Writer:

@@ -18,8 +18,6 @@ from taut.codegen.native import NativeModule, compiled, level_for
 from taut.codegen.program import Block, Field, Program, trace
 from taut.loop import Loop
 
-__all__ = ["StepLoop", "TracedSteps", "compiled_loop", "write_period"]
-
 COMMAND = "command"  # the output that must be finite as memory must be
 Run: TypeAlias = Callable[[Float64Array, Float64Array, Float64Array, Float64Array], int]
 
@@ -174,9 +172,6 @@ def _native_run(address: int) -> Run:
         return int(loop(len(inputs), inputs.ctypes.data, inputs.shape[1], *numbers, outputs.shape[1]))
 
     return run
-
-
-# -------------------------------------------------------------------- LLVM text
 
 
 def write_period(w: Writer, parameters: str, memory: str, repeats: int, after: str) -> None:

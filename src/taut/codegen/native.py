@@ -25,19 +25,6 @@ from taut.base.errors import TautError, warn
 from taut.codegen.llvm import LIBM
 from taut.trace import graph
 
-__all__ = [
-    "LEVEL",
-    "QUICK",
-    "NativeModule",
-    "available",
-    "cache_folder",
-    "compiled",
-    "level_for",
-    "load",
-    "store",
-    "warn_of_plain_python",
-]
-
 LEVEL: Final = 2  # of LLVM's code generator; 3 gives nothing, 1 is no faster to compile
 QUICK: Final = 0  # a fifth of the time to compile, three times that to run
 PATIENCE: Final = 50_000  # calls of code until it was worth compiling well
@@ -194,8 +181,6 @@ def _linked(code: bytes, names: Sequence[str], *, cached: bool) -> NativeModule:
     library = builder.link(_jit(number // LIBRARIES), f"taut{number}")
     return NativeModule({name: int(library[name]) for name in names}, cached, len(code), library)
 
-
-# -------------------------------------------------------------------- the cache: whole entries or none, and only ours
 
 MAGIC: Final = b"taut2\n"  # then a digest of the rest: the key, and the content
 DIGEST: Final = 32  # bytes of SHA-256

@@ -23,8 +23,6 @@ from taut.trace.array import traced_array
 from taut.trace.graph import NONE, Graph, Op
 from taut.trace.scalar import Condition, Scalar, to_node, tracing
 
-__all__ = ["Block", "Field", "Function", "Program", "Values", "failure", "to_casadi", "trace"]
-
 Values: TypeAlias = Mapping[str, Any]
 Function: TypeAlias = Callable[[Values, Values, Values], tuple[Values, Values]]
 """(inputs, parameters, memory) -> (outputs, new memory), each by path; for floats and for symbols."""

@@ -22,8 +22,6 @@ from taut.trace.array import traced_array
 from taut.trace.derivative import tangents
 from taut.trace.scalar import Condition, active_graph, to_node, to_symbol
 
-__all__ = ["TANGENT", "StepTangent", "tangent_block", "with_tangent"]
-
 TANGENT: Final = "tangent."  # begins the path of a derivative
 
 

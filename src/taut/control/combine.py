@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from taut.control.closed_loop import ApparentImpedance, ClosedLoop
     from taut.control.tasks.task import Task
 
-__all__ = ["Sum", "Wrapper", "added", "all_laws", "bare", "law_classes", "title"]
-
 ADDED_ONCE = {
     "gravity": "use one law that does not (PID instead of GravityPID or ComputedTorque)",
     "coriolis": "use one law that does not (PID or GravityPID instead of ComputedTorque)",
@@ -87,8 +85,8 @@ class Wrapper(Law, abstract=True):
     """Base of a law around a law, which it calls with `self.inner(...)`. Paths of gains and memory are those of both.
 
     `EnergyTank(law=Impedance(K=..., B=...), capacity=2.0)` has the parameters law.K, law.B and law.capacity, and the
-    columns of both. What it follows, controls and needs is what its law does. A wrapper states its own gains and
-    memory, `command`, and in `check` what it needs of its law.
+    columns of both. References and needs are those of its law. A wrapper states its own gains, memory and `command`,
+    and in `check` what it needs of its law.
     """
 
     law: Part[Law] = Part(Law, inline=True)
@@ -155,11 +153,7 @@ def _check_added_once(owner: dict[str, str], name: str, used: set[str]) -> None:
 
 
 def added(first: Law, second: Law) -> Sum:
-    """The sum of two laws; sums are flattened.
-
-    Raises:
-        UsageError: The two follow different kinds of reference.
-    """
+    """The sum of two laws, flattened; UsageError if they follow different kinds of reference."""
     follows = second.reference if first.ignores_reference else first.reference
     if not second.ignores_reference and second.reference is not follows:
         raise UsageError(

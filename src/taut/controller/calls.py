@@ -16,8 +16,6 @@ from taut.control.lawside import LawSide
 from taut.control.trajectories.reference import Sample, Trajectory
 from taut.maths.snapshot import AT_TOOL, MEASUREMENTS
 
-__all__ = ["BoundKernel", "checked_arguments", "sample_arguments", "step_arguments"]
-
 WHY: Final = {
     "v": ", measured velocities, unless compiled with sensing=taut.Sensing(velocity='difference')",
     "F_ext": ", which the law asks for: pass F_ext= or F_app=",

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from taut.control.tasks.task import Task
     from taut.controller.calls import BoundKernel
 
-__all__ = ["Controller", "compile"]
-
 
 class Controller:
     """A law with its sensing and limits, compiled for one arm. Made by `taut.compile`.
@@ -69,8 +67,6 @@ class Controller:
         kernel = recording_kernel(self.side, self.engine, sensed, ticks)
         kernel.blocks.parameters[:] = self._kernel.blocks.parameters
         return kernel
-
-    # ---------------------------------------------------------------- what it is
 
     @property
     def law(self) -> Law | Task:
@@ -140,8 +136,6 @@ class Controller:
             "taut.compile(ctrl.law, ctrl.arm, rate=ctrl.rate)"
         )
 
-    # ---------------------------------------------------------------- running it
-
     def step(
         self,
         q: ArrayLike,
@@ -200,11 +194,11 @@ class Controller:
             return self._command.copy()
 
     def reset(self, tau_applied: ArrayLike | None = None) -> None:
-        """Forget everything: the next tick starts memory from what is measured then.
+        """Start memory anew, in the next tick, from what is measured then.
 
         Args:
-            tau_applied: (n,) the command that the plant holds now, from which a rate limit and a blend start: what
-                the controller before this one gave last. The model's gravity torque if left out.
+            tau_applied: (n,) the command that the plant has now, from which a rate limit and a blend start: the last
+                one of the controller before. The model's gravity torque if left out.
 
         Raises:
             UsageError: A torque for a controller that does not remember one.
@@ -239,8 +233,6 @@ class Controller:
         if self._task is None:
             raise UsageError("a controller of one law has no phases; compile a list of taut.Phase", name="phase")
         return self._task.name(self._machine.started)
-
-    # ---------------------------------------------------------------- looking inside
 
     @property
     def terms(self) -> Mapping[str, Vector]:

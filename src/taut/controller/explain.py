@@ -14,8 +14,6 @@ from taut.controller.parameters import short
 if TYPE_CHECKING:
     from taut.controller.controller import Controller
 
-__all__ = ["explanation", "statements", "summary"]
-
 
 def explanation(ctrl: Controller) -> str:
     """What `ctrl.explain()` prints."""

@@ -20,8 +20,6 @@ from taut.control.lawside import HELD, KNOWN, LawSide, Probe
 from taut.control.trajectories.reference import Sample
 from taut.maths.snapshot import measurement_shapes
 
-__all__ = ["DT", "SideFunctions", "kernel_of", "not_finite", "recording_kernel", "reference_shapes"]
-
 DT: Final = "dt"  # the period stands beside the parameters, so that code serves every rate
 
 
@@ -173,9 +171,6 @@ def _random_samples(side: LawSide, blocks: Blocks) -> list[Flat]:
             remembered["law.next"][...], remembered["law.ticks"][...] = k // 2 % phases, k % 2
         samples.append((inputs, blocks.parameters.copy(), memory))
     return samples
-
-
-# -------------------------------------------------------------------- a tick that fails
 
 
 def not_finite(side: LawSide, kernel: Kernel) -> TautError:

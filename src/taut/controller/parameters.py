@@ -16,8 +16,6 @@ from taut.codegen.kernel import Kernel
 from taut.control.lawside import HELD, KNOWN, LawSide
 from taut.controller.kernel import not_finite
 
-__all__ = ["ControllerParameters", "State", "StateMachine", "take_up_change"]
-
 
 class State(Enum):
     """What the next tick of a controller does first."""

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from taut.linear.linear_system import LinearSystem
 
-__all__ = ["figure_of", "pole_axes"]
-
 PLOT_POINTS: Final = 600  # of a continuous step response
 MARGIN: Final = 1.15  # [-] of the farthest pole: the size of its axes
 SETTLED: Final = 1.3  # [-] settling times that a step response shows

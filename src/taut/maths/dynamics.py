@@ -1,13 +1,11 @@
 """Kinematics and dynamics of a tree of joints, written once, for floats and for symbols.
 
-Vectors are (n,) in the order of the arm's joints. Frames: body i's own frame unless said. The payload is
-added to the body that carries the tool; rotor inertia acts on each joint's own acceleration. Friction is
-not in here: h = C v + g.
+Vectors are (n,) in the order of the arm's joints, in body i's own frame unless said. The payload is added to the body
+that carries the tool; rotor inertia acts on each joint's own acceleration. Without friction: h = C v + g.
 
 References:
-    Featherstone, Rigid Body Dynamics Algorithms (2008): recursive Newton-Euler (5.3), composite rigid
-    bodies (6.2). Echeandia and Wensing, J. Computational and Nonlinear Dynamics 16 (2021): the Christoffel
-    matrix by recursion.
+    Featherstone, Rigid Body Dynamics Algorithms (2008): recursive Newton-Euler (5.3), composite rigid bodies (6.2).
+    Echeandia and Wensing, J. Computational and Nonlinear Dynamics 16 (2021): the Christoffel matrix by recursion.
 """
 
 from __future__ import annotations
@@ -24,27 +22,7 @@ from taut.trace import math as tm
 from taut.trace.math import cross
 from taut.trace.pose import Pose
 
-__all__ = [
-    "bias",
-    "compensation",
-    "coriolis_matrix",
-    "forward_dynamics",
-    "gravity_torque",
-    "inverse_dynamics",
-    "jacobian",
-    "jacobian_rate_v",
-    "kinetic_energy",
-    "link_poses",
-    "mass_matrix",
-    "pose",
-    "potential_energy",
-    "twist",
-]
-
 Z = np.array([0.0, 0.0, 1.0])
-
-
-# -------------------------------------------------------------------- one joint
 
 
 def _placed(joint: JointConstants, q: Any) -> tuple[Matrix, Vector3]:
@@ -82,16 +60,13 @@ def _swept(w: Vector3, dw: Vector3) -> Matrix:
 def _motions(
     model: Model,
     placed: Sequence[tuple[Matrix, Vector3]],
-    bodies: Iterable[int],
+    bodies: Iterable[int],  # each after its parent
     v: Vector | None,
     a: Vector | None,
     *,
-    gravity: bool,
+    gravity: bool,  # the base is accelerated by -g
 ) -> dict[int, Motion]:
-    """Angular velocity and acceleration, acceleration of the origin and U of bodies, each after its parent.
-
-    In body axes; None stands for zeros. With gravity all falls upwards: the base is accelerated by -g.
-    """
+    """Angular velocity and acceleration, acceleration of the origin and U of bodies, in body axes; None is zero."""
     zero = np.zeros(3)
     out: dict[int, Motion] = {BASE: (zero, zero, -model.gravity_B if gravity else zero, np.zeros((3, 3)))}
     for i in bodies:
@@ -114,9 +89,6 @@ def _motions(
         out[i] = w_i, dw_i, dv_i, _swept(w_i, dw_i)
     del out[BASE]
     return out
-
-
-# -------------------------------------------------------------------- inverse dynamics
 
 
 def inverse_dynamics(
@@ -178,9 +150,6 @@ def compensation(model: Model, adds: Adds, q: Vector, v: Vector, payload: Payloa
     return total  # type: ignore[no-any-return]
 
 
-# -------------------------------------------------------------------- mass matrix
-
-
 def mass_matrix(model: Model, q: Vector, payload: PayloadValues | None = None) -> Matrix:
     """(n, n) M, symmetric positive definite, by composite rigid bodies."""
     placed = _placed_all(model, q)
@@ -225,9 +194,6 @@ def forward_dynamics(
             M[i, i] = M[i, i] + damping[i]
     solved: Vector = tm.solve_spd(M, tau - bias(model, q, v, payload))
     return solved
-
-
-# -------------------------------------------------------------------- frames
 
 
 def link_poses(model: Model, q: Vector) -> list[tuple[Matrix, Vector3]]:
@@ -301,8 +267,8 @@ def twist(model: Model, q: Vector, v: Vector, frame: str | None = None, axes: st
 def jacobian_rate_v(model: Model, q: Vector, v: Vector, frame: str | None = None, axes: str = "W") -> Vector:
     """(6,) J-dot v: the acceleration of a frame when the joints do not accelerate [m/s^2, rad/s^2].
 
-    With axes "W" the linear part is the acceleration of the frame's origin; with axes "E" it is the rate of
-    the twist's own numbers in the turning frame.
+    With axes "W" the linear part is the acceleration of the frame's origin, with "E" the rate of the twist's own
+    numbers.
     """
     body, R_in_body, p_in_body = model.placement(frame)
     if body == BASE:
@@ -316,9 +282,6 @@ def jacobian_rate_v(model: Model, q: Vector, v: Vector, frame: str | None = None
     velocity = twist(model, q, v, frame, axes="E")
     w_E = velocity[3:]
     return tm.array([*(R_in_body.T @ dp - cross(w_E, velocity[:3])), *(R_in_body.T @ dw)])
-
-
-# -------------------------------------------------------------------- Coriolis matrix and energy
 
 
 def coriolis_matrix(model: Model, q: Vector, v: Vector, payload: PayloadValues | None = None) -> Matrix:
@@ -411,10 +374,7 @@ def kinetic_energy(model: Model, q: Vector, v: Vector, payload: PayloadValues | 
 
 
 def potential_energy(model: Model, q: Vector, payload: PayloadValues | None = None) -> Any:
-    """Potential energy in the gravity field [J], zero at the world's origin.
-
-    The bodies are taken from the Arm itself: regrouping keeps torques, not where the mass is.
-    """
+    """Potential energy in gravity [J], zero at the world's origin, of the Arm's bodies: regrouping moves mass."""
     g = model.arm.gravity
     energy: Any = 0.0
     links = link_poses(model, q)

@@ -13,16 +13,6 @@ from taut.base.types import ArrayLike, Vector
 from taut.trace import math as tm
 from taut.trace.linalg import LTDL
 
-__all__ = [
-    "DryFriction",
-    "FrictionValues",
-    "FRICTION_SWEEPS",
-    "dry_friction",
-    "dry_limit",
-    "friction_torque",
-    "stribeck_share",
-]
-
 REST: Final = 1e-12  # [rad/s | m/s] of a joint that friction holds is rounding: it rests, and sgn(v) is 0
 MIN_SPEED: Final = 1e-150  # [rad/s | m/s] a speed below it is rest: 1 / x would overflow in a derivative
 MAX_LOG_POWER: Final = 6.7  # exp(-exp(6.7)) is zero in floating point; beyond it a power would only overflow
@@ -42,15 +32,15 @@ class DryFriction:
 
 
 def dry_friction(
-    factors: LTDL,
-    v_free: Vector,
-    low: Vector,
-    high: Vector,
-    guess: Vector,
-    dt: Any,
+    factors: LTDL,  # of the mass matrix, with implicit damping if any
+    v_free: Vector,  # (n,) velocities that the step would give without dry friction
+    low: Vector,  # (n,) largest friction against positive motion [N m | N]
+    high: Vector,  # (n,) the same against negative motion
+    guess: Vector,  # (n,) friction torques of the last step
+    dt: Any,  # [s]
     *,
-    joints: Sequence[int],
-    stop: Vector | None = None,
+    joints: Sequence[int],  # those with dry friction
+    stop: Vector | None = None,  # (n,) torques that would stop all joints, where at hand
     sweeps: int = FRICTION_SWEEPS,
 ) -> DryFriction:
     """Velocities after dry friction, and the friction torques that give them.
@@ -62,21 +52,8 @@ def dry_friction(
         f_i = -low_i where v_i > 0,   f_i = high_i where v_i < 0,   -low_i <= f_i <= high_i where v_i = 0
 
     solved by a fixed number of projected Gauss-Seidel sweeps, so that it is straight-line code. Where friction can
-    stop every joint at once it does, exactly and from the first step on; else the sweeps start from the last step's
-    torques. Half of them find which joints are held; these are then solved for together, exactly, and the other half
-    puts right what that moved.
-
-    Args:
-        factors: Factors of the mass matrix (with implicit damping, if any).
-        v_free: (n,) velocities that the step would give without dry friction.
-        low: (n,) largest friction against motion in the positive direction [N m | N].
-        high: (n,) the same against motion in the negative direction.
-        guess: (n,) friction torques of the last step.
-        dt: Length of the step [s].
-        joints: Indices of the joints that have dry friction.
-        stop: (n,) friction torques that would stop all n joints in this step, where all have dry friction and the
-            torques are at hand; else they are computed.
-        sweeps: Number of sweeps.
+    stop every joint at once it does, exactly; else the sweeps start from the last step's torques. Half of them find
+    which joints stick; these are then solved for together, exactly, and the other half corrects what that moved.
     """
     n, k = len(low), len(joints)
     W = factors.inverse()
@@ -159,9 +136,6 @@ def _within(x: Any, least: Any, most: Any) -> Any:
     return tm.where(x < least, least, tm.where(x > most, most, x))
 
 
-# -------------------------------------------------------------------- the law of friction
-
-
 @dataclass(frozen=True, kw_only=True)
 class FrictionValues:
     """The numbers of a `Friction` as arrays or symbols; None for what is zero, or at rest as in motion."""
@@ -183,7 +157,6 @@ class FrictionValues:
 
     @classmethod
     def fixed(cls, friction: Friction) -> FrictionValues:
-        """A friction's own numbers."""
         return cls.of({name: getattr(friction, name) for name in FRICTION_FIELDS}, friction)
 
     @staticmethod
@@ -193,18 +166,15 @@ class FrictionValues:
 
     @property
     def dry(self) -> bool:
-        """Whether there is any dry friction."""
         return self.coulomb is not None or self.static is not None or self.loaded
 
     @property
     def loaded(self) -> bool:
-        """Whether it grows with load."""
         names = ("load_motor", "load_external", "load_motor_static", "load_external_static")
         return any(getattr(self, name) is not None for name in names)
 
     @property
     def falls(self) -> bool:
-        """Whether it is larger at rest than in motion."""
         return any(getattr(self, name) is not None for name in AT_REST)
 
 
@@ -220,7 +190,7 @@ def _there(name: str, structure: Friction) -> bool:
 
 
 def stribeck_share(values: FrictionValues, v: Vector, at_rest: ArrayLike | None = None) -> Vector:
-    """(n,) s, the share of the excess of static friction that is there: 1 at rest, towards 0 with speed.
+    """(n,) s, the fraction of the excess of static friction that acts: 1 at rest, towards 0 with speed.
 
     Law:  s = exp(-(|v| / stribeck)^stribeck_shape); where stribeck = 0, 0 as soon as a joint moves
     """
@@ -245,24 +215,17 @@ def _power(x: Vector, exponent: Any) -> Vector:
 
 def dry_limit(
     values: FrictionValues,
-    v: Vector,
-    at_rest: ArrayLike | None = None,
-    tau_motor: ArrayLike = 0.0,
-    tau_load: ArrayLike = 0.0,
+    v: Vector,  # (n,) [rad/s | m/s]
+    at_rest: ArrayLike | None = None,  # (n,) whether a joint sticks; by its speed alone if left out
+    tau_motor: ArrayLike = 0.0,  # (n,) torque of the motor at the joint [N m | N]
+    tau_load: ArrayLike = 0.0,  # (n,) by weight, motion and contact [N m | N]; at rest -tau_motor
 ) -> Vector:
-    """(n,) the largest dry friction [N m | N]: what acts in motion, and at rest what a joint can be held with.
+    """(n,) the largest dry friction [N m | N]: what acts in motion, and the limit of what acts at rest.
 
     Law:  d = coulomb + (static - coulomb) s + load + s excess
           load = |load_external tau_load - load_motor tau_motor|
           excess: the same with load_external_static - load_external, load_motor_static - load_motor
           s: see `stribeck_share`
-
-    Args:
-        values: The friction.
-        v: (n,) speeds [rad/s | m/s].
-        at_rest: (n,) where friction holds a joint, true or false; if left out s is that of the speed alone.
-        tau_motor: (n,) torque of the motor at the joint [N m | N].
-        tau_load: (n,) what weight, motion and contact put on the joint [N m | N]; at rest -tau_motor.
 
     Example:
         >>> friction = FrictionValues.fixed(Friction(coulomb=1.0, static=2.0, stribeck=0.1))
@@ -306,11 +269,9 @@ def _load(motor: Any, external: Any, tau_motor: ArrayLike, tau_load: ArrayLike) 
 def friction_torque(
     values: FrictionValues, v: Vector, tau_motor: ArrayLike = 0.0, tau_load: ArrayLike = 0.0
 ) -> Vector:
-    """(n,) the torque of friction on joints that move [N m | N]; of dry friction nothing at v = 0.
+    """(n,) torque of friction on joints that move [N m | N]; dry friction is zero at v = 0, see `dry_limit`.
 
     Law:  f = -viscous v - d(v) sgn(v)
-
-    What acts at v = 0 the law of friction alone does not say: it is what holds the joint, up to `dry_limit`.
     """
     f: Vector = tm.zeros(np.shape(v))
     if values.viscous is not None:

@@ -1,7 +1,7 @@
 """Inverse kinematics: the error of a pose, its rows of J, and steps of a damped search; for floats and symbols.
 
-Rows are without dimension: metres are divided by a length of the arm, so that they compare with radians. What a joint
-must not do is left out by a mask, `free`, of ones and zeros.
+Rows are dimensionless: metres are divided by a length of the arm, so that they compare with radians. A mask `free` of
+ones and zeros leaves out joints.
 
 References:
     Section 10.2.3, equations 10.28 to 10.30. Nakamura and Hanafusa, J. Dynamic Systems, Measurement and Control 108
@@ -28,20 +28,6 @@ from taut.maths.spatial import rotation_log
 from taut.trace import math as tm
 from taut.trace.linalg import LTDL
 from taut.trace.pose import Pose
-
-__all__ = [
-    "DIRECTIONS",
-    "Directions",
-    "IkOutcome",
-    "Resolved",
-    "Task",
-    "damping_near_singularity",
-    "held_joints",
-    "posture_step",
-    "search_step",
-    "shortened",
-    "task_of",
-]
 
 Directions = Literal["all", "pointing", "position"]
 SIZES: Final[dict[Directions, int]] = {"all": 6, "pointing": 5, "position": 3}
@@ -73,19 +59,15 @@ class IkOutcome(enum.Enum):
 
     @classmethod
     def of(cls, code: float) -> IkOutcome:
-        """The outcome behind a number."""
         return list(cls)[round(float(code))]
-
-
-# -------------------------------------------------------------------- what is asked of the tool
 
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """Which frame is to go where, in which directions.
+    """Frame and directions of a target: "all" is position and rotation vector in world axes.
 
-    With "all" these are the position and the rotation vector of the error in world axes; with "pointing" the position
-    and the two turns about the frame's own x and y that bring its z axis home; with "position" the first three.
+    "position" is the first three, "pointing" the position and the two rotations about the frame's own x and y that
+    align its z axis.
     """
 
     frame: str | None
@@ -96,12 +78,10 @@ class Task:
 
     @property
     def asked(self) -> int:
-        """Number of directions."""
         return SIZES[self.directions]
 
     @property
     def size(self) -> int:
-        """Number of rows."""
         return len(self.rows)
 
     def seen(self, T: Pose, six: Array) -> Array:
@@ -172,14 +152,10 @@ def task_of(arm: Arm, frame: str | None, directions: Directions) -> Task:
     return Task(frame=frame, directions=directions, rows=rows, rank=rank, length=length)
 
 
-# -------------------------------------------------------------------- solving for joints
-
-
 class Resolved:
-    """x with J x = b as well as it goes, |x - null| least: one factorisation for many b.
+    """x with J x = b by least squares, |x - null| least: one factorisation for many b, over the free joints.
 
-    x = null + J^T (J J^T + damping)^-1 (b - J null) where there are more joints than rows, and
-    x = (J^T J + damping)^-1 J^T b where there are not, both with the columns of the free joints alone.
+    x = null + J^T (J J^T + damping)^-1 (b - J null) for more joints than rows, else x = (J^T J + damping)^-1 J^T b.
     """
 
     def __init__(self, J: Matrix, free: Vector, damping: Any) -> None:
@@ -217,10 +193,9 @@ def _normal(Jf: Matrix, free: Vector, damping: Any) -> Matrix:
 
 
 def damping_near_singularity(J: Matrix, free: Vector, largest: Any) -> Any:
-    """Damping (to be added to J J^T) that is largest^2 at a singularity and exactly zero away from one.
+    """Damping (to be added to J J^T) that is largest^2 at a singularity and exactly zero from s = 2 largest on.
 
-    Nearness is s = trace((J J^T)^-1)^-1/2, between the smallest singular value and 0.4 of it; damping begins at
-    s = 2 largest.
+    s = trace((J J^T)^-1)^-1/2 lies between 0.4 of the smallest singular value and that value.
     """
     inverse = LTDL(_normal(J * free, free, TINY)).inverse()
     total = inverse[0, 0]
@@ -228,9 +203,6 @@ def damping_near_singularity(J: Matrix, free: Vector, largest: Any) -> Any:
         total = total + inverse[i, i]
     near = tm.maximum(0.0, 1.0 - 1.0 / (total * (4.0 * largest * largest + TINY)))
     return largest * largest * near * near
-
-
-# -------------------------------------------------------------------- limits
 
 
 def held_joints(q: Vector, wish: Vector, lower: Float64Array, upper: Float64Array) -> Vector:
@@ -250,17 +222,13 @@ def shortened(x: Vector, longest: Any) -> Vector:
     return short
 
 
-# -------------------------------------------------------------------- steps of a search
-
-
 def search_step(
     model: Model, task: Task, state: Array, target: Array, lower: Float64Array, upper: Float64Array
 ) -> Array:
-    """One step of a Levenberg-Marquardt search with limits: a new state from an old one.
+    """One step of a Levenberg-Marquardt search with limits (projected Newton): a new state from an old one.
 
-    A state is (kept q, tried q, cost of the kept one, damping, linear error, angular error, slope, limited). What was
-    tried is kept where it is better; the next try starts from what is kept. Joints at a limit that the gradient
-    would drive beyond are held (projected Newton). A target is (p, R row by row, posture).
+    State: (best q, tried q, cost of the best, damping, linear error, angular error, slope, limited).
+    Target: (p, R row by row, posture).
     """
     n = model.n
     kept, tried, cost, trust = state[:n], state[n : 2 * n], state[2 * n], state[2 * n + 1]
@@ -287,8 +255,7 @@ def posture_step(
 ) -> Array:
     """One step towards the posture among the positions that keep the tool where it is to be.
 
-    A state is (q, held, and of the q before it: linear error, angular error, distance to the posture; size of the
-    step), a target as for `search_step`.
+    State: (q, held joints, linear error, angular error distance to the posture of the q before; step size).
     """
     n = model.n
     q, held = state[:n], state[n : 2 * n]

@@ -1,8 +1,8 @@
 """Model: the constants of an Arm in the form the dynamics compute with.
 
-Joint axes are turned onto z, so that a rotation has two unknown numbers, and the part of each body that is
-symmetric about its joint axis is moved to the body before it (Khalil's minimal set of inertial parameters).
-Joint torques stay exactly what they were; on the Panda one operation in seven vanishes.
+Joint axes are rotated onto z, so that a rotation has two unknown numbers, and the part of each body that is symmetric
+about its joint axis is moved to the body before it (Khalil's minimal set of inertial parameters). Joint torques stay
+exactly the same; on the Panda one operation in seven vanishes.
 """
 
 from __future__ import annotations
@@ -20,8 +20,6 @@ from taut.base.errors import UsageError, unknown_name
 from taut.base.types import Array, Float64Array, Matrix, Matrix3, Point3, Vector3
 from taut.trace import math as tm
 from taut.trace.pose import snapped
-
-__all__ = ["Adds", "Chain", "Link", "Model", "PayloadValues", "RigidBody", "model_of"]
 
 Z = np.array([0.0, 0.0, 1.0])
 COMPONENTS: Final = ("gravity", "coriolis", "friction")  # torques that a plant may add
@@ -71,7 +69,6 @@ class PayloadValues:
         return cls(mass=values["mass"], com=values["com"], inertia=values["inertia"])
 
     def body(self) -> RigidBody:
-        """The payload as a rigid body, in the tool frame."""
         S = tm.skew(self.com)
         I = inertia_matrix(self.inertia) - self.mass * (S @ S)
         return RigidBody(m=self.mass, h=self.mass * self.com, I=I)
@@ -102,7 +99,6 @@ class Model:
 
     @property
     def n(self) -> int:
-        """Number of joints."""
         return len(self.joints)
 
     def placement(self, frame: str | None) -> tuple[int, Float64Array, Float64Array]:
@@ -178,9 +174,6 @@ def _rounded(x: Float64Array) -> Float64Array:
     return np.where(np.abs(x) <= REGROUPING_ROUNDING * scale, 0.0, x)
 
 
-# -------------------------------------------------------------------- the joints on the way to one frame
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Link:
     """One joint of a chain, with its axis on z."""
@@ -252,33 +245,18 @@ def _turned_about_z(R: Float64Array, angle: Float64Array) -> Float64Array:
     return np.stack([c * x + s * y, c * y - s * x, R[:, :, 2]], axis=2)
 
 
-# -------------------------------------------------------------------- what a plant adds itself
-
-
 @dataclass(frozen=True, kw_only=True)
 class Adds:
-    """Torques that the plant adds to every command.
+    """Torques that the plant adds to every command."""
 
-    Args:
-        gravity: Gravity of the arm, and of `load` where one is known to it.
-        coriolis: Coriolis and centripetal torques.
-        friction: The arm's own friction.
-        load: The payload whose gravity the plant adds; None means the controller's own payload.
-    """
-
-    gravity: bool = False
-    coriolis: bool = False
-    friction: bool = False
-    load: Payload | None = None
+    gravity: bool = False  # of the arm, and of `load` where one is known to it
+    coriolis: bool = False  # Coriolis and centripetal torques
+    friction: bool = False  # the arm's own
+    load: Payload | None = None  # whose gravity the plant adds; None is the controller's own payload
 
     @classmethod
     def of(cls, given: Adds | Iterable[str] | Mapping[str, Payload | None]) -> Adds:
-        """From names such as ("gravity", "coriolis"), or {"gravity": Payload(...)}.
-
-        Raises:
-            UnknownNameError: A component that no plant adds.
-            UsageError: A payload for something else than gravity.
-        """
+        """From names such as ("gravity", "coriolis"), or {"gravity": Payload(...)}."""
         if isinstance(given, Adds):
             return given
         if isinstance(given, str):
@@ -304,7 +282,6 @@ class Adds:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The components that are added."""
         return tuple(name for name in COMPONENTS if getattr(self, name))
 
     def __str__(self) -> str:

@@ -1,9 +1,9 @@
-"""Through singularities and to the end of the reach: joint accelerations that are smooth where an arm cannot follow.
+"""Joint accelerations that are smooth through singularities and at the end of the reach, where an arm cannot follow.
 
-Where J is singular its inverse asks for any speed and any torque. Here the direction that is nearly lost is damped,
-and nothing else; what it asks of the joints is held within what they can do; elsewhere nothing changes. Targets that
-are certainly out of reach lie outside of spheres which points of the tool can never leave: a pose within all of them
-may still be out of reach; one outside of any of them is.
+Where J is singular its inverse asks for any speed and any torque. Only the direction that is nearly lost is damped,
+and what it asks of the joints is limited to what they can do; elsewhere nothing changes. Targets that are certainly
+out of reach lie outside of a sphere which a point of the tool can never leave; within all of them is no proof of
+reach.
 """
 
 from __future__ import annotations
@@ -23,19 +23,6 @@ from taut.maths.snapshot import Snapshot
 from taut.maths.task_inertia import least_direction
 from taut.trace import math as tm
 from taut.trace.linalg import factor_spd
-
-__all__ = [
-    "Asked",
-    "Beyond",
-    "ResolvedMotion",
-    "Sizes",
-    "Sphere",
-    "TOP_SPEED",
-    "distance_beyond",
-    "resolve",
-    "sizes_of",
-    "spheres",
-]
 
 BORDER: Final = 0.1  # smallest singular value of J under which an arm of 0.9 m and more is near a singularity
 DAMPING_AT_SINGULARITY: Final = 0.1  # lambda at the singularity, as a fraction of the limit of manipulability
@@ -84,21 +71,21 @@ class ResolvedMotion:
 
 
 def resolve(
-    x: Snapshot,
-    J: Matrix,
-    a: Vector,
+    x: Snapshot,  # at the measured state
+    J: Matrix,  # (k, n) of the task
+    a: Vector,  # (k,) task acceleration less J-dot v
     *,
-    rate: Any,
-    held: Any,
-    beyond: Any = 0.0,
-    damping: Any = DAMPING_AT_SINGULARITY,
-    share: Any = SHARE,
+    rate: Any,  # k [1/s] of joints that the task does not move: the damping of the task
+    held: Any,  # memory, zero at the start
+    beyond: Any = 0.0,  # 0 to 1: how clearly the target is out of reach
+    damping: Any = DAMPING_AT_SINGULARITY,  # lambda at the singularity, as a fraction of the limit of manipulability
+    share: Any = SHARE,  # of the torque that h leaves, for motion near a singularity
 ) -> ResolvedMotion:
     """Joint accelerations for a task acceleration: J^# a away from singularities, and smooth through them.
 
     Law:          v_c = v_g + rho v_u,  v_g + v_u = v + (J_d^# (a + k J v) - k v) / k,  q_ddot = s k (c v_c - v)
                   J^# = M^-1 J^T Lambda for n > k joints; for n <= k the least-squares inverse (J^T W J)^-1 J^T W,
-                    W weighing a rotation against a way with a third of the arm's reach
+                    W weighing a rotation against a displacement with a third of the arm's reach
                   J_d^# the same, damped by lambda^2 along the one direction in which J moves least
                   v_u   what that direction asks of the joints; rho <= 1 leaves of it what their speed limits allow
                   c <= 1 brings the rest within the speed limits, s <= 1 the torque of motion M q_ddot within `share`
@@ -110,16 +97,6 @@ def resolve(
     Closed loop:  near a singularity v follows v_c at the rate k, so that no joint gets faster than its limit, and
                   motion in the lost direction dies out at the rate k; what is given up is along that direction only
                   N^T tau_0 fades out towards a singularity, where the rate k takes its place
-
-    Args:
-        x: The arm at its measured state.
-        J: (k, n) Jacobian of the task.
-        a: (k,) acceleration of the task less J-dot v.
-        rate: k, at which joints settle where the task does not move them [1/s]: the damping of the task.
-        held: Memory, zero at the start.
-        beyond: 0 to 1: how clearly the target is out of reach.
-        damping: lambda at the singularity, as a fraction of the limit of manipulability.
-        share: Of the torque that h leaves, what motion may use near a singularity.
 
     References:
         Nakamura and Hanafusa (1986), ASME J. Dynamic Systems 108. Chiaverini (1997), IEEE Transactions on Robotics
@@ -238,9 +215,6 @@ def _folded(pick: Callable[[Any, Any], Any], values: list[Any]) -> Any:
     return values[0]
 
 
-# -------------------------------------------------------------------- the end of the reach
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sphere:
     """Where a point of the tool can be, whatever the joints do within their limits."""
@@ -252,10 +226,7 @@ class Sphere:
 
 @functools.lru_cache(maxsize=64)
 def spheres(model: Model, frame: str | None, asked: Asked) -> tuple[Sphere, ...]:
-    """Of the tool's origin and, where its orientation is asked for too, of a point on the last joint's axis.
-
-    That point is the one nearest to the axis before: of a wrist whose axes meet, their centre.
-    """
+    """Of the tool's origin and, for a pose, of the last axis' point nearest to the axis before (wrist centre)."""
     chain = Chain.of(model, frame)
     if not chain.links:
         return ()
@@ -288,7 +259,6 @@ class Beyond:
 
     @classmethod
     def of(cls, all_of: tuple[Sphere, ...], p: Vector3, R: Array) -> Self:
-        """That of a pose."""
         past: Any = 1.0
         for sphere in all_of:
             way = p + R @ sphere.point - sphere.centre if sphere.point.any() else p - sphere.centre

@@ -17,8 +17,6 @@ from taut.trace import math as tm
 from taut.trace.linalg import LTDL
 from taut.trace.pose import Pose
 
-__all__ = ["MEASUREMENTS", "Snapshot", "measurement_shapes", "snapshot"]
-
 T = TypeVar("T")
 
 MEASUREMENTS: Final[Mapping[str, str]] = {
@@ -42,12 +40,12 @@ def measurement_shapes(n: int) -> dict[str, tuple[int, ...]]:
 class Snapshot:
     """The arm at one instant, as law code sees it: x.q, x.v, x.M, x.h, x.J("tool"), ...
 
-    Everything is computed when first asked for, and once. In a traced law the numbers are symbols; in the
-    float engine, and in `taut.snapshot(arm, q, v)`, they are plain arrays.
+    Everything is computed when first asked for, and once: symbols in a traced law, plain arrays in the float engine
+    and in `taut.snapshot(arm, q, v)`.
 
     Frames: `x.T(frame)` is T_WE; `x.J(frame)` is J_WE_W (world-aligned), `x.J(frame, axes="E")` is J_WE_E.
-    Model quantities are those of the controller's arm and payload; what the plant adds itself is left out
-    of `x.g`, `x.h` and `x.Cv`, so that a law adds exactly what is missing.
+    Model quantities are those of the controller's arm and payload; `x.g`, `x.h` and `x.Cv` leave out what the plant
+    adds itself, so that a law adds exactly what is missing.
     """
 
     __slots__ = (
@@ -108,8 +106,6 @@ class Snapshot:
             raise AttributeError(name)
         known = [word for word in dir(type(self)) if not word.startswith("_")]
         raise AttributeError(str(unknown_name("the snapshot x", "quantity", name, known)), name=name, obj=None)
-
-    # ---------------------------------------------------------------- measurements
 
     @property
     def q(self) -> Vector:
@@ -172,8 +168,6 @@ class Snapshot:
         """(n,) what limits took from the last command, commanded minus applied, in its unit; zero without limits."""
         self.used.add("tau_cut")
         return self._measured.get("tau_cut", np.zeros(self.n))
-
-    # ---------------------------------------------------------------- dynamics
 
     @property
     def M(self) -> Matrix:
@@ -259,8 +253,6 @@ class Snapshot:
             Friction(viscous=np.zeros(self.n), coulomb=np.zeros(self.n)) if self._adds.friction else self.arm.friction
         )
 
-    # ---------------------------------------------------------------- kinematics
-
     def T(self, frame: str | None = None) -> Pose:
         """T_WE of a frame; of the tool if none is named."""
         return self._once(("T", frame), lambda: dyn.pose(self.model, self.q, frame))
@@ -284,8 +276,6 @@ class Snapshot:
     def difference(self, q_des: Vector) -> Vector:
         """(n,) q_des - q the short way round; continuous joints wrap."""
         return self.arm.difference(q_des, self.q)
-
-    # ---------------------------------------------------------------- other snapshots
 
     @property
     def measured(self) -> Mapping[str, Array]:
@@ -317,11 +307,7 @@ class Snapshot:
         )
 
     def turned(self, R: Rotation, frame: str | None = None) -> Snapshot:
-        """The same state, with the motion of a frame in axes that are rotated by R about its origin.
-
-        Its pose is the same, its twist and Jacobian are those of here times R^T: what a constraint sees that is
-        turned by R.
-        """
+        """The same state and pose, with a frame's twist and Jacobian multiplied by R^T: motion in rotated axes."""
         twin = self.with_own_record()
         twin.used = self.used
         twin._cache = {
@@ -360,7 +346,7 @@ def snapshot(arm: Arm, q: ArrayLike, v: ArrayLike | None = None, payload: Payloa
     Raises:
         ShapeError: Wrong number of entries.
         RangeError: NaN or infinite entries.
-        UsageError: Not an arm, or not a payload.
+        UsageError: Not an arm or not a payload.
 
     Example:
         >>> import taut

@@ -1,9 +1,9 @@
 """Rotations and rigid motions: logarithm, exponential, adjoint and their rates, for floats and symbols.
 
 6-vectors have the linear part first. Everything is smooth through the identity and accurate up to rotations by pi,
-where the axis has two signs and one is chosen. Of many rotations R = exp(r), one a row, the body rate is
-omega = J_r(r) r_dot and its own rate alpha = J_r(r) r_ddot + J_r_dot r_dot, with the right Jacobian J_r of SO(3):
-both directions are here, for rotation vectors shorter than 2 pi.
+where the axis has two signs and one is chosen. Of many rotations R = exp(r), one a row, the body rate is omega =
+J_r(r) r_dot and its own rate alpha = J_r(r) r_ddot + J_r_dot r_dot, with the right Jacobian J_r of SO(3): both
+directions, for rotation vectors shorter than 2 pi.
 
 References:
     Lynch and Park, Modern Robotics (2017), chapter 3; Barfoot, State Estimation for Robotics (2017), section 7.1.5.
@@ -18,27 +18,6 @@ import numpy as np
 from taut.base.types import Float64Array, Matrix, Rotation, Twist, Vector3
 from taut.trace import math as tm
 from taut.trace.pose import Pose, quaternion
-
-__all__ = [
-    "adjoint",
-    "curve",
-    "exp_rows",
-    "from_body_rates",
-    "left_jacobian",
-    "left_jacobian_inverse",
-    "log_rows",
-    "moved",
-    "pose_exp",
-    "pose_log",
-    "pose_log_rate",
-    "rotated",
-    "rotated_matrix",
-    "rotation_exp",
-    "rotation_log",
-    "rotation_log_and_curve",
-    "to_body_rates",
-    "turned_back",
-]
 
 SERIES_BELOW: Final = 1e-4  # [rad^2] square of an angle below which a series is more accurate than the formula
 SERIES_BELOW_OF_RATES: Final = 1e-3  # [rad^2] likewise of the rates of its coefficients
@@ -56,9 +35,6 @@ def rotated_matrix(R: Rotation, C: Matrix) -> Matrix:
         for j in (0, 3):
             out[i : i + 3, j : j + 3] = R @ C[i : i + 3, j : j + 3] @ R.T
     return out
-
-
-# -------------------------------------------------------------------- rotations
 
 
 def _half_angle(R: Rotation) -> tuple[Vector3, Any, Any]:
@@ -142,9 +118,6 @@ def left_jacobian_inverse(w: Vector3) -> Matrix:
     return tm.eye(3) - 0.5 * W + c * (W @ W)  # type: ignore[no-any-return]
 
 
-# -------------------------------------------------------------------- rigid motions
-
-
 def adjoint(T: Pose) -> Matrix:
     """(6, 6) Ad of T_AB: takes a twist of B's numbers to A's, linear part first."""
     out = tm.zeros((6, 6))
@@ -191,9 +164,6 @@ def pose_log_rate(xi: Twist) -> Matrix:
     out[:3, :3] = out[3:, 3:] = inverse
     out[:3, 3:] = -(inverse @ Q @ inverse)
     return out
-
-
-# -------------------------------------------------------------------- many rotations at once, one a row
 
 
 Coefficients = tuple[Float64Array, Float64Array, Float64Array, Float64Array]

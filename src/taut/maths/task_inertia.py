@@ -14,18 +14,12 @@ from taut.maths.snapshot import snapshot
 from taut.trace import math as tm
 from taut.trace.linalg import LTDL, factor_spd
 
-__all__ = ["TaskInertia", "least_direction", "rotor_share"]
-
 TINY = 1e-12  # [1/kg and its like] keeps the pivots of what is to be inverted from zero
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TaskInertia:
-    """Lambda = (J M^-1 J^T)^-1 (k, k), and what goes with it.
-
-    References:
-        Khatib (1987), IEEE Journal of Robotics and Automation 3 (1).
-    """
+    """Lambda = (J M^-1 J^T)^-1 (k, k): Khatib (1987), IEEE Journal of Robotics and Automation 3 (1)."""
 
     J: Matrix  # (k, n)
     M_factors: LTDL
@@ -34,13 +28,7 @@ class TaskInertia:
 
     @classmethod
     def of(cls, J: Matrix, M_factors: LTDL, damping: Any = 0.0) -> TaskInertia:
-        """That of a Jacobian (k, n): (J M^-1 J^T + damping I)^-1, unbounded near singularities without damping.
-
-        Args:
-            J: (k, n) Jacobian.
-            M_factors: Factors of the mass matrix.
-            damping: [1/kg, 1/(kg m^2)] constant damping; it blurs all directions, everywhere.
-        """
+        """(J M^-1 J^T + damping I)^-1, unbounded near singularities without damping [1/kg, 1/(kg m^2)]."""
         half = M_factors.half(J.T)
         A = M_factors.gram(half)
         if not (isinstance(damping, float) and damping == 0.0):
@@ -49,15 +37,10 @@ class TaskInertia:
 
     @classmethod
     def bounded(cls, J: Matrix, M_factors: LTDL, most: Any) -> TaskInertia:
-        """That of a Jacobian (k, n), with at most about `most` along the direction that is nearly lost.
+        """That of a Jacobian (k, n), with at most about `most` [kg, kg m^2] along the direction u nearly lost.
 
-        Elsewhere nothing changes: with u that direction of J, Lambda becomes (J M^-1 J^T + s u u^T)^-1 with an s that
-        is zero where u . Lambda u < most / 2 and rises smoothly. It serves arms that lack a direction for good, too.
-
-        Args:
-            J: (k, n) Jacobian.
-            M_factors: Factors of the mass matrix.
-            most: Largest inertia along that direction [kg, kg m^2].
+        Lambda becomes (J M^-1 J^T + s u u^T)^-1 with an s that is zero where u . Lambda u < most / 2 and rises
+        smoothly. It serves arms that lack a direction for good, too.
         """
         half = M_factors.half(J.T)
         rows = [i for i in range(len(J)) if not _is_zero(J[i])]  # a planar arm never moves along the others
@@ -112,10 +95,10 @@ def least_direction(J: Matrix) -> tuple[Vector, Any]:
 
 
 def rotor_share(arm: Arm, q: ArrayLike | None = None) -> Float64Array:
-    """(n,) the part of each joint's inertia that is its geared rotor, from 0 to 1; the rest is links and payload.
+    """(n,) the fraction of each joint's inertia that is its geared rotor, from 0 to 1; the rest is links and payload.
 
     Law:  G^2 I_motor / M_ii(q), with the mass matrix M, rotors included. One half is inertia matched. The nearer to
-        1, the less a joint feels of a load and of the other joints: its dynamics are those of its own motor.
+        1, the less load and other joints act on a joint: its dynamics are those of its own motor.
 
     Args:
         arm: The arm, its rotors from `with_gears`, a file, or `with_joints(rotor_inertia=...)`.
@@ -134,7 +117,7 @@ def rotor_share(arm: Arm, q: ArrayLike | None = None) -> Float64Array:
         [0.9524]
 
     References:
-        Chapter, section 10.2.1.5 the effect of gearing, and 10.2.2.1 for what follows for decentralised control.
+        Chapter, section 10.2.1.5 the effect of gearing; 10.2.2.1 on decentralised control.
     """
     if not isinstance(arm, Arm):  # callers without a type checker
         raise UsageError(f"rotor_share takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")

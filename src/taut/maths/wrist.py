@@ -1,8 +1,8 @@
 """The wrist's sensor: between its axes and the world's, and the wrench of what hangs beyond it.
 
-What a sensor between flange and tool reads is the wrench that everything beyond it puts on the arm: what touches
-the tool, and the weight and inertia of tool and payload. Wrenches are force first. In world axes they stand at the
-tool's origin, in the sensor's axes at its own.
+A sensor between flange and tool reads the wrench that everything beyond it puts on the arm: contact, and the weight
+and inertia of tool and payload. Wrenches are force first, in world axes at the tool's origin, in the sensor's at its
+own.
 """
 
 from __future__ import annotations
@@ -19,8 +19,6 @@ from taut.maths.model import Model, RigidBody
 from taut.trace import math as tm
 from taut.trace.math import cross
 from taut.trace.pose import snapped
-
-__all__ = ["SensorPlace", "load_wrench", "sensor_place"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,14 +45,7 @@ class SensorPlace:
         return body.seen_from(self.R_ES.T, -self.R_ES.T @ self.p_ES)
 
     def motion(self, model: Model, q: Array, v: Array, a: Array) -> tuple[Vector3, Vector3, Vector3, Vector3]:
-        """Gravity, acceleration of the sensor's origin, angular velocity and angular acceleration, in its axes.
-
-        Args:
-            model: The constants of the arm.
-            q: (n,) positions.
-            v: (n,) velocities.
-            a: (n,) accelerations.
-        """
+        """Gravity, acceleration of the sensor's origin, angular velocity and angular acceleration, in its axes."""
         R_WE, J = dyn.pose(model, q).R, dyn.jacobian(model, q)
         rates = J @ a + dyn.jacobian_rate_v(model, q, v)
         omega, alpha, r = (J @ v)[3:], rates[3:], R_WE @ self.p_ES
@@ -64,17 +55,7 @@ class SensorPlace:
 
 
 def sensor_place(arm: Arm, frame: str | None, owner: str) -> SensorPlace:
-    """Where a sensor at a frame of the arm stands; at the tool if none is named.
-
-    Args:
-        arm: The arm.
-        frame: Name of a frame that is fixed to the body which carries the tool.
-        owner: What messages call the sensor.
-
-    Raises:
-        UnknownNameError: The arm has no such frame.
-        UsageError: A frame on another body.
-    """
+    """Place of the sensor `owner` at a frame of the body that carries the tool; at the tool if none is named."""
     tool, place = arm.frame(), arm.frame(frame)
     if place.body != tool.body:
         raise UsageError(
@@ -91,21 +72,14 @@ def sensor_place(arm: Arm, frame: str | None, owner: str) -> SensorPlace:
 
 def load_wrench(
     body: RigidBody,
-    g: Vector3,
-    a: Vector3 | None = None,
-    omega: Vector3 | None = None,
-    alpha: Vector3 | None = None,
+    g: Vector3,  # (3,) [m/s^2], in the frame's axes like all that follows
+    a: Vector3 | None = None,  # (3,) of the frame's origin [m/s^2]; None for a frame at rest
+    omega: Vector3 | None = None,  # (3,) [rad/s]
+    alpha: Vector3 | None = None,  # (3,) [rad/s^2]
 ) -> Array:
     """(6,) wrench that a body's weight and inertia put on what carries it, at the frame's origin, in its axes.
 
     Law:          f = m (g - a_c),  n = c x m (g - a) - I alpha - omega x I omega
-
-    Args:
-        body: In the frame.
-        g: (3,) gravity [m/s^2], in the frame's axes like all that follows.
-        a: (3,) acceleration of the frame's origin [m/s^2]; None for a frame at rest, and what follows with it.
-        omega: (3,) angular velocity [rad/s].
-        alpha: (3,) angular acceleration [rad/s^2].
     """
     if a is None or omega is None or alpha is None:
         return tm.array([*(body.m * g), *cross(body.h, g)])

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["plot_friction"]
-
 MAX_PANELS: Final = 12
 FRICTION_PANELS_ACROSS: Final = 3  # panels side by side
 AXIS_MARGIN: Final = 1.12  # around the curves
@@ -36,7 +34,7 @@ def plot_friction(friction: Mapping[str, Friction], *, speed: float = 1.0) -> Fi
         speed: To either side [rad/s].
 
     Raises:
-        UsageError: Not friction, nothing to draw, or more panels than a figure holds.
+        UsageError: Not friction, none, or too many panels.
         RangeError: A speed that is not above zero.
 
     Example:

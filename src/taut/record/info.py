@@ -18,23 +18,6 @@ from taut.base.types import Float64Array
 from taut.control.closed_loop import ApparentImpedance
 from taut.maths.model import Chain
 
-__all__ = [
-    "POSES",
-    "Around",
-    "Change",
-    "Mesh",
-    "Outcome",
-    "PartInfo",
-    "RunInfo",
-    "ScenarioInfo",
-    "Shape",
-    "ShapeKind",
-    "Stability",
-    "Thing",
-    "check_info",
-    "versions",
-]
-
 POSES: Final = "scene.poses"  # column of a run: (m, 7) position [m] and quaternion wxyz of each thing that moves
 PACKAGES: Final = ("numpy", "llvmlite", "mujoco")
 PAYLOAD_SHAPES: Final[Mapping[str, tuple[int, ...]]] = {"mass": (), "com": (3,), "inertia": (6,)}
@@ -43,9 +26,6 @@ PAYLOAD_SHAPES: Final[Mapping[str, tuple[int, ...]]] = {"mass": (), "com": (3,),
 OutcomeKind: TypeAlias = Literal["completed", "diverged", "stopped"]
 ShapeKind: TypeAlias = Literal["plane", "box", "sphere", "ellipsoid", "cylinder", "capsule", "mesh"]
 Numbers: TypeAlias = tuple[float, ...]
-
-
-# -------------------------------------------------------------------- what stands around an arm, to be seen in films
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,9 +76,6 @@ class Around:
 
     def __bool__(self) -> bool:
         return bool(self.things or self.missing)
-
-
-# -------------------------------------------------------------------- what a run was made with, and how it ended
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,11 +173,7 @@ class RunInfo:
 
 
 def check_info(info: RunInfo, joints: Sequence[str]) -> None:
-    """Require of an info that was read that its parts fit each other and the joints of the run.
-
-    Raises:
-        ValueError: They do not; the text names the entry.
-    """
+    """Require (ValueError) that the parts of an info that was read fit each other and the joints of the run."""
     for name, right in _rules(info, joints):
         if not right:
             raise ValueError(f"info.{name} is not what taut.run records")

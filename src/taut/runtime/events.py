@@ -14,8 +14,6 @@ from taut.control.lawside import LawSide
 from taut.loop import AnyPlant, LoopParameters
 from taut.plant.environments.kinds import Push
 
-__all__ = ["Event", "Schedule", "listed"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Event:

@@ -12,8 +12,6 @@ from taut.base.types import ArrayLike, Float64Array
 from taut.plant.sensors import Sensors
 from taut.record.info import Around
 
-__all__ = ["PlantBase"]
-
 
 class PlantBase(ABC):
     """Base of a plant of your own: another simulator, a recorded system, a model in a few lines.

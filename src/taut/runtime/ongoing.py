@@ -28,8 +28,6 @@ from taut.runtime.events import Schedule
 from taut.runtime.host import PlantBase
 from taut.runtime.tape import Tape
 
-__all__ = ["FusedRun", "HostedRun", "OngoingRun", "RowLog"]
-
 RUNNING: Final = Outcome(kind="stopped", message="the run is still going on", tick=0)
 LOG_PERIOD: Final = 0.1  # [s] of computing between two writes of a log, which is so at most twice that behind
 FIRST_BLOCK: Final = 16  # ticks: how long one takes is not known yet

@@ -36,8 +36,6 @@ from taut.runtime.host import PlantBase
 from taut.runtime.ongoing import FusedRun, HostedRun
 from taut.trace.pose import Pose
 
-__all__ = ["around_info", "run"]
-
 Plant: TypeAlias = ModelPlant | PlantBase
 
 
@@ -57,33 +55,31 @@ def run(
     """Run a controller against a plant and record every tick.
 
     Model plants are fused with the controller into one native loop; engines are stepped tick by tick. A run that
-    diverges ends with that outcome, and keeps what came before. So does one in which a function of yours (a source, a
-    trajectory, a guard, a law in plain Python) or the plant raises after the first tick.
+    diverges, or in which the plant or a function of yours (a source, a trajectory, a guard, a law in plain Python)
+    raises after the first tick, ends with that outcome and keeps what came before.
 
     Args:
         ctrl: A controller from `taut.compile`, or a whole `taut.Loop` (then leave plant, ref and duration out); or a
             task, a list of `taut.Phase`, which is compiled for the plant's arm and what it adds, at 1000 Hz.
         plant: `taut.RigidPlant`, `taut.MujocoPlant`, ...
-        ref: A sample, hold, trajectory, stream or chunk; a hold of the first state if left out. None for a task,
-            whose phases have their own.
+        ref: A sample, hold, trajectory, stream or chunk; a hold of the first state if left out. None for a task.
         duration: [s].
-        q0: (n,) true positions at the start; the plant arm's home by default.
-        v0: (n,) true velocities at the start; zero by default.
+        q0: (n,) true positions at the start [rad | m]; the plant arm's home by default.
+        v0: (n,) true velocities at the start [rad/s | m/s]; zero by default.
         seed: Seed of every random number in the run.
         events: Parameters that change at stated times: taut.Event(t=, set=).
-        log: File (.mcap) that is written while the run goes on, at most 0.2 s behind. Where it cannot be written any
-            more, such as on a full disk, the run goes on without it, and the outcome counts the ticks it lacks.
+        log: File (.mcap) that is written while the run goes on, at most 0.2 s behind. Where writing fails, such as on
+            a full disk, the run goes on without it, and the outcome counts the missing ticks.
         progress: Show progress; by default on a terminal when the run takes a while.
 
     Returns:
         The record, with one row per control tick, both ends included.
 
     Warns:
-        StabilityWarning: The sampled loop is unstable at the start pose; the outcome and `run.info.stability` name
-            the direction, the spectral radius, and the largest gain that is stable.
+        StabilityWarning: The sampled loop is unstable at the start pose; `run.info.stability` has the direction, the
+            spectral radius, and the largest gain that is stable. On a real arm it is a RangeError.
 
     Raises:
-        RangeError: The same, of a plant that is a real arm.
         MatchError: Controller and plant do not fit.
         UsageError, ShapeError, RangeError: Something about the reference, the state or an event.
 
@@ -239,8 +235,6 @@ def _what_to_run(
     reference: Reference = Hold() if ref is None else as_reference(ref)
     return made, plant, reference, duration_of_ticks(duration, made.side.dt)
 
-
-# -------------------------------------------------------------------- what stands around the arm, for films
 
 BOARD: Final = (0.2, 0.35, 0.3, 1.0)
 HOLLOW: Final = (0.2, 0.35, 0.3, 0.35)  # what the tool is inside of lets it be seen

@@ -26,8 +26,6 @@ from taut.record.info import Outcome, RunInfo
 from taut.record.parts import PhaseWindow, outcome_with_phases, windows
 from taut.record.run import Run
 
-__all__ = ["Tape"]
-
 COLUMNS = ("q", "v", "tau", "command")
 SANE: Final = 1e6  # [rad/s | m/s]
 SEEN: Final = 1e-3  # [m] out of reach: less than that is nobody's concern

@@ -13,8 +13,6 @@ import numpy as np
 from taut.base.errors import TautError, TraceError, user_location
 from taut.trace.graph import Graph, Op
 
-__all__ = ["Condition", "Scalar", "Symbol", "active_graph", "to_node", "to_symbol", "tracing"]
-
 _ACTIVE: Final = threading.local()
 
 SQRT, SIN, COS, ASIN, ACOS = (int(op) for op in (Op.SQRT, Op.SIN, Op.COS, Op.ASIN, Op.ACOS))
@@ -185,8 +183,6 @@ class Condition(Symbol):
         return NotImplemented if not isinstance(other, Scalar) and _foreign(other) else self.number() != other
 
     __hash__ = Symbol.__hash__
-
-    # ---------------------------------------------------------------- as a number, as in NumPy
 
     def number(self) -> Any:
         """1.0 where it holds, else 0.0."""
@@ -366,8 +362,6 @@ class Scalar(Symbol):
     def __rmod__(self, other: Any) -> Any:
         return NotImplemented if _foreign(other) else other - self * _floored(other / self)
 
-    # ---------------------------------------------------------------- comparisons
-
     def _compare(self, op: int, a: Any, b: Any) -> Any:
         g = self.graph
         return to_symbol(g, g.compare(op, _operand(g, a), _operand(g, b)), truth=True)
@@ -394,7 +388,6 @@ class Scalar(Symbol):
 
     __hash__ = Symbol.__hash__
 
-    # ---------------------------------------------------------------- functions
     # NumPy calls these by name on the entries of an object array.
 
     def _unary(self, op: int) -> Any:

@@ -21,8 +21,6 @@ from taut.arm.rules import MAX_LINKS
 from taut.base.errors import ModelError, Problem, quoted_list, unknown_name
 from taut.trace.pose import Pose
 
-__all__ = ["urdf_tree"]
-
 WORDS: Final = Words(no_mass="give it an <inertial> with mass and inertia", wrong_inertia="fix its <inertial>")
 KINDS: Final[tuple[JointKind, ...]] = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 LIMITS: Final = ("lower", "upper", "velocity", "effort")
@@ -54,15 +52,9 @@ LIKE: Final = 0.75  # difflib's ratio from which a word is taken for another
 
 
 def urdf_tree(robot: Element, path: Path, packages: Mapping[str, Path] | None = None) -> Tree:
-    """The links and joints of a URDF document; its problems are kept in the tree, and `assemble` raises them.
+    """The links and joints of a URDF document, and its problems, which `assemble` raises.
 
-    Args:
-        robot: Its root element.
-        path: The file.
-        packages: Folders that stand for `package://NAME` in the names of meshes.
-
-    Raises:
-        ModelError: It has more links or joints than an arm.
+    `packages` has the folders that stand for `package://NAME` in mesh names.
     """
     name = robot.get("name") or path.stem
     tree = Tree(name=name, source=str(path), line=robot.line, words=WORDS)
@@ -104,8 +96,6 @@ class _Reader:
             text = "continuous, so the position limits in the file are left out"
             self._tree.notes.append(f"{quoted_list(self._wrapping)}: {text}")
 
-    # ---------------------------------------------------------------- links
-
     def _link(self, element: Element) -> TreeLink:
         link = TreeLink(name=element.get("name") or "", line=element.line)
         owner = f"link '{link.name}'"
@@ -130,8 +120,6 @@ class _Reader:
         I = inertia_matrix(six)
         link.inertia = Body(mass=m, com=origin.p, inertia=origin.R @ I @ origin.R.T)
         return link
-
-    # ---------------------------------------------------------------- joints
 
     def _joint(self, element: Element) -> TreeJoint | None:
         name = element.get("name") or ""
@@ -202,8 +190,6 @@ class _Reader:
                     self._wrapping.append(name)
                 read["lower"], read["upper"] = -math.inf, math.inf
         return read
-
-    # ---------------------------------------------------------------- pieces
 
     def _problem(self, owner: str, attribute: str, text: str, line: int) -> None:
         name = owner.partition("'")[2].removesuffix("'") or owner.partition(" ")[0]
@@ -284,10 +270,7 @@ class _Reader:
 
 
 def _slips(element: Element) -> Iterator[tuple[str, str, int]]:
-    """Words in an element that are most likely misspelt: (word, sentence, line).
-
-    Only where the known word itself is missing: `limits` beside a `limit` is a vendor's own.
-    """
+    """(word, sentence, line) of likely misspellings, only where the known word itself is missing."""
     tags = {child.tag: child.line for child in element.children}
     for tag, line in tags.items():
         like = _meant(tag, ELEMENTS.get(element.tag, ()), tags)

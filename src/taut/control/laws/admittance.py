@@ -31,8 +31,6 @@ from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import left_jacobian_inverse, rotation_exp, rotation_log
 from taut.trace import math as tm
 
-__all__ = ["Admittance"]
-
 ModelKind = Literal["own", "measured"]
 SOLVE_ROUNDING: Final = 1e-12
 

@@ -20,8 +20,6 @@ from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import rotation_exp, rotation_log
 from taut.trace import math as tm
 
-__all__ = ["along_constraint", "check_constraint", "check_place", "check_reference", "felt_along", "of_one_body"]
-
 DEPENDENT: Final = 3e-4  # of the largest singular value, rows of length 1; below it rounding is beyond 1e-9
 OUT_OF_RANGE: Final = 0.01  # [-] of a wrench, which a stream may state where the tool is, and not where it should be
 ELSEWHEN: Final = 0.1234567  # [s]

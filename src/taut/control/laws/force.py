@@ -31,8 +31,6 @@ from taut.trace import math as tm
 if TYPE_CHECKING:
     from taut.plant.contact import RigidTouch
 
-__all__ = ["E_INT_MAX", "ForceControl", "asked_multipliers", "misses", "of_wrench", "wrench_of_torques"]
-
 Feedback = Literal["wrench", "joint_torque", "none"]
 ANY: Final = ("scalar", "pair", "matrix")
 STILL: Final = 1e-12  # [m, 1] of a Jacobian's entry: below it that is rounding

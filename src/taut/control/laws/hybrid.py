@@ -41,8 +41,6 @@ from taut.maths.constraints.rows import ConstraintRows
 from taut.maths.snapshot import Snapshot
 from taut.trace import math as tm
 
-__all__ = ["HybridMotionForce"]
-
 ForceFeedback = Literal["wrench", "joint_torque"]
 TOUCHING: Final = 1.0  # [N] on a tool that counts as in contact
 

@@ -37,8 +37,6 @@ from taut.maths.task_inertia import TaskInertia
 from taut.trace import math as tm
 from taut.trace.linalg import factor_spd
 
-__all__ = ["Impedance", "Stiffness"]
-
 Feedback = Literal["wrench", "acceleration"]
 Coriolis = Literal["cancel", "keep"]
 

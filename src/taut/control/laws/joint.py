@@ -28,18 +28,6 @@ from taut.trace import math as tm
 if TYPE_CHECKING:
     from taut.control.closed_loop import ClosedLoop, PlacedGains
 
-__all__ = [
-    "PID",
-    "ComputedTorque",
-    "Dither",
-    "FeedForward",
-    "FrictionCompensation",
-    "GravityCompensation",
-    "GravityPID",
-    "RaisedGains",
-    "VelocityPI",
-]
-
 RAISED: Final = ("kp", "kd")
 INTEGRAL: Final = "e_int"
 SPREAD: Final = 3.0  # widths over which an excess that falls at once is given: tanh is near 1 there, and s is too

@@ -25,8 +25,6 @@ from taut.maths.snapshot import Snapshot
 from taut.maths.task_inertia import TaskInertia
 from taut.trace import math as tm
 
-__all__ = ["LimitAvoidance", "Manipulability", "Posture", "check_free", "check_null", "with_null_space"]
-
 
 class Posture(Law):
     """Keep a posture: each joint is drawn to its place, as far as a task leaves it free.

@@ -23,8 +23,6 @@ from taut.maths.snapshot import Snapshot
 from taut.maths.task_inertia import TaskInertia
 from taut.trace import math as tm
 
-__all__ = ["TaskComputedTorque", "TaskPosition", "TaskVelocity"]
-
 Singularity = Literal["robust", "plain"]
 ANY: Final = ("scalar", "pair", "matrix")
 

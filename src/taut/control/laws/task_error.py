@@ -32,8 +32,6 @@ from taut.maths.spatial import (
 from taut.trace import math as tm
 from taut.trace.pose import Pose
 
-__all__ = ["ERRORS", "FRAMES", "Coordinates", "ErrorKind", "GainFrame", "TaskError", "pulled", "task_error"]
-
 ErrorKind = Literal["decoupled", "body", "space", "coordinates"]
 ERRORS: Final[tuple[ErrorKind, ...]] = ("decoupled", "body", "space", "coordinates")
 GainFrame = Literal["world", "task", "tool"]

@@ -33,24 +33,6 @@ from taut.trace.linalg import LTDL, times_square_root
 if TYPE_CHECKING:
     from taut.control.tasks.task import Task
 
-__all__ = [
-    "RATE",
-    "Bound",
-    "TaskLaw",
-    "TaskSpace",
-    "bounded_inertia",
-    "check_damping",
-    "check_directions",
-    "check_sensor",
-    "far_away",
-    "modal_damping",
-    "task_gain",
-    "within_speed",
-    "wrench_at",
-    "wrench_moved",
-    "tool_loop",
-]
-
 EASED: Final = (0.05, 0.3)  # of the reach, and [rad]: what an error counts for at most, out of reach
 RATE: Final = 5.0  # [1/s] at which joints settle under a spring to a target out of reach
 HEAVY: Final = 10.0  # times the arm's mass, which no direction of its tool is made heavier than

@@ -32,8 +32,6 @@ from taut.maths.snapshot import Snapshot
 from taut.trace import math as tm
 from taut.trace.graph import LARGEST
 
-__all__ = ["ViaJointSpace", "via_joint_space"]
-
 PULL: Final = 1.0  # [1/s] at which redundant joints go to their posture
 DAMPING: Final = 0.1  # [-] of J J^T at a singularity, as the singular value that it is the square of
 RISE: Final = 0.1  # [s] in which the speed of joints that catch up is reached from rest

@@ -19,8 +19,6 @@ from taut.control.trajectories.reference import Sample
 from taut.maths.snapshot import Snapshot
 from taut.trace import math as tm
 
-__all__ = ["VirtualBall", "VirtualGroove", "VirtualWall"]
-
 NEAR: Final = 1e-9  # [m] from the centre of a ball, where no direction leads out
 
 

@@ -29,8 +29,6 @@ from taut.maths.snapshot import Snapshot
 from taut.maths.spatial import rotated
 from taut.trace import math as tm
 
-__all__ = ["EnergyTank", "LossOfContact", "NormalEstimate", "turn_between", "turned_rows"]
-
 NEVER: Final = 1e-24  # keeps a root from zero, where it has no slope
 GENTLE: Final = 2.0  # [-] times the threshold of contact: force with which a surface that was lost is sought
 BRAKING: Final = 0.02  # [s] in which motion against a surface that was lost is braked

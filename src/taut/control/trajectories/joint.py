@@ -15,8 +15,6 @@ from taut.control.trajectories.reference import JointMotion
 from taut.control.trajectories.samples import Sampled, stated_times
 from taut.control.trajectories.timing import MAX_OF_MOTION, Motion, ScalingKind, Timing
 
-__all__ = ["Cubic", "JerkLimited", "Quintic", "Sine", "Spline", "Trapezoidal"]
-
 POSITION, SPEED, ACCELERATION, JERK = "rad | m", "rad/s | m/s", "rad/s^2 | m/s^2", "rad/s^3 | m/s^3"
 
 
@@ -58,9 +56,6 @@ class Sine(JointTrajectory):
         q = self.center + self.amplitude * np.sin(angle)
         v = self.amplitude * omega * np.cos(angle)
         return JointMotion.of({"q": q, "v": v, "a": -self.amplitude * omega**2 * np.sin(angle)})
-
-
-# -------------------------------------------------------------------- point to point
 
 
 class PointToPoint(JointTrajectory):

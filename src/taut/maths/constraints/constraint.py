@@ -1,7 +1,4 @@
-"""Constraint: what a contact, a hinge or a closed chain lets an arm do, from a function of the pose: section 10.4.1.
-
-A and its rate come from differentiation, so that a constraint is stated once, as phi(T) = 0.
-"""
+"""Constraint: what a contact, a hinge or a closed chain lets an arm do, from a function phi(T): section 10.4.1."""
 
 from __future__ import annotations
 
@@ -21,8 +18,6 @@ from taut.maths.spatial import rotation_log
 from taut.trace import math as tm
 from taut.trace.pose import Pose
 
-__all__ = ["Constraint"]
-
 NO_LENGTH: Final = 1e-9  # of a direction
 MIN_SQUARE: Final = 1e-24  # [m^2] keeps a root from zero, where it has no slope
 
@@ -34,9 +29,8 @@ class Constraint:
     Law:          phi(T, t) = 0;  A(T) V + d phi/dt = 0;  A V-dot + A-dot V + ... = 0            eqs. 10.39, 10.41
                   F_app = A^T lam is what the arm can apply against it: k forces, and n - k motions are free
 
-    A one-sided row is a contact, phi >= 0: phi is positive on the free side, and lam < 0 presses.
-
-    Two constraints add up: `Constraint.plane(...) + Constraint.plane(...)`.
+    A one-sided row is a contact, phi >= 0: phi is positive on the free side, and lam < 0 presses. Two constraints add
+    up: `Constraint.plane(...) + Constraint.plane(...)`.
 
     Args:
         function: Takes the Pose of the tool, or of each of `frames`, and if it has one more argument the time [s];
@@ -45,8 +39,8 @@ class Constraint:
         one_sided: Whether the environment can only push; one for all rows, or one for each.
 
     Raises:
-        UsageError: No function; one that is constant, or a condition.
-        ShapeError: One that gives something else than a number or up to 6 of them.
+        UsageError: No function, a constant or a condition.
+        ShapeError: Neither a number nor up to 6 of them.
 
     Example:
         >>> board = Constraint(lambda T: T.p[2] - 0.1, one_sided=True)
@@ -94,10 +88,7 @@ class Constraint:
 
     @property
     def surface(self) -> bool:
-        """The first row can be pressed against: it is one-sided, or one function of poses.
-
-        A function of poses alone is positive on its free side.
-        """
+        """The first row can be pressed against: one-sided, or of poses alone, then positive on the free side."""
         first = self.pieces[0]
         return self.one_sided[0] or (bool(first.frames) and first.count == 1 and not first.pfaffian)
 
@@ -118,7 +109,7 @@ class Constraint:
         """Its rows at the state, and the time, of a snapshot.
 
         Raises:
-            UsageError: Parts of the arm's tool beside parts of a named frame, which is another one.
+            UsageError: Parts of the tool beside parts of another frame.
         """
         if self.frame not in (None, (None,)) and any(piece.frames == (None,) for piece in self.pieces):
             self._check_tool(x.arm)
@@ -161,8 +152,6 @@ class Constraint:
             return NotImplemented
         return Constraint.of((*self.pieces, *other.pieces))
 
-    # ---------------------------------------------------------------- ready-made
-
     @classmethod
     def of_joints(
         cls, function: Callable[..., Any], *, rows: int = 1, one_sided: bool | Sequence[bool] = False
@@ -171,7 +160,7 @@ class Constraint:
 
         Args:
             function: Takes (n,) joint positions, and if it has two arguments the time; gives `rows` numbers.
-            rows: How many.
+            rows: Number of rows.
             one_sided: As for a constraint of the pose.
         """
         return cls.of([of_joints(function, rows, one_sided)])
@@ -182,7 +171,7 @@ class Constraint:
 
         Args:
             function: Takes (n,) joint positions and gives A, (n,) or (rows, n), per joint speed.
-            rows: How many.
+            rows: Number of rows.
 
         Example:
             >>> import taut
@@ -234,10 +223,10 @@ class Constraint:
             point: (3,) any point of it [m], in world axes, at time 0.
             normal: (3,) its direction towards free space, of any length.
             face: (3,) direction in the tool's axes that looks along -normal, into the plane: two more rows.
-            one_sided: Whether it only pushes; the rows of a face hold both ways.
-            velocity: (3,) at which the plane moves [m/s].
-            sway: (3,) how far it goes and comes back, by (1 - cos(2 pi t / period)) / 2 of it [m].
-            period: Of that [s].
+            one_sided: Whether it only pushes; the rows of a face act both ways.
+            velocity: (3,) of the plane [m/s].
+            sway: (3,) amplitude of its oscillation, sway (1 - cos(2 pi t / period)) / 2 [m].
+            period: Of that oscillation [s].
             frame: The frame; the arm's tool if left out.
         """
         p, n = _three("point", point, "m"), _unit("normal", normal)
@@ -271,9 +260,9 @@ class Constraint:
         one_sided: bool = True,
         frame: str | None = None,
     ) -> Self:
-        """The tool's origin at a point of a surface, its rotation free: chalk that sticks; three rows.
+        """The tool's origin at a point of a surface, its rotation free: chalk that sticks.
 
-        The first row is that of the surface, and the other two are what friction holds, within its cone.
+        Three rows: the first is that of the surface, the other two are what friction holds, within its cone.
 
         Args:
             point: (3,) where it sticks [m], in world axes.
@@ -330,7 +319,7 @@ class Constraint:
 
     @classmethod
     def hinge(cls, *, point: ArrayLike, axis: ArrayLike, T: Pose, frame: str | None = None) -> Self:
-        """The tool turns about an axis only, as what holds the handle of a door does: five rows.
+        """The tool rotates about an axis only, as the handle of a door does: five rows.
 
         Args:
             point: (3,) any point of the axis [m], in world axes.
@@ -399,11 +388,7 @@ def _three(name: str, value: ArrayLike, unit: str = "") -> Float64Array:
 
 
 def _unit(name: str, value: ArrayLike) -> Float64Array:
-    """(3,) a direction, of length 1.
-
-    Raises:
-        RangeError: It has no length.
-    """
+    """(3,) a direction, of length 1. Raises RangeError."""
     vector = _three(name, value)
     length = float(np.linalg.norm(vector))
     if length < NO_LENGTH:

@@ -10,8 +10,6 @@ from taut.base.types import Matrix, Vector
 from taut.trace import math as tm
 from taut.trace.linalg import LTDL, factor_spd
 
-__all__ = ["CONTACT_SWEEPS", "Touch", "both", "choose", "contact_impulses", "held_impulses", "opposite"]
-
 CONTACT_SWEEPS: Final = 4  # of block Gauss-Seidel where several contacts act together
 SLIDING_ROUNDS: Final = 3  # of the direction of sliding, which depends on the normal force and the other way round
 CONTACT_NEWTON_STEPS: Final = 3  # of Newton's method for all contacts at once
@@ -42,17 +40,17 @@ class Touch:
 
 
 def contact_impulses(
-    W: Matrix,
+    W: Matrix,  # (m, m) velocities per impulse, B M^-1 B^T
     r: Vector,
-    touches: Sequence[Touch],
-    mu: Sequence[Any],
-    there: Sequence[Any],
-    guess: Sequence[Any],
+    touches: Sequence[Touch],  # rows of each contact; each row belongs to one
+    mu: Sequence[Any],  # of each contact, with respect to p_n; not used without tangents
+    there: Sequence[Any],  # whether each contact may act at all
+    guess: Sequence[Any],  # (m,) impulses to start from, where there are several contacts
     *,
-    radius: Sequence[Any] | None = None,
+    radius: Sequence[Any] | None = None,  # of each contact, moment about the normal over friction
     sweeps: int = CONTACT_SWEEPS,
 ) -> Vector:
-    """Impulses p of contacts, from the velocities r that their rows would have without any.
+    """Impulses p (m,) of contacts, from the velocities r that their rows would have without any.
 
     With u = r + W p, for each contact
 
@@ -60,19 +58,9 @@ def contact_impulses(
         u_t = 0 and |p_t| <= mu |p_n|,   or   p_t = -mu |p_n| u_t / |u_t|
 
     the last with a round cone; of its spin |p_s| <= radius mu |p_n| in the same way. The contacts take turns, in a
-    fixed number of sweeps so that it is straight-line code, from a guess: each finds whether it sticks, from the
-    impulses that would stop it, else roughly where it slides. Newton's method then solves for all of them together,
-    as they touch, stick and slide: three steps, of which one that does not help is not taken.
-
-    Args:
-        W: (m, m) velocities per impulse, B M^-1 B^T.
-        r: (m,) velocities without the impulses.
-        touches: The rows of each contact. Each row belongs to one.
-        mu: The friction of each contact, with respect to its impulse p_n; not used for those without tangents.
-        there: Whether each contact may act at all.
-        guess: (m,) impulses to start from, where there are several contacts.
-        radius: Of each contact, of its moment about the normal over its friction; of those with a row of spin.
-        sweeps: Number of sweeps.
+    fixed number of sweeps so that it is straight-line code: each finds whether it sticks, from the impulses that
+    would stop it, else roughly where it slides. Newton's method then solves for all of them together, as they touch,
+    stick and slide: three steps, of which one that does not help is not taken.
 
     References:
         Alart and Curnier, A mixed formulation for frictional contact problems prone to Newton like solution methods,
@@ -159,7 +147,6 @@ class _Block:
             p[i] = choose(on, value, 0.0)
 
     def _rubbing(self, r_h: Vector, r_t: Vector, y: Vector, p_h: list[Any], mu: Any) -> list[Any]:
-        """Impulses with friction."""
         assert self.all is not None
         assert self.across is not None
         assert self.plane is not None
@@ -183,10 +170,9 @@ class _Block:
 
 
 def _sliding(W: Matrix, z: Sequence[Any], c: Any, speed: Any) -> tuple[tuple[Any, Any], Any]:
-    """The direction d in which a point slides that friction of size c brakes, and its speed s, from a guess of that.
+    """Direction d in which a point slides that friction of size c brakes, and its speed s: a step of Newton's method.
 
-    One step of Newton's method in s d + c W d = z with |d| = 1, s >= 0: 1 / |(s + c W)^-1 z| is nearly straight in
-    s, and exactly so where W is the same in all directions.
+    It solves s d + c W d = z, |d| = 1, s >= 0: 1 / |(s + c W)^-1 z| is nearly linear in s, exactly for isotropic W.
     """
     size = tm.sqrt(z[0] * z[0] + z[1] * z[1])
     smallest = 1e-12 * size + MIN_SLIDING
@@ -218,11 +204,7 @@ def _turn(W: Matrix, r: Vector, touch: Touch, p: list[Any], limit: Any) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class _Mode:
-    """Behaviour of a contact at some impulses, and what Newton's method needs of it.
-
-    With z = p_t - step u_t its friction is z where |z| is within the cone, and else shortened to its border:
-    p_t = fraction z = limit d.
-    """
+    """Behaviour of a contact for Newton's method: friction is z = p_t - step u_t within the cone, else limit d."""
 
     on: Any  # whether it touches
     sticks: Any
@@ -332,15 +314,11 @@ def _newton(W: Matrix, r: Vector, touches: Sequence[Touch], modes: Sequence[_Mod
     return list(tm.solve(tm.array(A), tm.array(rhs)))
 
 
-# -------------------------------------------------------------------- small ones
-
-
 def _part(W: Matrix, rows: Sequence[int], columns: Sequence[int]) -> Matrix:
     return tm.array([[W[i, j] for j in columns] for i in rows])
 
 
 def _regularised(W: Matrix) -> Matrix:
-    """W with its `_diagonal`."""
     for i, value in enumerate([_diagonal(W, i) for i in range(len(W))]):
         W[i, i] = value
     return W

@@ -17,8 +17,6 @@ from taut.maths.snapshot import Snapshot, snapshot
 from taut.trace import math as tm
 from taut.trace.linalg import LTDL, factor_spd
 
-__all__ = ["Constrained", "force_projector", "onto"]
-
 MULTIPLIER_STEPS: Final = 30
 ON_CONSTRAINT: Final = 1e-12  # [m, rad] of phi
 CHAIN: Final = 1e-4  # [1/kg, 1/(kg m^2)] of mobility: less of it is a direction that a chain does not have
@@ -65,8 +63,7 @@ class Constrained:
     def brought_along(self, x: Snapshot, tool: str | None, tau: Vector) -> Vector:
         """(n,) torques with which a tool that is part of a closed chain moves as it would without the other part.
 
-        What moves along with the tool is accelerated by the projection of the tool's own torques only in the measure
-        of their inertias. A tool that the chain does not let move so goes as far as it can, by least squares.
+        They make up for the acceleration that the chain takes; by least squares where the tool cannot move so.
         """
         J = x.J(tool)
         lost = J @ (self.Minv_AT @ self.lam(tau - x.h))
@@ -82,10 +79,9 @@ class Constrained:
 
 
 def force_projector(A: Matrix, mobility: Matrix) -> Matrix:
-    """(6, 6) P of eq. 10.44, from A (k, 6) and Lambda^-1 = J M^-1 J^T (6, 6).
+    """(6, 6) P of eq. 10.44, from A (k, 6) and Lambda^-1 = J M^-1 J^T (6, 6): P F moves the tool, (I - P) F presses.
 
-    P F moves the tool along the constraints, (I - P) F presses against them. P^2 = P, P A^T = 0, and P Lambda is
-    symmetric: the projection is orthogonal in the product of Lambda^-1 only, and P is not symmetric.
+    P^2 = P, P A^T = 0, and P Lambda is symmetric: orthogonal in the product of Lambda^-1 only, so P is not symmetric.
     """
     W = mobility @ A.T
     pressed = factor_spd(A @ W).solve(W.T)
@@ -103,7 +99,7 @@ def onto(constraint: Constraint, arm: Arm, q: ArrayLike) -> Float64Array:
         q: (n,) where to begin [rad | m].
 
     Raises:
-        RangeError: No state of the arm near there keeps to it.
+        RangeError: No such state of the arm near there.
         UsageError: No constraint, no arm.
 
     Example:

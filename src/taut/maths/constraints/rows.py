@@ -17,8 +17,6 @@ from taut.trace import math as tm
 from taut.trace.linalg import LTDL, factor_spd
 from taut.trace.pose import Pose
 
-__all__ = ["MIN_INDEPENDENT_PART", "ConstraintRows", "Piece", "Surface", "joined", "of_joints", "of_poses"]
-
 MIN_INDEPENDENT_PART: Final = (
     1e-7  # of a row's square, what it has that later rows have not: below it, it is left out
 )
@@ -46,7 +44,6 @@ class ConstraintRows:
 
     @property
     def count(self) -> int:
-        """Number of rows."""
         return len(self.one_sided)
 
     @property
@@ -75,10 +72,7 @@ class Surface:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Piece:
-    """One function of a constraint: phi of the poses of frames, or of the joints, and of time.
-
-    A Pfaffian one gives A itself, per twist of the one frame or per joint speed, and has no phi.
-    """
+    """One function of a constraint: phi of the poses of frames, or of joints, and time; A itself if Pfaffian."""
 
     function: Callable[..., Any]
     frames: tuple[str | None, ...]  # none for a function of joints
@@ -90,11 +84,7 @@ class Piece:
     surface: Surface | None = None  # that of the first row, where it is declared
 
     def value(self, place: Sequence[Any], t: Any) -> Array:
-        """Phi (k,), or A of a Pfaffian one, at the poses of its frames, or at the joints.
-
-        Raises:
-            ShapeError: The function gives something else.
-        """
+        """Phi (k,), or A of a Pfaffian one, at the poses of its frames, or at the joints. Raises ShapeError."""
         given = self.function(*place, t) if self.timed else self.function(*place)
         try:
             if given is None or isinstance(given, (str, dict, set)):
@@ -136,7 +126,6 @@ class Piece:
         return out
 
     def at(self, x: Snapshot) -> ConstraintRows:
-        """Its rows at a state."""
         t = x.t
         place: list[Any] = [x.T(frame) for frame in self.frames] or [x.q]
         motion = tm.array([entry for frame in self.frames for entry in x.twist(frame)]) if self.frames else x.v
@@ -185,9 +174,6 @@ def joined(parts: Iterable[Vector]) -> Vector:
     return tm.array([entry for part in parts for entry in part])
 
 
-# -------------------------------------------------------------------- a user's function, tried and refused in words
-
-
 def of_poses(
     function: Callable[..., Any],
     frames: Sequence[str | None],
@@ -196,12 +182,7 @@ def of_poses(
     surface: Surface | None = None,
     pfaffian: bool = False,
 ) -> Piece:
-    """One function of the poses of frames.
-
-    Raises:
-        UsageError: No function, other arguments, one that is constant.
-        ShapeError: One that gives something else than a number or up to 6 of them, or than A.
-    """
+    """One function of the poses of frames. Raises UsageError or ShapeError for what is no such function."""
     if isinstance(frames, str) or not frames or not all(f is None or isinstance(f, str) for f in frames):
         raise UsageError(
             f"frames must be names of frames, such as frames=('left_hand', 'right_hand'); got {frames!r}",
@@ -238,12 +219,7 @@ def of_poses(
 def of_joints(
     function: Callable[..., Any], rows: int, one_sided: bool | Sequence[bool] = False, *, pfaffian: bool = False
 ) -> Piece:
-    """One function of the joints.
-
-    Raises:
-        UsageError: No function, other arguments.
-        RangeError: No number of rows.
-    """
+    """One function of the joints. Raises UsageError or RangeError."""
     timed = _is_timed(function, 1, may_be=not pfaffian)
     if isinstance(rows, bool) or not isinstance(rows, int) or rows < 1:
         raise RangeError(f"rows must be a whole number >= 1; got {rows!r}", name="rows", rule=">= 1")
@@ -254,7 +230,6 @@ def of_joints(
 
 
 def _shape(function: Callable[..., Any], arguments: Sequence[Any]) -> tuple[int, ...]:
-    """The shape of what a user's function gives."""
     try:
         value = function(*arguments)
     except TautError:
@@ -284,11 +259,7 @@ def _shape(function: Callable[..., Any], arguments: Sequence[Any]) -> tuple[int,
 
 
 def _is_timed(function: object, places: int, *, may_be: bool) -> bool:
-    """A function of so many poses, or of joints, takes the time as well.
-
-    Raises:
-        UsageError: It is no function, or takes another number of arguments.
-    """
+    """Whether a function of so many poses, or of joints, takes the time as well. Raises UsageError."""
     if not callable(function):  # callers without a type checker
         raise UsageError(
             "function of a Constraint must be a function, such as lambda T: T.p[2] - 0.1; got "
@@ -313,11 +284,7 @@ def _is_timed(function: object, places: int, *, may_be: bool) -> bool:
 
 
 def _sides(one_sided: bool | Sequence[bool], count: int) -> tuple[bool, ...]:
-    """(count,) true for rows at which the environment can only push.
-
-    Raises:
-        ShapeError: Not one for all rows, or one for each.
-    """
+    """(count,) true for rows at which the environment can only push. Raises ShapeError."""
     each = tuple(one_sided) if isinstance(one_sided, (list, tuple)) else (one_sided,) * count
     if len(each) != count or not all(isinstance(side, bool) for side in each):
         raise ShapeError(

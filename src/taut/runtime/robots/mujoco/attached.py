@@ -20,8 +20,6 @@ from taut.trace.pose import Pose
 if TYPE_CHECKING:
     import mujoco
 
-__all__ = ["AttachedPlant", "attached"]
-
 MAX_DISTANCE: Final = 1e-3  # [m] of an axis; files round their numbers
 MAX_ROTATION: Final = 1e-3  # [rad] of an axis
 MAX_RELATIVE: Final = 1e-3  # relative, of inertias and torques of gravity
@@ -104,9 +102,6 @@ class AttachedPlant(PlantInMujoco):
     def extra(self) -> dict[str, Any]:
         """(6,) F_ext of the last step; (n,) tau_cut, what the actuators cut off; (m, 7) poses of bodies that move."""
         return {"F_ext": self._F_ext, "tau_cut": self._cut, **self._poses()}
-
-
-# -------------------------------------------------------------------- the arm in the model
 
 
 def attached(model: mujoco.MjModel, data: mujoco.MjData, arm: Arm, prefix: str) -> AttachedPlant:
@@ -249,9 +244,6 @@ def _motors(rig: Rig) -> dict[int, int]:
             )
         out[i] = a
     return out
-
-
-# -------------------------------------------------------------------- the same arm
 
 
 def _at(model: mujoco.MjModel, data: mujoco.MjData, at: Any, q: Float64Array) -> mujoco.MjData:

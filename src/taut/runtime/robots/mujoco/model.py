@@ -26,8 +26,6 @@ from taut.trace.pose import Pose
 if TYPE_CHECKING:
     import mujoco
 
-__all__ = ["SpringTip", "ToolShape", "built", "put_parameters", "put_timestep"]
-
 NOSLIP_ITERATIONS: Final = 200  # a Panda that its friction holds at half its limit needs 45
 NOSLIP_TOLERANCE: Final = 1e-30  # of MuJoCo's cost; sweeps end when they gain nothing that floats can hold
 HARDEST: Final = 0.9999  # the largest impedance that MuJoCo takes

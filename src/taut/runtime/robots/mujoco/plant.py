@@ -32,8 +32,6 @@ from taut.trace.pose import Pose
 if TYPE_CHECKING:
     import mujoco
 
-__all__ = ["MujocoPlant"]
-
 MAX_DEFAULT_TIMESTEP: Final = 1e-3  # [s] of a time step that nobody asked for
 
 
@@ -49,48 +47,46 @@ class MujocoPlant(PlantInMujoco):
     A tick, as in RigidPlant: q, v, the joint torques and the wrench of the last step are measured at t_k; the command
     that follows from them is held for a whole number of MuJoCo's time steps, which end at t_k+1.
 
-    Joints are torque motors without limits of their own (limits belong to the controller), or drives that take
-    velocities or positions: see `takes`. The Arm's position limits are MuJoCo's joint limits, which push back.
-    `model` and `data` are MuJoCo's own, to look at and to add to; a run begins with the scene as it was built. Bodies
-    have the names of their links, joints and motors those of the joints; the site has the tool's name and stands on
-    the body "payload", with the sensors <tool>_force and <tool>_torque: what the arm exerts on tool and payload, in
-    the tool's axes, as a sensor at the flange reads it.
+    Joints are torque motors without limits of their own (limits belong to the controller), or drives: see `takes`.
+    The Arm's position limits are MuJoCo's joint limits, which push back. `model` and `data` are MuJoCo's own, to look
+    at and to add to; a run begins with the scene as it was built. Bodies have the names of their links, joints and
+    motors those of the joints; the site has the tool's name and stands on the body "payload", with the sensors
+    <tool>_force and <tool>_torque: what the arm exerts on tool and payload, in the tool's axes, as a sensor at the
+    flange reads it.
 
     Frames:
-        F_ext is the wrench of everything outside the arm on the body that carries the tool, force first, in world
-        axes at the tool's origin: contacts, welds, data.xfrc_applied, `environment`. The weight and inertia of tool
-        and payload are no part of it, so that a payload that hangs there does not show, and a wall pushes back with
-        the sign of the wall on the arm; a `taut.sensors.WrenchSensor(tool=...)` reads them too. It is
-        that of the last time step.
+        F_ext is the wrench of everything outside the arm on the body that carries the tool, of the last time step,
+        force first, in world axes at the tool's origin: contacts, welds, data.xfrc_applied, `environment`. A wall
+        pushes back with the sign of the wall on the arm. The weight and inertia of tool and payload are no part of
+        it; a `taut.sensors.WrenchSensor(tool=...)` reads them too.
 
     Args:
         arm: The true arm; make it differ from the controller's and there is a modelling error.
         scene: An MJCF fragment, as text or a path: bodies, geoms, assets, what ties them together. Files come from
-            its own folder only. Options and key frames are refused. A surface that a tool presses on needs a contact
-            whose force grows with the depth, priority="1" solimp="0 0.9 0.002 0.5 1"; by default it opens and closes
-            every few ticks, since MuJoCo pushes with nearly its whole force from the first micrometre.
-        scene_at: Where the scene's origin stands in the world; the world's own origin if left out.
+            its own folder only; options and key frames are refused. A surface that a tool presses on needs a contact
+            whose force grows with the depth, priority="1" solimp="0 0.9 0.002 0.5 1"; MuJoCo's default pushes with
+            nearly its whole force from the first micrometre, and so opens and closes every few ticks.
+        scene_at: Pose of the scene's origin in the world; the world's own origin if left out.
         friction: "arm" for the arm's own viscous and dry friction, None for none.
         limits: "arm" for the arm's own position limits, None for none.
         timestep: [s] of MuJoCo, a whole part of the control period; by default the largest one up to 1 ms.
         takes: The command: "torque", "velocity" or "position". The last two are drives with
-            `actuation=Actuation(bandwidth=...)` that aim at the motion of RigidPlant's stiff ones. They get there by
-            the torques of an inner loop in each time step, ten times as fast as the drive, which knows arm and
-            payload and nothing of what they touch: so that contacts and environments move the arm a little, and a
-            drive gives no more than the joint's effort. What that cuts off is the run's column tau_cut, and a
-            warning when it first happens.
+            `actuation=Actuation(bandwidth=...)` that follow the motion of RigidPlant's stiff ones by an inner torque
+            loop, ten times as fast as the drive. It knows arm and payload, but not contacts and environments, which
+            therefore move the arm a little, and gives no more than the joint's effort: the excess is the run's column
+            tau_cut, with a warning.
         adds: What the plant adds to a torque command itself: "gravity", "coriolis", and "friction", which cancels the
             arm's own, so that none is left.
-        tool_radius: [m] of the sphere at the tool's origin, which touches the scene with the friction of what it
-            touches. Nothing else of the arm touches anything.
-        tool_length: [m] of a cylinder of that radius in the sphere's place, such as a peg: its axis is the tool's z
-            axis, and its end, which is flat, is at the tool's origin. It has no mass; that is the payload's.
+        tool_radius: [m] of the sphere at the tool's origin, the only part of the arm that touches anything; it has
+            the friction of what it touches.
+        tool_length: [m] of a cylinder of that radius in the sphere's place, such as a peg, along the tool's z axis,
+            with its flat end at the tool's origin. It has no mass; that is the payload's.
         tip: A taut.environments.SpringTip that gives way and carries the sphere or cylinder; rigid if left out.
         actuation: The drives, as of RigidPlant: delay, amplifier, motor, gear; ideal if left out.
         sensors: What is measured, and how well; ideal sensors if left out.
-        environment: What acts at the tool besides the scene: a taut.environments.Push, a taut.environments.Hand,
-            ..., as of RigidPlant. It acts through data.qfrc_applied, which is then the plant's; F_ext is that of both
-            together, and the run's column work.environment [J] is what the environment did until the tick.
+        environment: What acts at the tool besides the scene, as of RigidPlant: a taut.environments.Push, Hand, ... It
+            acts through data.qfrc_applied, which is then the plant's; the run's column work.environment [J] is its
+            work.
 
     Columns of a run:
         F_ext (6,); with a scene contact.normal_force (3,), what of it is along the true normals of the contacts;
@@ -190,14 +186,13 @@ class MujocoPlant(PlantInMujoco):
         """Drive an arm inside a simulation of your own.
 
         Joints are found by name, prefix + the Arm's. Each takes its torque through its motor if it has one, else
-        through data.qfrc_applied; both have the user's values again after each control period. Everything else is
-        left alone: other joints and actuators, time, options, callbacks. Friction and joint limits are the model's. A
-        run moves the arm to q0 (`plant.state()[0]` is where it stands) and steps the whole scene on from there. What
-        an actuator's own limits cut off is the run's column tau_cut, and a warning when it first happens.
+        through data.qfrc_applied; both have the user's values again after each control period. Other joints and
+        actuators, time, options and callbacks are left alone; friction and joint limits are the model's. A run moves
+        the arm to q0 (`plant.state()[0]` is its present position) and steps the whole scene on from there. What an
+        actuator's limits cut off is the run's column tau_cut, with a warning.
 
         Frames:
-            As above. F_ext counts all that the tool's joint carries, fingers too; parts of those that press on each
-            other cancel.
+            As above. F_ext counts all that the tool's joint carries, fingers too; their internal forces cancel.
 
         Args:
             model: The model; its timestep must be a whole part of the control period.
@@ -229,8 +224,6 @@ class MujocoPlant(PlantInMujoco):
         self._tau_link, self._a = np.zeros(n), np.zeros(n)
         self._saturated: dict[str, Float64Array] = {}
 
-    # ---------------------------------------------------------------- parameters
-
     @property
     def parameters(self) -> Mapping[str, Float64Array]:
         """Run-time parameters by path."""
@@ -253,8 +246,6 @@ class MujocoPlant(PlantInMujoco):
         for stage in (self._stage, self._touching, self._readings):
             if stage is not None:
                 stage.take(self._values)
-
-    # ---------------------------------------------------------------- a run
 
     def reset(self, q: Float64Array, v: Float64Array, dt: float, seed: int = 0) -> None:
         """Put the arm into a state, and prepare for control periods of dt [s]; the noise comes from the seed.
@@ -394,8 +385,7 @@ class MujocoPlant(PlantInMujoco):
     def extra(self) -> dict[str, Any]:
         """(6,) F_ext of the last step; work of an environment until the tick; (n,) tau_cut of actuators or drives.
 
-        With a scene (3,) `contact.normal_force`, what of F_ext is along the normals of the contacts, and (m, 7)
-        `scene.poses` of its bodies that move.
+        With a scene (3,) `contact.normal_force` and (m, 7) `scene.poses`, see the class.
         """
         work = {} if self._touching is None else {WORK_OF_IT: np.asarray(self._work)}
         normal = {} if self._normals is None else {PRESSED: self._normals.of_contacts()}

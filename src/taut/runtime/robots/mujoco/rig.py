@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from taut.runtime.robots.mujoco.scene import SceneView
 
-__all__ = ["PRESSED", "Guard", "Index", "Normals", "PlantInMujoco", "Rig", "index", "whole_steps"]
-
 PRESSED: Final = "contact.normal_force"  # column of a run
 WAY_OUT: Final = "Try smaller gains, a higher rate or a smaller timestep"
 NOTHING = np.zeros(6)

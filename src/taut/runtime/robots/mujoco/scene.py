@@ -28,8 +28,6 @@ from taut.trace.pose import Pose
 if TYPE_CHECKING:
     import mujoco
 
-__all__ = ["Scene", "SceneView", "attach_scene", "read_scene", "refused"]
-
 IN_WORLD: Final = frozenset({"body", "geom", "site", "light", "camera", "frame"})
 SECTIONS: Final = frozenset(
     {"worldbody", "asset", "default", "contact", "equality", "tendon", "actuator", "sensor", "compiler", "visual"}
@@ -288,10 +286,7 @@ def refused(text: str, scene: Scene | None, source: str = "") -> ModelError:
 
 
 class SceneView:
-    """Everything of a model but the links of its arm.
-
-    The shapes of the tool's body, hidden or not, are those that touch, where `tool` says that it is the plant's own.
-    """
+    """Everything of a model but the links of its arm; `tool` says that the tool's body is the plant's own."""
 
     def __init__(self, rig: Rig, *, tool: bool = True) -> None:
         import mujoco

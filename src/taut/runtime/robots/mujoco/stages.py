@@ -28,8 +28,6 @@ from taut.plant.sensors import Sensors
 from taut.runtime.robots.mujoco.rig import Rig
 from taut.trace import math as tm
 
-__all__ = ["Compensation", "EnvironmentStage", "JointStage", "LinkTorque", "SensorStage"]
-
 Values = Mapping[str, Any]
 HELD: float = 1.0 - 1e-9  # of its limit: what friction is less than holds a joint
 
