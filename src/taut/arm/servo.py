@@ -199,8 +199,18 @@ def _object(file: Path) -> dict[str, Any]:
         text = stream.read(MAX_BYTES + 1)
     if len(text) > MAX_BYTES:
         raise _refused(file, "size", f"the file is larger than {MAX_BYTES // 1024} kB; a servo file has 1 kB")
+
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        names = [name for name, _ in pairs]
+        for name in names:
+            if names.count(name) > 1:
+                raise _refused(file, name, f"'{name}' is there twice; delete one")
+        return dict(pairs)
+
     try:
-        data = json.loads(text)
+        data = json.loads(text, object_pairs_hook=once)
+    except ModelError:
+        raise
     except (RecursionError, ValueError) as cause:  # no JSON, no UTF-8, too deep, or thousands of digits
         said = str(cause) if isinstance(cause, json.JSONDecodeError) else "its text is damaged or far too deep"
         raise _refused(file, "JSON", f"the file is not JSON: {said}", getattr(cause, "lineno", None)) from cause

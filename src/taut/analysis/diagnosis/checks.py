@@ -258,6 +258,22 @@ def wind_up(run: ExaminedRun) -> Finding | None:
     return run.finding("I", i, fraction, evidence, signals=signals, marked=cut[:, i] != 0.0)
 
 
+def effort_exceeded(run: ExaminedRun) -> Finding | None:
+    """Joint torques above the effort limit of the arm, which only a simulation without limits gives."""
+    ratio = np.abs(run.run.tau) / run.arm_effort
+    over = ratio > 1.0 + 1e-9
+    if (over.sum(axis=0) < 3).all():  # a drive may give a peak
+        return None
+    i = int(np.argmax(ratio.max(axis=0)))
+    evidence = {
+        "largest torque": (np.abs(run.run.tau[:, i]).max(), "torque"),
+        "effort limit": (run.arm_effort[i], "torque"),
+        "time above it": (100.0 * over[:, i].mean(), "% of the run"),
+    }
+    fraction = np.sum(np.where(over, ratio - 1.0, 0.0) ** 2) / run.effort
+    return run.finding("command", i, fraction, evidence)
+
+
 def torque_jump(run: ExaminedRun) -> Finding | None:
     """The feedback starts with a quarter of the effort limit, and half of all that it ever gives."""
     record, feedback = run.run, np.abs(run.feedback) / run.scale
@@ -551,6 +567,17 @@ CHECKS: Final = (
             "torque": "give the controller the limits of the drives, limits=taut.Limits(tau=...), and demand less",
         },
         follows=(*MOTION_FAULTS, *("late periods", "singularity", "oscillation", "backlash", "wind-up", "chatter")),
+    ),
+    Check(
+        name="effort limit exceeded",
+        test=effort_exceeded,
+        needs=("torque",),
+        cause="'{joint}' receives up to {largest torque}, beyond the arm's effort limit of {effort limit}",
+        remedy="compile with limits=taut.Limits.of(arm), and demand less until they do not cut",
+        follows=(
+            *(*MOTION_FAULTS, *LOADS, *OSCILLATIONS, "stiction", "steady-state error"),
+            *("saturation", "wind-up", "torque jump at the start", "singularity"),
+        ),
     ),
     Check(
         name="torque jump at the start",

@@ -82,6 +82,7 @@ NUMBERED: Final = frozenset(
     | {"general", "motor", "position", "velocity", "intvelocity", "damper"}
 )
 RANGES: Final = ("range", "actuatorfrcrange", "forcerange", "ctrlrange")
+NOT_NEGATIVE: Final = {"joint": ("stiffness",), "option": ("timestep", "density", "viscosity")}
 PLACEHOLDER: Final = 0.01  # [m] radius of the sphere that stands for a mesh
 _LINE = re.compile(r"line (\d+)")
 ESCAPED: Final = str.maketrans(
@@ -244,6 +245,8 @@ def _number_problems(element: Element) -> Iterator[tuple[str, str]]:
             if attribute in RANGES and len(values) == 2 and any(values) and values[0] >= values[1]:
                 low, high = values  # MuJoCo would take it for "no limit"
                 yield attribute, f"{where} must go from low to high; got {low:g} to {high:g}; swap them"
+            if attribute in NOT_NEGATIVE.get(element.tag, ()) and values[0] < 0.0:
+                yield attribute, f"{where} must be >= 0; got {values[0]:g}"
 
 
 def _mesh_files(root: Element) -> Iterator[tuple[str, str]]:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import itertools
 import math
 from collections.abc import Container, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink, Words
-from taut.arm.loaders.visuals import MeshPaths, colours_of, urdf_visuals
+from taut.arm.loaders.visuals import SIZES, MeshPaths, colours_of, urdf_visuals
 from taut.arm.loaders.xml import BadNumberError, Element, numbers
 from taut.arm.parts import Body, Joint, JointKind, inertia_matrix
 from taut.arm.rules import MAX_LINKS
@@ -98,6 +100,7 @@ class _Reader:
         link = TreeLink(name=element.get("name") or "", line=element.line)
         owner = f"link '{link.name}'"
         self._check_words(owner, element)
+        self._check_sizes(owner, element)
         inertial = self._only(owner, element, "inertial")
         if inertial is None:
             return link
@@ -202,6 +205,17 @@ class _Reader:
     def _check_words(self, owner: str, element: Element) -> None:
         for word, text, line in _slips(element):
             self._problem(owner, word, text, line)
+
+    def _check_sizes(self, owner: str, element: Element) -> None:
+        """Shapes are never needed to control an arm, but one of a negative size is a slip."""
+        shapes = (*element.all("visual"), *element.all("collision"))
+        bodies = [body for shape in shapes for geometry in shape.all("geometry") for body in geometry.children]
+        sizes = {(tag, name): count for tag, counts in SIZES.items() for name, count in counts.items()}
+        for body, ((tag, name), count) in itertools.product(bodies, sizes.items()):
+            with suppress(BadNumberError):  # which is left out of what is drawn
+                if body.tag == tag and min(numbers(body.get(name) or "", count)) < 0.0:
+                    text = f"{name} of <{tag}> must be >= 0 [m]; got {body.get(name)}"
+                    self._problem(owner, name, text, body.line)
 
     def _only(self, owner: str, element: Element, tag: str) -> Element | None:
         """The one child of that tag; a second one is a problem."""
