@@ -176,7 +176,6 @@ def _motion(body: Body, acceleration: Vector) -> TaskMotion:
     return TaskMotion.of({"p": body.p, "R": body.R, "twist": body.twist, "acceleration": acceleration})
 
 
-#
 # In the axes of one frame and about relative motion: X from the reference to the tool, (p - p_ref, log(R R_ref^T)),
 # and U the velocity that belongs to it.
 

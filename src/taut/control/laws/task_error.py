@@ -95,10 +95,9 @@ def outwards(R: Rotation | None, six: Array) -> Array:
 
 
 def pulled(X: Vector, force: Vector, *, turning: bool) -> Wrench:
-    """(6,) A^T force, the wrench of the potential X . force, X the decoupled error in axes of the gains, X-dot = -A V.
+    """(6,) A^T force, the wrench of the potential X . force, X the decoupled error, axes of the gains, X-dot = -A V.
 
-    It is the force itself for forces along X; else the rest makes the spring conservative. `turning`: axes of the
-    tool.
+    It is the force itself along X; else the rest makes the spring conservative. `turning`: axes of the tool.
     """
     w = X[3:]
     moment = turned_back(w, curve(w), force[3:], -1.0 if turning else 1.0)

@@ -56,9 +56,9 @@ class ViaJointSpace(Law):
     as a third of the reach). Redundant joints go to `posture`, where they started if it is left out, at 1/s: closed
     paths of the tool then end as closed paths of the joints.
 
-    A joint approaches its limit no faster than the remaining distance over 0.1 s; the others make up for it as
-    well as they can. Near a singularity J J^T is damped, by at most 0.1^2 (dimensionless), not beyond twice
-    that; v_des as a whole never exceeds the arm's own speed limits.
+    A joint approaches its limit no faster than the remaining distance over 0.1 s; the others make up for it as well
+    as they can. Near a singularity J J^T is damped, by at most 0.1^2 (dimensionless), not at all beyond twice that;
+    v_des as a whole never exceeds the arm's own speed limits.
 
     A target that jumps, or starts elsewhere, is approached at no more than `speed`, reached from rest in 0.1 s, with
     v_des in agreement; one that moves without a twist is followed with a lag, an unreachable one as far as possible.
