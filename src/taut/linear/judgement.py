@@ -31,6 +31,7 @@ from taut.maths.snapshot import snapshot
 from taut.plant.rigid import RigidPlant
 
 ROUNDING: Final = 1e-9  # [-] of a modulus of one
+SAFETY: Final = 2.0  # [-] on an error that two steps estimate and do not bound
 MIN_MOBILITY: Final = 1e-9  # [-] of the largest mobility of the tool: an axis with less does not move
 FINE: Final = 0.01  # [-] of the largest stable factor on a gain
 MIN_FACTOR, MAX_FACTOR = 2.0**-14, 2.0**14  # [-] on a gain, between which a limit is searched
@@ -233,7 +234,7 @@ def uncertain_eigenvalues(A: Float64Array, error: Float64Array | float = 0.0) ->
     A, error = (X * scale / scale[:, np.newaxis] for X in (A, error * np.ones_like(A)))
     z, right = np.linalg.eig(A)
     error = error + np.finfo(float).eps / STEP * max(1.0, float(np.abs(A).max()))
-    first = np.sum(np.abs(np.linalg.pinv(right)) * (error @ np.abs(right)).T, axis=1)  # |y| |dA| |x| of each
+    first = SAFETY * np.sum(np.abs(np.linalg.pinv(right)) * (error @ np.abs(right)).T, axis=1)  # |y| |dA| |x| of each
     return z.astype(np.complex128), np.minimum(ROUNDING + first, np.sqrt(np.linalg.norm(error, 2)))
 
 
