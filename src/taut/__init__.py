@@ -1,7 +1,7 @@
 """taut: control laws for robot arms, written once and run everywhere.
 
-Everything public hangs here: `taut.load_arm`, `taut.laws`, `taut.compile`, `taut.run`, ... Names are loaded when
-first used, so that `import taut` is quick.
+Everything public is here: `taut.load_arm`, `taut.laws`, `taut.compile`, ... Names are loaded when first used, so that
+`import taut` is quick.
 """
 
 from __future__ import annotations

@@ -105,10 +105,7 @@ class HasLawSide(Protocol):
 
 
 def check_fit(side: LawSide, plant: AnyPlant) -> None:
-    """MatchError, ShapeError or RangeError for a controller and a plant that do not fit.
-
-    Force feedback that is unstable on a rigid contact is among the reasons.
-    """
+    """MatchError, ShapeError or RangeError for a controller and a plant that do not fit, or unstable contact."""
     law, probe = side.title, side.probe
     if side.arm.n != plant.arm.n:
         raise ShapeError(

@@ -1,7 +1,7 @@
 """The control functions of the textbook's library, by its names, signatures and order of six-vectors.
 
-`taut.textbook.ComputedTorque` and `taut.textbook.SimulateControl` are for those who have code for the library
-`modern_robotics`: change the import. The integral is that of equation 10.21, where the library's has no time step.
+For code that uses the library `modern_robotics`: change the import to `taut.textbook`. The integral is that of
+equation 10.21, where the library's has no time step.
 
 References:
     Lynch and Park, Modern Robotics (2017), sections 8.9 and 11.4; chapter, equation 10.21 and figure 10.13.
@@ -50,11 +50,8 @@ def ComputedTorque(
     Law:          tau = M(theta) (theta-ddot_d + Kp e + Ki eint + Kd e-dot) + h(theta, theta-dot)           eq. 10.21
     Closed loop:  e-ddot + Kd e-dot + Kp e + Ki int(e) = 0, with an exact model                              eq. 10.17
 
-    The library `modern_robotics` has Ki (eint + e) in the place of Ki eint: an integral to which each call adds the
-    error itself, as if the time step were one second.
-
-    A screw axis whose length is not one, as the first of the library's examples, is taken as the library takes it:
-    the joint turns by theta times that length.
+    The library `modern_robotics` has Ki (eint + e) in the place of Ki eint, as if the time step were one second. A
+    screw axis whose length is not one is taken as the library takes it: the joint turns by theta times that length.
 
     Frames:
         The angular part comes first: Slist is (omega, v), Glist diag(I, m 1).
@@ -79,7 +76,7 @@ def ComputedTorque(
 
     Raises:
         ShapeError: Lists and vectors that do not fit together.
-        RangeError: Numbers that are not finite, gains below zero.
+        RangeError: Not finite, or gains below zero.
         ModelError: An inertia or a screw axis that no rigid body or joint has.
 
     Example:
@@ -91,9 +88,6 @@ def ComputedTorque(
         >>> tau = ComputedTorque([0.0], [0.0], [0.2], [0, 0, -9.81], *lists, [0.1], [0.0], [0.0], 100.0, 50.0, 20.0)
         >>> tau.round(6).tolist()  # 0.5 kg m^2 (100 * 0.1 + 50 * 0.2) + 1 kg 9.81 m/s^2 0.1 m
         [10.981]
-
-    References:
-        Chapter, equation 10.21.
     """
     arm, length = _arm(Mlist, Glist, Slist, g)
     n = arm.n

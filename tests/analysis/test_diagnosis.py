@@ -413,6 +413,22 @@ def test_winding_up_is_found_with_the_saturation_that_it_causes() -> None:
     assert [(each.name, each.follows) for each in found] == [("wind-up", ()), ("saturation", ("wind-up",))]
 
 
+def test_torques_beyond_the_limits_of_an_arm_are_found() -> None:
+    arm = taut.load_arm("panda")
+    T = taut.snapshot(arm, arm.home).T()
+    law = L.Impedance(K=(50_000.0, 300.0), zeta=0.7)
+    plant = taut.RigidPlant(arm)
+    goal = taut.TaskMotion(pose=taut.Pose(T.p + np.array([0.1, 0.0, 0.0]), R=T.R))
+    run = taut.run(taut.compile(law, arm), plant, goal, duration=1.0)
+    jump, beyond = taut.doctor(run).findings
+    assert (jump.name, beyond.name) == ("torque jump at the start", "effort limit exceeded")
+    assert beyond.follows == ("torque jump at the start",)
+    i = arm.joint_names.index(str(beyond.joint))
+    assert beyond.evidence["largest torque"].value == np.abs(run.tau[:, i]).max() > 50.0 * arm.effort[i]
+    limited = taut.run(taut.compile(law, arm, limits=taut.Limits.of(arm)), plant, goal, duration=1.0)
+    assert "effort limit exceeded" not in [each.name for each in taut.doctor(limited).findings]
+
+
 def pressed(plant: Callable[[taut.Arm, taut.Pose], Any], stroke: list[float], duration: float) -> taut.Run:
     """A Panda that presses with 8 N along a stroke on a surface that its law states to be level."""
     arm = runs.arm_of("panda")

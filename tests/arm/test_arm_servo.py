@@ -231,6 +231,7 @@ BROKEN: list[tuple[str, Any, str]] = [
         "R must be one number [ohm]; got [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11,",
     ),
     ("an offset that is none", STS3215 | {"q_offset": "left"}, "q_offset must be one number; got 'left'"),
+    ("a number twice", '{"kt": 1.0, "kt": 2.0, ' + json.dumps(STS3215)[1:], "'kt' is there twice; delete one"),
     ("an actuator that is none", STS3215 | {"actuator": 3}, "actuator must be a text; got 3"),
 ]
 

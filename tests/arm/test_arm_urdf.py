@@ -152,6 +152,22 @@ def test_a_wrong_shape_is_left_out_and_harms_nothing(shape: str, tmp_path: Path)
     assert load_arm(written(tmp_path, with_shape(VISUAL.format(shape)))).visuals == ()
 
 
+@pytest.mark.parametrize(
+    ("shape", "attribute"),
+    [
+        ('<box size="1 -1 3"/>', "size"),
+        ('<sphere radius="-1"/>', "radius"),
+        ('<cylinder radius="1" length="-2"/>', "length"),
+    ],
+)
+@pytest.mark.parametrize("role", ["visual", "collision"])
+def test_a_shape_of_negative_size_is_refused(shape: str, attribute: str, role: str, tmp_path: Path) -> None:
+    with pytest.raises(ModelError) as refused:
+        load_arm(written(tmp_path, with_shape(VISUAL.format(shape).replace("visual", role))))
+    (problem,) = refused.value.problems
+    assert (problem.object, problem.attribute, problem.line) == ("tool", attribute, 17)
+
+
 def test_a_collision_mesh_stands_in_for_a_visual_that_cannot_be_shown(tmp_path: Path) -> None:
     (tmp_path / "hand.stl").write_bytes(b"")
     arm = load_arm(written(tmp_path, with_shape(mesh("hand.dae"), mesh("hand.stl", "collision"))))

@@ -383,6 +383,8 @@ def test_no_arm_of_the_catalogue_is_doubted() -> None:
 @pytest.mark.parametrize(
     ("old", "new"),
     [
+        ('timestep="0.002"', 'timestep="-0.001"'),
+        ('stiffness="0"', 'stiffness="-5"'),
         ('density="800"', 'density="-1"'),
         ('range="0 0.2"', 'range="0 1e300"'),
         ("<worldbody>", f'<include file="{"a" * 5000}"/><worldbody>'),

@@ -127,6 +127,11 @@ def test_parameters_are_checked_before_a_run_begins(
 @pytest.mark.parametrize(
     ("scene", "words"),
     [
+        (
+            "<geom size='0.1'/> and a text",
+            "scene: <mujoco>: a scene is made of MJCF elements, such as <geom .../>; got the text 'and a text' outside of "
+            "them (line 1)",
+        ),
         ("<geom size='nan'/>", "scene: <geom>: size must be finite; got 'nan' (line 1)"),
         ("<geom size='0.1' pos='0 inf 0'/>", "scene: <geom>: pos must be finite; got '0 inf 0' (line 1)"),
         (
@@ -187,8 +192,7 @@ def test_parameters_are_checked_before_a_run_begins(
         ),
         (
             "<geom size='1'",
-            "scene: a character inside <mujoco> that XML does not allow: a stray < or &, or bytes that are not UTF-8 "
-            "(line 1)",
+            "scene: the XML is damaged inside <mujoco>: not well-formed (invalid token) (line 1)",
         ),
     ],
 )

@@ -104,39 +104,22 @@ class WrongModel(Declared):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Experiment:
-    """All of a closed loop but its law.
+    """All of a closed loop but its law."""
 
-    Args:
-        name: What messages call it.
-        arm: The arm that the controllers know.
-        rate: [Hz].
-        sensing: Of the controllers.
-        limits: Of the controllers; None for none.
-        plant: What is true.
-        reference: What is followed.
-        duration: [s].
-        q0: (n,) positions at the start [rad | m]; home if left out.
-        v0: (n,) velocities at the start [rad/s | m/s].
-        seed: Of all noise.
-        events: Parameters that change on the way.
-        parameters: Values by path that hold from the start.
-        texts: Longer texts on it by title, such as that of a scenario.
-    """
-
-    name: str
-    arm: Arm
-    rate: float
-    sensing: Sensing
-    limits: Limits | None
-    plant: Plant
+    name: str  # for messages
+    arm: Arm  # as the controllers know it
+    rate: float  # [Hz]
+    sensing: Sensing  # of the controllers
+    limits: Limits | None  # of the controllers; None for none
+    plant: Plant  # the true one
     reference: Reference
-    duration: float
-    q0: ArrayLike | None = None
-    v0: ArrayLike | None = None
-    seed: int = 0
-    events: tuple[Event, ...] = ()
-    parameters: Mapping[str, ArrayLike] = field(default_factory=dict)
-    texts: Mapping[str, str] = field(default_factory=dict)
+    duration: float  # [s]
+    q0: ArrayLike | None = None  # (n,) [rad | m]; home if left out
+    v0: ArrayLike | None = None  # (n,) [rad/s | m/s]
+    seed: int = 0  # of all noise
+    events: tuple[Event, ...] = ()  # changes of parameters
+    parameters: Mapping[str, ArrayLike] = field(default_factory=dict)  # by path, from the start
+    texts: Mapping[str, str] = field(default_factory=dict)  # longer texts by title
 
     @classmethod
     def of(cls, loop: Loop) -> Experiment:
@@ -167,11 +150,7 @@ class Experiment:
         return sensors if isinstance(sensors, Sensors) else Sensors()
 
     def controller(self, law: Law | Task, engine: EngineChoice = "auto") -> Controller:
-        """The law, compiled for this experiment.
-
-        Raises:
-            TautError: It cannot be compiled.
-        """
+        """The law, compiled for this experiment."""
         return compile(
             law,
             self.arm,
@@ -183,11 +162,7 @@ class Experiment:
         )
 
     def run(self, ctrl: Controller, plant: Plant | None = None, log: Path | None = None) -> Run:
-        """A run of a controller, against another plant where one is given.
-
-        Raises:
-            TautError: What a run refuses, such as a reference of another kind than the law's.
-        """
+        """A run of a controller, against another plant if one is given."""
         start = (Event(t=0.0, set=self.parameters),) if self.parameters else ()
         return run(
             ctrl,
@@ -317,28 +292,14 @@ class Comparison(Result):
 
 
 def compare_laws(
-    laws: Mapping[str, tuple[Law, Experiment]],
+    laws: Mapping[str, tuple[Law, Experiment]],  # by name; references may differ
     *,
     runs: Mapping[str, Run],
-    by: Sequence[str] = (),
-    noise: Mapping[str, ArrayLike] | None = None,
-    model: WrongModel | None = None,
+    by: Sequence[str] = (),  # figures to rank by
+    noise: Mapping[str, ArrayLike] | None = None,  # deviation by sensor; plant's or NOISE if left out; {} to skip
+    model: WrongModel | None = None,  # None to skip
 ) -> Comparison:
-    """Run laws on an experiment, and measure them. All are compiled before the first one runs.
-
-    Args:
-        laws: By name, each with the experiment, which may differ in the reference.
-        runs: Recorded runs by name.
-        by: Figures to rank by.
-        noise: Standard deviation by sensor to compare with; that of the plant if left out, or of a plant without
-            noise 1e-5 rad of positions and 1e-3 rad/s of velocities. An empty one leaves these figures out.
-        model: By how much the true arm may differ; None leaves these figures out.
-
-    Raises:
-        UsageError: Nothing to compare, more than eight, a run that cannot be compared.
-        UnknownNameError: No such figure, no such sensor.
-        TautError: A law that cannot be compiled or does not fit.
-    """
+    """Run laws on an experiment, and measure them; all are compiled before the first one runs."""
     if not 0 < len(laws) + len(runs) <= MAX_LAWS:
         raise UsageError(f"a comparison has 1 to {MAX_LAWS} laws and runs; got {len(laws) + len(runs)}", name="laws")
     for figure in by:
@@ -466,12 +427,7 @@ def main_error(numbers: Mapping[str, Mapping[str, float]]) -> str | None:
 
 
 def with_noise(sensors: Sensors, noise: Mapping[str, ArrayLike]) -> Sensors:
-    """Sensors with another standard deviation of their noise, by the sensor's name; zero for none.
-
-    Raises:
-        UnknownNameError: There is no such sensor.
-        UsageError: The plant has none of that name.
-    """
+    """Sensors with another standard deviation of their noise, by the sensor's name; zero for none."""
     changed = {}
     for name, value in noise.items():
         if name not in Sensors.declared:
@@ -502,11 +458,7 @@ def _check_recorded(name: str, run: object) -> None:
 
 @contextmanager
 def blamed(name: str) -> Iterator[None]:
-    """Errors about a law name it.
-
-    Raises:
-        UsageError: In place of any other.
-    """
+    """Errors about a law name it, as UsageError."""
     try:
         yield
     except TautError as cause:

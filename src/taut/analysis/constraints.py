@@ -33,9 +33,6 @@ ROUNDING: Final = 1e-9  # of rows of length 1: less is zero, and such rows are d
 REACH: Final = 1e-6  # of the Jacobian: below it the joints cannot move the tool
 
 
-# -------------------------------------------------------------------- against a linear environment
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Specification(Result):
     """Check of a specification against the environment F = B V + F0.
@@ -45,7 +42,7 @@ class Specification(Result):
         given: (m,) the specified quantities, as text.
         values: (m,) of them; None where names came without.
         reason: Why the specification is not admissible; empty where it is.
-        map: (2n, n) from the specified values to all motions and forces, less `offset`; zeros where not admissible.
+        map: (2n, n) from the specified values to all motions and forces less `offset`; zeros if not admissible.
         offset: (2n,) all motions and forces where the specified values are zero.
     """
 
@@ -160,10 +157,6 @@ def _dependent(rows: Float64Array, S: Float64Array, G: Float64Array) -> bool:
 def coefficients_of(text: str, names: Sequence[str]) -> Float64Array:
     """Coefficients of a linear combination of named quantities.
 
-    Raises:
-        UsageError: Text that is no such sum.
-        UnknownNameError: A name that is not among them.
-
     Example:
         >>> coefficients_of("2 V1 - F2", ["V1", "V2", "F1", "F2"]).tolist()
         [2.0, 0.0, 0.0, -1.0]
@@ -202,9 +195,6 @@ def linear_sum(coefficients: Float64Array, names: Sequence[str], constant: float
     return text or "0"
 
 
-# -------------------------------------------------------------------- against a rigid contact
-
-
 @dataclass(frozen=True, kw_only=True)
 class ConstraintRow:
     """One axis of the task frame.
@@ -231,8 +221,7 @@ class ConstraintTable(Result):
     Args:
         title: Whether the tool is in contact, constrained, sticking or apart.
         frame: The task frame in the world; None for constraints of joints or of several frames.
-        A: (k, m) natural constraints A V + phi_t = 0, of the tool's twist in world axes, or of the joint velocities;
-            those of sticking, two for each contact, below those of the constraint.
+        A: (k, m) of A V + phi_t = 0, of the tool's twist in world axes or joint velocities; those of sticking last.
         phi_t: (k,) d phi / dt of a surface that moves.
         N: (m, motions) a basis of ker A, with the free motions as coordinates; without friction N^T F_app = 0.
         rows: (m,) one for each axis, in the order of the chapter's table.
@@ -273,9 +262,9 @@ def natural_constraints(
     Law:          natural:    A V + d phi/dt = 0, and without friction N^T F_app = 0, with N a basis of ker A
                   artificial: as many motions u, V = N u, and forces lam, F_app = A^T lam: n together  section 10.4.1
 
-    Where the axes of the task frame are well chosen, either the motion or the force is free along each of them: for a
-    door with its origin on the hinge. Else a row has a sum of motions or of forces, as for a screw in every frame. A
-    constraint of joints or of several frames has its rows along the joints.
+    Along well-chosen axes of the task frame either the motion or the force is free: for a door with its origin on the
+    hinge. Else a row is a sum of motions or of forces, as for a screw in every frame. A constraint of joints or of
+    several frames has its rows along the joints.
 
     A contact (a unilateral row) has three modes. "slide" takes it for an equality, as the chapter does. "stick"
     constrains the origin of the constrained frame along the surface too, as friction does inside its cone: 3 + 3 for
@@ -284,8 +273,7 @@ def natural_constraints(
     Args:
         constraint: The constraint.
         at: A pose of the constrained frame, or a snapshot of the arm.
-        frame: The task frame in the world; at the tool's origin if left out, with the world's axes, or the tool's
-            where each constraint is along one of these.
+        frame: The task frame in the world; by default at the tool's origin, along the world's or the tool's axes.
         mode: "slide", "stick" or "apart".
 
     Raises:
@@ -390,11 +378,7 @@ def _rows_of(
 
 
 def _tangents(row: Float64Array) -> Float64Array:
-    """(2, 6) rows of the velocity of the origin along a surface, from its row of A.
-
-    Raises:
-        RangeError: The contact is not at the origin: the line of its force does not pass there.
-    """
+    """(2, 6) rows of the origin's velocity along a surface, from its row of A; the force must pass the origin."""
     if len(row) != len(AXES) or np.linalg.norm(row[3:]) > ON_LINE * np.linalg.norm(row[:3]):
         raise RangeError(
             "mode='stick' needs the contact at the origin of the constrained frame, and the line of its force does "
@@ -451,7 +435,7 @@ def _described(
 def _solved(rows: Float64Array, right: Float64Array) -> tuple[Float64Array, Float64Array, list[int]]:
     """rows V = right solved for as many entries of V: (r, m) with a unit matrix in some columns, and those columns.
 
-    The columns are those of the largest numbers, so that a constraint along an axis has that axis alone in its row.
+    They have the largest numbers, so that a constraint along an axis has that axis alone in its row.
     """
     A, c = rows.copy(), right.copy()
     pivots: list[int] = []

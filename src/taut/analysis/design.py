@@ -92,11 +92,7 @@ class Design(Result):
         return np.array([each.got for each in self.requirements if each.name == name])
 
     def limit(self, name: str) -> Limit:
-        """The limit of a name; the smallest, where each direction has one.
-
-        Raises:
-            KeyError: There is none.
-        """
+        """The limit of a name, the smallest of all directions; KeyError if there is none."""
         found = [each for each in self.limits if each.name == name]
         if not found:
             raise KeyError(name)
@@ -196,18 +192,16 @@ def design(
     Closed loop:  that of the law's own docstring, as its `closed_loop` states it; got is that of the linear model of
                   the sampled loop about its equilibrium, with zero-order hold, weight, delay and filters
 
-    Ask for a damping (zeta or overshoot) and a speed (omega_n or settling), or a stiffness K. Critical damping is
-    zeta=1. Of several poses the gains are the largest. A specification that the loop does not meet is returned with
-    met=False, and so is a loop that is unstable, with the gain that is to blame.
+    Ask for a damping (zeta or overshoot; zeta=1 is critical) and a speed (omega_n or settling), or a stiffness K. Of
+    several poses the gains are the largest. A loop that misses its specification, or is unstable, has met=False.
 
     Args:
-        law: A class of `taut.laws`, or your own; or a law whose gains are replaced, and whose other options are kept.
+        law: A class of laws; or a law whose gains are replaced, and whose other options stay.
         arm: The arm that the law knows.
         at: (n,) one pose or (k, n) several [rad | m]; home if left out.
         zeta: Damping ratio of every mode.
         overshoot: Of a step [%], in place of zeta.
-        omega_n: Natural frequency [rad/s]: one number, one for each joint, or (linear, angular) at the tool. Of a law
-            with one pole in each direction that pole.
+        omega_n: Natural frequency, or single pole [rad/s]: one, one for each joint, or (linear, angular) at the tool.
         settling: Exact 2 % settling time of a step [s], likewise.
         K: Stiffness: (linear, angular), (6,) or (6, 6) at the tool [N/m, N m/rad]; of joints a number or (n,).
         contact: Stiffness of what a law of force presses on, likewise.
@@ -217,14 +211,12 @@ def design(
         friction: "arm" for the arm's viscous friction to count as damping; None for none.
         rate: [Hz].
         sensing: Filters, of the velocity say; none if left out.
-        plant: The plant with which the loop is judged, with its delays, springs and sensors; if left out a rigid one
-            without friction that moves exactly under the zero-order hold, under drives as good as ideal where the law
-            commands such.
+        plant: Plant of the linear model, with its delays, springs and sensors; if left out a rigid one without
+            friction under an exact zero-order hold, with nearly ideal drives where the law commands drives.
 
     Raises:
-        UsageError: A specification that says too little, too much or what the law has not; a law that states no
-            closed loop.
-        RangeError: A number outside of its range; a singular pose; a loop that rests nowhere.
+        UsageError: A specification that does not fit the law; a law that states no closed loop.
+        RangeError: A number out of range; a singular pose; a loop without an equilibrium.
 
     Example:
         >>> import taut
@@ -283,15 +275,8 @@ def design(
     )
 
 
-# -------------------------------------------------------------------- the law
-
-
 def with_any_gains(law: type[Law]) -> Law:
-    """A law of a class, with gains that are to be replaced.
-
-    Raises:
-        UsageError: No class of laws, or one that needs more than gains.
-    """
+    """A law of a class that needs gains alone, with gains that are to be replaced."""
     if not isinstance(law, type) or not issubclass(law, Law):
         raise UsageError(f"design takes a law of taut.laws, or its class; got {law!r}", name="law")
     gains: dict[str, Any] = {}
@@ -309,11 +294,7 @@ def with_any_gains(law: type[Law]) -> Law:
 
 
 def closed_loop_of(law: Law, x: Snapshot) -> ClosedLoop:
-    """The closed loop that a law states at rest.
-
-    Raises:
-        UsageError: It states none.
-    """
+    """The closed loop that a law states at rest; UsageError if it states none."""
     stated = law.closed_loop(x)
     if stated is None:
         raise UsageError(
@@ -325,13 +306,7 @@ def closed_loop_of(law: Law, x: Snapshot) -> ClosedLoop:
 
 
 def poses_of(arm: Arm, at: ArrayLike | None) -> Float64Array:
-    """(k, n) the poses to design for: one, or one in each row; home if left out.
-
-    Raises:
-        UsageError: Not an arm.
-        ShapeError: Not (n,) or (k, n).
-        RangeError: Not finite, in degrees, or outside of the limits; the message names the joint.
-    """
+    """(k, n) the poses to design for [rad | m]: one, or one in each row; home if left out."""
     if not isinstance(arm, Arm):  # callers without a type checker
         raise UsageError(f"design takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
     given = arm.home if at is None else finite_array("at", at, unit="rad | m")
@@ -356,9 +331,6 @@ def poses_of(arm: Arm, at: ArrayLike | None) -> Float64Array:
                 rule="within the limits",
             )
     return np.array(poses)
-
-
-# -------------------------------------------------------------------- the sampled loop
 
 
 def loop_for(

@@ -46,8 +46,7 @@ class Requirement:
         direction: The joint, the axis of the tool, or the row of a constraint.
         unit: Of both numbers.
         asked: The number that was asked for.
-        got: That of the linear model of the sampled loop; NaN where it is unstable, infinite for a step that does not
-            settle.
+        got: Of the linear model of the sampled loop; NaN if unstable, infinite for a step that does not settle.
         met: Whether it is within 5 %, a stiffness within 1 %; a settling time or an overshoot may be less, an
             overshoot 1 % of the step more. Over several poses damping and speed may be more.
         pose: Number of the pose.
@@ -64,68 +63,41 @@ class Requirement:
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:
-    """One limit of a loop with the gains that were found.
+    """One limit of a loop with the gains that were found."""
 
-    Args:
-        name: "largest step", "delay margin", "gain margin", "droop" or "largest factor".
-        value: The limit; infinite for none.
-        unit: Of the value.
-        where: The direction, joint or gain that it is about.
-    """
-
-    name: str
-    value: float
+    name: str  # "largest step", "delay margin", "gain margin", "droop" or "largest factor"
+    value: float  # infinite for none
     unit: str
-    where: str
+    where: str  # the direction, joint or gain that it is about
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Steps:
-    """Unit steps of the reference in each direction, by the linear model.
+    """Unit steps of the reference in each of r directions, by the linear model."""
 
-    Args:
-        t: (m,) [s].
-        e: (m, r) error along each direction, as a fraction of the step.
-        command: (m, n, r) change of the command of each joint.
-    """
-
-    t: Float64Array
-    e: Float64Array
-    command: Float64Array
+    t: Float64Array  # (m,) [s]
+    e: Float64Array  # (m, r) error along each direction, as a fraction of the step
+    command: Float64Array  # (m, n, r) change of the command of each joint
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Achieved:
-    """The sampled loop of a law with its gains, about its equilibrium next to a pose.
+    """The sampled loop of a law with its gains, about its equilibrium next to a pose."""
 
-    Args:
-        law: The law, or the part of it that moves the arm.
-        stated: Its closed loop as the law states it there.
-        system: The linear model from tick to tick.
-        specification: What was asked for.
-        delay: [s] from the tick to the torque.
-        hold: (n,) torques that hold the arm [N m | N]; None where the law commands drives.
-        pose: Number of the pose.
-        several: Whether there are other poses too.
-    """
-
-    law: Law
-    stated: ClosedLoop
-    system: LinearSystem
+    law: Law  # or the part of it that moves the arm
+    stated: ClosedLoop  # as the law states it there
+    system: LinearSystem  # from tick to tick
     specification: Specification
-    delay: float
-    hold: Float64Array | None
+    delay: float  # [s] from the tick to the torque
+    hold: Float64Array | None  # (n,) torques that hold the arm [N m | N]; None where the law commands drives
     pose: int
-    several: bool
-
-    # ---------------------------------------------------------------- steps and modes
+    several: bool  # there are other poses too
 
     @cached_property
     def _ahead(self) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """Unit steps at their beginning: (N, r) the states still to go, (r, N) rows that see them, (N, r) commands.
+        """Unit steps at their beginning: (N, r) remaining states, (r, N) rows that see them, (N, r) final commands.
 
-        A step is the free response of what is still to go. Of a law that follows no reference, it is that of a unit
-        velocity along each direction. The commands are those in the end.
+        A law that follows no reference has the free response to a unit velocity along each direction instead.
         """
         lin, motions = self.system, self.stated.motions
         if self.law.ignores_reference:
@@ -184,10 +156,7 @@ class Achieved:
         return means, np.abs([np.sum(members, axis=0) for _, members in groups])
 
     def damping_and_frequency(self, direction: int) -> tuple[float, float]:
-        """zeta and omega_n of a direction: of the two poles with the largest parts in its step.
-
-        An oscillation with less damping that is seen in the step gives its zeta.
-        """
+        """zeta and omega_n of the two poles with the largest parts in a direction's step; zeta of any less damped."""
         poles, parts = self._modes
         part = parts[:, direction]
         order = [k for k in np.argsort(-part) if part[k] > SMALL_PART]
@@ -219,8 +188,6 @@ class Achieved:
         forces = np.linalg.lstsq(J.T, rows.T, rcond=None)[0] if at_tool else rows.T
         rest = np.linalg.lstsq(np.eye(len(lin.A)) - lin.A, lin.B[:, columns] @ forces, rcond=RANK)[0]
         return np.asarray(1.0 / np.diag(self._seen("q") @ rest))
-
-    # ---------------------------------------------------------------- asked and got
 
     def requirements(self) -> Iterator[Requirement]:
         """A row for each number that was asked for, in each direction."""
@@ -280,8 +247,6 @@ class Achieved:
         dt = self.system.period
         late = round(self.delay / dt)
         return {f"row {i}": force_pole(kfp[i], kfi[i], dt, late) for i in range(len(kfp))}
-
-    # ---------------------------------------------------------------- limits
 
     def limits(self) -> Iterator[Limit]:
         """Of a stable loop."""

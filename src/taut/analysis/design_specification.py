@@ -73,11 +73,7 @@ class Specification(Declared):
         return angle / per_coordinate("settling", self.settling, loop)
 
     def check_fit(self, law: str, loop: ClosedLoop) -> None:
-        """What is asked for must be what the closed loop of a law has.
-
-        Raises:
-            UsageError: Too little, or something that it has not.
-        """
+        """Refuse a specification that does not determine a law's closed loop, or asks for what it has not."""
         single = self.damping_ratio is None and loop.single_pole != "never"
         speeds = ("contact",) if loop.contact is not None else ("omega_n", "settling", *(("K",) * loop.stiffness))
         takes = [*speeds]
@@ -98,11 +94,7 @@ class Specification(Declared):
 
 
 def per_coordinate(name: str, value: Any, loop: ClosedLoop) -> Float64Array:
-    """(k,) of a number, of (linear, angular), or of one for each.
-
-    Raises:
-        UsageError: Another shape.
-    """
+    """(k,) of a number, of (linear, angular), or of one for each."""
     values, k = np.asarray(value, dtype=np.float64), len(loop.J)
     if values.shape == (2,) and k == 6 and set(loop.units) == {"m", "rad"}:
         return np.repeat(values, 3)
@@ -116,11 +108,7 @@ def per_coordinate(name: str, value: Any, loop: ClosedLoop) -> Float64Array:
 
 
 def square(name: str, value: Any, loop: ClosedLoop) -> Float64Array:
-    """(k, k) of a stiffness: a matrix, or numbers along its diagonal.
-
-    Raises:
-        UsageError: One number for metres and radians, or another shape.
-    """
+    """(k, k) of a stiffness: a matrix, or numbers along its diagonal; one for metres and radians is refused."""
     values, k = np.asarray(value, dtype=np.float64), len(loop.J)
     if values.shape == (k, k):
         return values
@@ -133,23 +121,13 @@ def square(name: str, value: Any, loop: ClosedLoop) -> Float64Array:
     return np.diag(per_coordinate(name, values, loop))
 
 
-# -------------------------------------------------------------------- gains
-
-
 def place_poles(
     loops: Sequence[ClosedLoop], specification: Specification, *, coupled: bool, viscous: Float64Array
 ) -> Law:
-    """The law whose closed loop has the poles that are asked for, at several poses at least.
+    """The law whose closed loop has the poles that are asked for; of several poses the largest gains.
 
     Law:    K = S inertia S with S = diag(omega_n), or as it is asked for; D = 2 zeta (inertia K)^(1/2): the same zeta
-            in every mode; Ki = integral D inertia^-1 K. Single poles: D = inertia omega_n. Of several poses the
-            largest gains.
-
-    Args:
-        loops: Of the law, at each pose.
-        specification: What is asked for.
-        coupled: Matrices for gains of laws of joints, so that all modes are alike.
-        viscous: (n,) friction of the plant that counts as damping [N m s/rad | N s/m].
+            in every mode; Ki = integral D inertia^-1 K. Single poles: D = inertia omega_n.
     """
     each = [placed(loop, specification, coupled=coupled, viscous=viscous) for loop in loops]
     K, D, Ki = (compact(largest([getattr(one, name) for one in each])) for name in ("K", "D", "Ki"))
@@ -192,10 +170,7 @@ def placed(loop: ClosedLoop, specification: Specification, *, coupled: bool, vis
 
 
 def damping_of(inertia: Float64Array, K: Float64Array, zeta: float) -> Float64Array:
-    """The damping with which every mode of an inertia and a stiffness has the damping ratio zeta.
-
-    Modes without stiffness are damped at the rate of the slowest that has one.
-    """
+    """The damping that gives every mode the ratio zeta; modes without stiffness decay like the slowest with one."""
     if is_diagonal(inertia) and is_diagonal(K) and np.diag(K).all():
         return np.diag(2.0 * zeta * np.sqrt(np.diag(inertia) * np.diag(K)))
     squares, modes = eigh(K, inertia)  # modes^T inertia modes = identity

@@ -64,16 +64,12 @@ class Grade(Result):
     """A law beside a reference law; print it for the report.
 
     Args:
-        name: Of the law.
-        reference: Name of the reference law.
         on: Name of the experiment.
         marks: Each figure of the runs.
         command: The largest difference of the commands along the reference's own trajectory.
         terms: Of terms that both name, where they differ, the largest difference first.
         only_law: Terms that only the law has.
         only_reference: Terms that only the reference has.
-        run: The law's run.
-        reference_run: The reference's run.
         tolerance: Relative.
         settings: Of laws and experiment, as text by name.
         texts: Longer texts by title, such as that of a scenario.
@@ -143,20 +139,10 @@ def _word(ok: bool) -> str:
 def grade_law(
     law: tuple[str, Law], reference: tuple[str, Law], experiment: Experiment, *, tolerance: float = GRADE_TOLERANCE
 ) -> Grade:
-    """A law against a reference law on an experiment.
+    """A named law against a reference law on an experiment, tolerance relative to the reference's figures.
 
-    Both run; then both are given, tick by tick, the states that the reference's run went through, without limits, so
-    that a wrong term shows where it is wrong and not what it led to.
-
-    Args:
-        law: Its name, and the law.
-        reference: Likewise.
-        experiment: What both run on.
-        tolerance: Relative: to the reference's figures, and to its largest command.
-
-    Raises:
-        UsageError: A law that cannot be compiled or does not fit; a reference law whose run fails.
-        RangeError: A tolerance that is not positive, or above 1.
+    Both run; then both are given, tick by tick, the states of the reference's run, without limits, so that a wrong
+    term shows where it is wrong and not in its consequences.
     """
     tolerance = positive_scalar("tolerance", tolerance)
     if tolerance > 1.0:

@@ -50,13 +50,12 @@ class ToolImpedance(Result):
 
     Law:          X = Y F, F = Z X, with Y = d^T Y_tool d of the six by six response of the tool and Z = 1 / Y
 
-    Specified is D s^2 + B s + K of `Impedance` and `Admittance`, without drives, filters and friction. Predicted
-    is the sampled loop as it is simulated, exactly: with zero-order hold, delay, filters, drives and integrator.
-    Quantisation and noise are in neither.
+    Specified is D s^2 + B s + K of `Impedance` and `Admittance`, without drives, filters and friction. Predicted is
+    the sampled loop, exactly, with zero-order hold, delay, filters, drives and integrator. Neither has quantisation
+    or noise.
 
     Args:
-        loop: The loop.
-        lin: Its linear model.
+        lin: The linear model of the loop.
         direction: (6,) unit vector in world axes: a force, or a moment.
         specified: What `Impedance` or `Admittance` specifies, in the motions that the tool can make; None of others.
 
@@ -75,11 +74,7 @@ class ToolImpedance(Result):
         return "N/m" if self.direction[:3].any() else "N m/rad"
 
     def Y(self, omega: ArrayLike) -> Complex:
-        """(k,) predicted admittance X / F [m/N | rad/(N m)].
-
-        Raises:
-            RangeError: A frequency beyond half the rate, or negative.
-        """
+        """(k,) predicted admittance X / F [m/N | rad/(N m)]; RangeError above half the rate."""
         lin, d = self.lin, self.direction
         rows = [*lin.rows("tip.p"), *lin.rows("tip.rotation")]
         columns = lin.columns("disturbance.wrench")
@@ -90,7 +85,7 @@ class ToolImpedance(Result):
         """(k,) predicted impedance F / X [N/m | N m/rad]; infinite where the tool does not move, as of stiff drives.
 
         Raises:
-            RangeError: A frequency beyond half the rate, or negative.
+            RangeError: A negative frequency, or one above half the rate.
         """
         Y = self.Y(omega)
         size = float(np.abs(self.Y(np.geomspace(1e-5, 1.0, 5)[:-1] * np.pi / self.lin.period)).max())
@@ -166,7 +161,7 @@ def tool_impedance(
         within: [rad | m] distance from `at` within which the equilibrium is searched.
 
     Raises:
-        RangeError: No equilibrium near `at`; a direction along which the tool cannot move.
+        RangeError: No equilibrium near `at`; a direction in which the tool cannot move.
         UsageError: A plant that takes no force at its tool; a reference that moves.
 
     Example:
@@ -201,11 +196,7 @@ def tool_impedance(
 
 
 def _unit_vector(direction: ArrayLike) -> Float64Array:
-    """(6,) unit vector of a force or motion, (3,), or of a translation or rotation, (6,).
-
-    Raises:
-        ShapeError, RangeError: Another shape, both at once, or zero.
-    """
+    """(6,) unit vector of a force or motion (3,), or of a translation or a rotation (6,), not both at once."""
     given = finite_array("direction", direction)
     if given.shape not in ((3,), (6,)):
         raise ShapeError(f"direction must have shape (3,) or (6,); got shape {given.shape}", name="direction")
@@ -219,19 +210,10 @@ def _unit_vector(direction: ArrayLike) -> Float64Array:
     return six / float(np.linalg.norm(six))
 
 
-# -------------------------------------------------------------------- what the law specifies
-
-
 def _specified(law: Law, x: Snapshot, reach: Float64Array) -> ApparentImpedance | None:
-    """What a law makes the arm's tool feel like, in the directions that the tool can move in.
+    """Impedance that a law specifies for the arm's tool on an orthonormal basis (6, r) of its motions.
 
-    None where it specifies nothing: another tool than the arm's, or an inertia D for a tool that would have to leave
-    the motions it can make.
-
-    Args:
-        law: The law, with its gains as they are.
-        x: The state, of the arm as the law knows it, in plain numbers.
-        reach: (6, r) an orthonormal basis of the motions that the tool can make.
+    None for another tool than the arm's, or an inertia D whose motion would leave that basis.
     """
     if getattr(law, "tool", None) not in (None, x.arm.tool):
         return None

@@ -32,14 +32,7 @@ SHOWN_QUANTILE: Final = 0.98  # quantile of the poles that a picture shows
 
 
 def bisected(same: Callable[[float], bool], low: float, high: float, tolerance: float = LOCUS_TOLERANCE) -> float:
-    """The value between two at which something changes, by bisection.
-
-    Args:
-        same: Whether it is at a value as at `low`; it is not at `high`.
-        low: One value.
-        high: The other.
-        tolerance: Relative to the value [-].
-    """
+    """The value between two at which `same` (as at `low`) changes, by bisection; tolerance relative."""
     near_zero = tolerance * NEAR_ZERO * abs(high - low)
     return float(bisect(lambda value: 1.0 if same(value) else -1.0, low, high, xtol=near_zero, rtol=tolerance))
 
@@ -343,22 +336,13 @@ def _figure(height: float) -> Figure:
     return NewFigure(figsize=(0.7 * WIDTH, height), dpi=150, layout="constrained", facecolor="white")
 
 
-# -------------------------------------------------------------------- Routh's table
-
-
 @dataclass(frozen=True, kw_only=True)
 class RouthRow:
-    """One row of the table.
+    """One row of the table."""
 
-    Args:
-        power: Of s in its first entry.
-        entries: Exact numbers.
-        note: What was done where the usual rule has no answer; empty elsewhere.
-    """
-
-    power: int
+    power: int  # of s in its first entry
     entries: tuple[Fraction, ...]
-    note: str = ""
+    note: str = ""  # what was done where the usual rule has no answer
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -401,10 +385,9 @@ class RouthTable(Result):
 def routh(coefficients: ArrayLike) -> RouthTable:
     """Routh's table of a_n s^n + ... + a_1 s + a_0, any order, special cases included.
 
-    The numbers are taken as exact fractions, so that no tolerance decides. A zero at the head of a row that has other
-    numbers: the row is added to itself, shifted to the left by its k zeros, with the sign (-1)^k. A row of zeros: the
-    derivative of the row above takes its place; that row's polynomial divides the whole, and has every pair of roots
-    that lie opposite each other.
+    The numbers are exact fractions, so that no tolerance decides. A row with a zero at its head is added to itself,
+    shifted to the left by its k zeros, with the sign (-1)^k. A row of zeros is replaced by the derivative of the row
+    above, whose polynomial divides the whole, and has every pair of roots that lie opposite each other.
 
     Args:
         coefficients: (n + 1,) from the highest power down; the first is not zero.

@@ -39,7 +39,6 @@ class Tick:
         tau: (n,) torques [N m | N].
         command: (n,) what the controller commands.
         ref: The sample of the reference.
-        loop: The loop.
     """
 
     t: Any
@@ -52,7 +51,7 @@ class Tick:
 
     @property
     def e(self) -> Any:
-        """(n,) error of joints, desired minus actual [rad | m]; of a task (3,) that of the tool's position [m].
+        """(n,) error of joints, desired minus actual [rad | m]; of a task (3,) the tool's position error [m].
 
         Raises:
             UsageError: The law follows no motion.
@@ -98,11 +97,7 @@ COSTS: Final[Mapping[str, Callable[[Tick], Any]]] = {
 
 
 def cost_function(cost: str | Mapping[str, float] | Cost) -> Cost:
-    """A cost as a function of a tick: by name, as weights of names, or as the function that it is.
-
-    Raises:
-        UnknownNameError: No cost has that name.
-    """
+    """A cost as a function of a tick: by name, as weights of names, or as the function that it is."""
     if callable(cost):
         return _checked(cost)
     weights = {cost: 1.0} if isinstance(cost, str) else dict(cost)
@@ -134,23 +129,14 @@ def _squared(rows: Any) -> Any:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunSlopes:
-    """Cost and torques of a run, each with its derivative along d directions.
+    """Cost and torques of a run of k ticks, each with its derivative along d directions."""
 
-    Args:
-        dt: [s] control period.
-        cost: (k,) of each tick.
-        cost_slopes: (d, k).
-        tau: (k, n) [N m | N].
-        tau_slopes: (d, k, n).
-        error: (k,) norm of the tracking error [rad | m]; NaN where the law follows no motion.
-    """
-
-    dt: float
-    cost: Float64Array
-    cost_slopes: Float64Array
-    tau: Float64Array
-    tau_slopes: Float64Array
-    error: Float64Array
+    dt: float  # [s]
+    cost: Float64Array  # (k,)
+    cost_slopes: Float64Array  # (d, k)
+    tau: Float64Array  # (k, n) [N m | N]
+    tau_slopes: Float64Array  # (d, k, n)
+    error: Float64Array  # (k,) norm of the tracking error [rad | m]; NaN where the law follows no motion
 
     def mean_cost(self) -> tuple[float, Float64Array]:
         """The cost of the run, and (d,) its derivative."""
@@ -190,13 +176,8 @@ def _changed(loop: Loop, values: Mapping[str, ArrayLike]) -> Iterator[None]:
 class RunGradient:
     """A loop with the derivative of its cost and torques by parameters, compiled once.
 
-    Exact, as automatic differentiation is: through law, sensing, limits, drives and arm, with the noise of a seed as
-    it is. A non-smooth point has the derivative of the branch that it is on.
-
-    Args:
-        loop: The loop.
-        paths: The parameters.
-        cost: Of a tick.
+    Exact by automatic differentiation through law, sensing, limits, drives and arm, with the noise of a seed; at a
+    non-smooth point that of the branch taken.
     """
 
     def __init__(self, loop: Loop, paths: Sequence[str], cost: str | Mapping[str, float] | Cost) -> None:
@@ -226,19 +207,7 @@ class RunGradient:
         v: Float64Array,
         seed: int,
     ) -> RunSlopes:
-        """The run with some parameters of the loop changed, and its derivative.
-
-        Args:
-            changes: The parameters by path.
-            directions: By path, (d, ...) how each direction changes the parameter.
-            q: (n,) positions at the start.
-            v: (n,) velocities at the start.
-            seed: Of the noise.
-
-        Raises:
-            RangeError: The run diverges.
-            UsageError: The state of the loop at the start depends on a parameter.
-        """
+        """The run from q, v with parameters changed, and its derivative along (d, ...) directions by path."""
         loop = self._loop
         with _changed(loop, changes):
             fused = FusedRun(loop, q, v, seed, Schedule(loop.side, loop.plant, loop.parameters, (), loop.ticks))

@@ -37,8 +37,7 @@ class Coupling(Result):
 
     Args:
         joints: Their names.
-        inertia: 0 to 1, one less the smallest eigenvalue of D^-1/2 M D^-1/2, with D the diagonal of M, and M with
-            rotors and payload: 0 for axes whose accelerations are decoupled.
+        inertia: 0 (decoupled) to 1: one less the smallest eigenvalue of D^-1/2 M D^-1/2, with D = diag(M).
         crosstalk: (n, n) largest gain over all frequencies from the reference of each joint (column) to each (row).
         droop: (n,) steady-state error of each joint under gravity [rad | m].
         unit: Of the joints, all of one kind.
@@ -86,16 +85,14 @@ def coupling(loop: Loop, *, at: ArrayLike | None = None) -> Coupling:
     """Coupling of the joints of an arm at a pose, in the sampled loop: whether decentralised control is enough.
 
     The dynamics are decoupled where each joint's acceleration depends on its own torque and state alone: in gantries,
-    and nearly in arms with large gears, whose rotors are most of the diagonal of M, and where gravity is small
-    beside the torques of the joints. How much that matters depends on the gains of the loop.
+    and nearly in arms with large gears, whose rotors dominate the diagonal of M, and with little gravity.
 
     Args:
         loop: A loop of a law of joints, with a reference that stays.
         at: (n,) joint positions to begin at [rad | m]; home if left out.
 
     Raises:
-        UsageError: A law that follows no joint positions; joints of metres beside joints of radians; an unstable
-            loop.
+        UsageError: A law that follows no joint positions; joints of different units; an unstable loop.
         RangeError: No equilibrium near `at`.
 
     Example:
@@ -140,9 +137,6 @@ def coupling(loop: Loop, *, at: ArrayLike | None = None) -> Coupling:
         droop=lin.point.moved,
         unit=units[0],
     )
-
-
-# -------------------------------------------------------------------- the Lyapunov function, eqs. 10.24 to 10.27
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -199,16 +193,14 @@ def lyapunov(run: Run) -> Lyapunov:
                   M-dot - 2 C is skew, so that the Coriolis torques do no work
 
     The rate is that at the instant of each tick; between ticks the torque is held, so that V decreases by slightly
-    less or more than the integral. A model error of the law, such as another payload, shows as a difference of the
-    rates.
+    less or more than the integral. A model error of the law shows as a difference of the rates.
 
     Args:
         run: Of `GravityPID` with ki = 0 or `GravityCompensation`, on a plant with viscous friction at most.
 
     Raises:
-        UsageError: A run of another law, with an integral, with a reference that moves, with events, with dry
-            friction or gears that lose power or give way, on a plant that compensates gravity itself, or that was
-            loaded from a file and has no arm.
+        UsageError: A run without an arm, of another law, or with an integral, a moving reference, events, dry
+            friction, gears that lose power or give way, or a plant that compensates gravity itself.
 
     Example:
         >>> import taut

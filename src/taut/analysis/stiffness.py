@@ -50,9 +50,6 @@ MAX_FACTOR: Final = 2.0**40  # [-] on a stiffness, up to which a limit is search
 INTEGRATOR: Final = 1e-9  # [-] distance in z of a pole to 1
 
 
-# -------------------------------------------------------------------- the result
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StiffnessCheck(Result):
     """Stability and passivity of the sampled loop of an inertia and a law, in all directions at once.
@@ -108,10 +105,7 @@ class StiffnessCheck(Result):
 
     @cached_property
     def damping_margin(self) -> float:
-        """Physical damping above the least that passivity needs [N m s/rad | N s/m]; negative where it is too small.
-
-        In the worst direction and at the worst frequency: see `passivity_margin`.
-        """
+        """Physical damping above the minimum of passivity [N m s/rad | N s/m], worst direction and frequency."""
         return self._margin(self.law)
 
     @property
@@ -174,8 +168,6 @@ class StiffnessCheck(Result):
             notes=[f"the verdict relies on the {each}" for each in self.relies_on],
         )
 
-    # ---------------------------------------------------------------- its parts
-
     @property
     def _rounding(self) -> float:
         sampled = np.abs(self.law.D[self.law.rows("command")])
@@ -208,9 +200,6 @@ class StiffnessCheck(Result):
         return largest_factor(lambda factor: holds(self.law_of(factor)), self.tolerance, MAX_FACTOR)
 
 
-# -------------------------------------------------------------------- passivity
-
-
 def passivity_margin(
     law: LinearSystem, damping: Float64Array, *, delay: float = 0.0, band: float | None = None
 ) -> float:
@@ -226,18 +215,9 @@ def passivity_margin(
                   H_0 = exp(-j omega delay) (1 - z^-1)/(j omega T) (H + j omega H_v) / (j omega),
                   the force's first harmonic over the velocity; H_v is that of a measured velocity
 
-    A measured velocity has no bound for every environment: its samples contain nothing of the motion between ticks,
-    so that resonances of the environment far above the rate can beat any damping; then the margin is minus infinity.
-    With an integral it is minus infinity too: a slow enough motion gets more energy out of it than any damping takes.
-
-    Args:
-        law: From q and v to command, sampled.
-        damping: (n, n) physical damping [N m s/rad | N s/m].
-        delay: [s] from the tick to the torque, beyond the hold; whole periods or not.
-        band: [Hz], at most half the rate; None for every passive environment.
-
-    Returns:
-        [N m s/rad | N s/m]; negative where the loop is not passive.
+    A measured velocity has no bound for every environment (minus infinity): its samples contain nothing of the motion
+    between ticks, so that resonances far above the rate can beat any damping. Nor has an integral: a slow enough
+    motion gets more energy out of it than any damping takes.
 
     References:
         Colgate and Schenkel, Passivity of a class of sampled-data systems: application to haptic interfaces (1997),
@@ -305,9 +285,6 @@ def _adjoint(matrices: Complex) -> Complex:
     return matrices.conj().swapaxes(1, 2)
 
 
-# -------------------------------------------------------------------- a virtual wall
-
-
 def check_virtual_wall(
     *,
     mass: ArrayLike,
@@ -373,9 +350,6 @@ def _checked_band(band: float | None, rate: float) -> float | None:
     return value
 
 
-# -------------------------------------------------------------------- an arm under its controller
-
-
 def check_stiffness(
     ctrl: Controller,
     at: ArrayLike | None = None,
@@ -391,18 +365,15 @@ def check_stiffness(
                   is not compensated; a law that compensates it does so between ticks too
 
     Limits are factors on the law's stiffness, its gains K and kp. All motions of the joints count, those in the null
-    space too. Dry friction, its compensation and limits of torque are left out. A damper of the law acts once in a
-    period and is no physical damping. Passive means: against every passive environment at the joints, which for
-    redundant arms is more than at the tool.
+    space too. Dry friction, its compensation and limits of torque are left out; a damper of the law is no physical
+    damping. Passive means: against every passive environment at the joints, for redundant arms more than at the tool.
 
     Args:
         ctrl: A controller whose law gives torques and reads no wrist sensor.
         at: (n,) positions [rad | m]; home if left out.
-        damping: (n,) or a number, viscous friction of the joints [N m s/rad | N s/m]; the arm's own if left out, 0
-            for a verdict that relies on none. The verdict names it in `relies_on`.
+        damping: (n,) or a number, viscous friction of the joints [N m s/rad | N s/m]; the arm's own if left out.
         delay: [s] from the tick to the torque, beyond the zero-order hold; whole periods or not.
-        band: [Hz], at most half the rate: passivity for motions below it, such as 20 for hands; for every passive
-            environment if left out.
+        band: [Hz] passivity for motions below it, such as 20 for hands; for every passive environment if left out.
 
     Raises:
         UsageError: No controller, a law that commands velocities or positions, or that reads a wrist sensor.
@@ -449,11 +420,7 @@ def check_stiffness(
 def _law_at(ctrl: Controller, q: Float64Array, x: Snapshot, gravity: Float64Array) -> tuple[LawOf, bool]:
     """The law of a controller at a pose as a linear system, and whether it compensates gravity there.
 
-    Args:
-        ctrl: The controller.
-        q: (n,) the pose [rad | m].
-        x: The arm there as the law knows it.
-        gravity: (n, n) derivative of its gravity torques, which in a command are no stiffness [N m/rad | N/m].
+    `gravity` (n, n) [N m/rad | N/m] is the derivative of the gravity torques, which in a command are no stiffness.
     """
     loop = _LOOPS.get(ctrl)
     if loop is None:

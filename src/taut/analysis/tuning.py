@@ -39,27 +39,16 @@ WORST_SHOWN: Final = 100.0  # times the cost at the start, in a plot
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoopFigures:
-    """The runs of a loop with some parameters: means over the seeds, and of torque and rate the largest.
-
-    Args:
-        name: Of the loop.
-        held_out: Whether nothing is tuned for it.
-        cost: The cost that is minimised.
-        rms_error: Of the joints or of the tool [rad | m]; NaN where the law follows no motion.
-        effort: Integral of tau^2 [(N m)^2 s].
-        torque: Largest fraction of the torque limits; NaN without.
-        rate: Largest fraction of the limits of the torque rate; NaN without.
-        chatter: Total variation of the torques per second [N m/s].
-    """
+    """The runs of a loop with some parameters: means over the seeds, and of torque and rate the largest."""
 
     name: str
-    held_out: bool
+    held_out: bool  # nothing is tuned for it
     cost: float
-    rms_error: float
-    effort: float
-    torque: float
-    rate: float
-    chatter: float
+    rms_error: float  # of the joints or of the tool [rad | m]; NaN where the law follows no motion
+    effort: float  # integral of tau^2 [(N m)^2 s]
+    torque: float  # largest fraction of the torque limits; NaN without
+    rate: float  # largest fraction of the limits of the torque rate; NaN without
+    chatter: float  # total variation of the torques per second [N m/s]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -181,18 +170,15 @@ def tune(
                   with |tau| <= limits.tau, |tau's change in a tick| <= limits.tau_dot dt, and a chatter of at most
                   `chatter` times that at the start
 
-    SciPy's SLSQP minimises it, with the exact derivative of the loop as it is simulated: forward mode, every tick in
-    native code. Limits of the controller itself always hold; those given here are not set in it. Ctrl-C ends the
-    search, and gives the best so far.
+    SciPy's SLSQP minimises it, with the exact derivative of the simulated loop (forward mode, native code). Limits of
+    the controller itself always hold; those given here are not set in it. Ctrl-C ends the search with the best.
 
     Args:
-        loops: One or more loops that share the parameters: paths to follow, payloads, plants. Their parameters are
-            the start, and stay as they are.
+        loops: One or more loops that share the parameters, and begin with them; they stay as they are.
         paths: Such as ("law.kp", "law.kd"), "sensing.velocity.cutoff"; one number, or one per joint.
-        cost: "tracking", "rotation", "effort" or "speed", or weights of them, {"tracking": 1.0, "effort": 1e-6}; or a
-            function of a `taut.analysis.Tick`, written with `taut.math`, whose mean over the ticks counts.
-        bounds: By path (low, high); a tenth and ten times the start if left out. Where both are above zero the scale
-            is logarithmic.
+        cost: "tracking", "rotation", "effort" or "speed", or weights of them, {"tracking": 1.0, "effort": 1e-6}; or
+            a function of a `taut.analysis.Tick` in `taut.math`, of which the mean over the ticks is taken.
+        bounds: By path (low, high), logarithmic if both are positive; a tenth and ten times the start if left out.
         limits: To keep within: `taut.Limits.of(arm)`; None for none.
         chatter: Largest chatter over that at the start: 1.0 for no more; None for any.
         q0: (n,) where runs start [rad | m]; home, or where a reference of joints starts, if left out.
@@ -201,8 +187,8 @@ def tune(
         held_out: Loops on which before and after are compared, and nothing is tuned.
 
     Raises:
-        UsageError, RangeError, ShapeError, UnknownNameError: Arguments that have no meaning, by name; a plant with
-            steps (encoders, amplifiers), which have no derivative; a start that diverges.
+        UsageError, RangeError, ShapeError, UnknownNameError: An invalid argument; encoders or amplifiers with steps,
+            which have no derivative; a start that diverges.
 
     Example:
         >>> import taut
@@ -263,14 +249,8 @@ def _entries(path: str, values: Float64Array) -> list[str]:
     return [f"{path}[{i}]" for i in range(values.size)] if values.ndim else [path]
 
 
-# -------------------------------------------------------------------- the parameters
-
-
 class _Space:
-    """Parameters by path as numbers x from 0 at the low bound to 1 at the high one.
-
-    The scale is logarithmic where both bounds are positive.
-    """
+    """Parameters by path as x from 0 to 1 between their bounds, logarithmic where both bounds are positive."""
 
     def __init__(self, loop: Loop, paths: Sequence[str], bounds: Mapping[str, tuple[ArrayLike, ArrayLike]]) -> None:
         if isinstance(paths, str) or not paths:
@@ -351,9 +331,6 @@ def _bounds_of(
             name="bounds",
         )
     return low, high
-
-
-# -------------------------------------------------------------------- the problem
 
 
 class _Stopped(Exception):  # noqa: N818  # no error: what ends an optimiser

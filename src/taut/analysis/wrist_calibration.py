@@ -26,7 +26,6 @@ SIGNIFICANT: Final = 4.0  # standard deviations by which a mass must differ from
 AT_END: Final = 1.0 - 1e-9  # of the range
 FORCE_AND_MOMENT: Final = "N, N m"
 
-# Of suggested poses.
 CANDIDATES: Final = 400
 SEED: Final = 0
 JOINT_LIMIT_MARGIN: Final = 0.05  # of a joint's range, to its limits
@@ -97,23 +96,20 @@ def calibrate_wrist(
     suggests good ones. A mass that is not significant is taken for none.
 
     Args:
-        wrenches: (k, 6) readings at rest without contact, force first: the wrench of the tool on the arm, as F_ext
-            counts; the readings of a sensor that gives the arm on the tool are minus these.
+        wrenches: (k, 6) readings at rest without contact, force first: of the tool on the arm, the sign of F_ext.
         arm: The arm, with q; or give poses.
         q: (k, n) measured positions at each reading [rad | m].
         poses: Instead, k poses of the sensor in the world.
-        axes: "sensor" for readings in the sensor's axes at its origin; "world" for F_ext as `ctrl.step` takes it and
-            runs record it, in world axes at the tool's origin, which needs the arm.
+        axes: "sensor", at its origin; "world" for F_ext of `ctrl.step` and runs, at the tool's origin of the arm.
         frame: The sensor's frame, one of the tool's body; the tool's own if None. With the arm only.
         gravity: (3,) in the world [m/s^2]; the arm's, or 9.81 m/s^2 downwards.
-        range: (6,) or (force, moment), range of the sensor [N, N m]: readings there are refused, and
-            `WristCalibration.wrist` has it.
+        range: (6,) or (force, moment), range of the sensor [N, N m]: readings there are refused.
 
     Raises:
         UsageError: Neither an arm with positions nor poses, or both.
         ShapeError: Another number of poses than of readings.
-        RangeError: A reading that is not finite, or at the end of the range; readings of the opposite sign.
-        NumericalError: Poses that do not determine the numbers; the message says which, and what pose would help.
+        RangeError: A reading that is not finite, at the end of the range, or of the opposite sign.
+        NumericalError: Poses that do not determine the numbers; the message names them and a pose that helps.
 
     Example:
         >>> import taut
@@ -148,9 +144,6 @@ def calibrate_wrist(
     if end is not None:
         _require_within(F, end)
     return _fitted(F, np.array([turn.T @ g for turn in R]), frame, end)
-
-
-# -------------------------------------------------------------------- readings and orientations
 
 
 def _by_arm(
@@ -200,9 +193,6 @@ def _require_within(F: Float64Array, end: Float64Array) -> None:
             name="wrenches",
             value=float(F[row, axis]),
         )
-
-
-# -------------------------------------------------------------------- the fit
 
 
 def _fitted(F: Float64Array, g: Float64Array, frame: str | None, end: Float64Array | None) -> WristCalibration:
@@ -264,11 +254,7 @@ def _least_squares(A: Float64Array, y: Float64Array) -> tuple[Any, Any, Float64A
 
 
 def _require_determined(u: Float64Array) -> tuple[float, float]:
-    """Rotation of gravity in the sensor's axes [rad]: in all, and off the line along which it is largest.
-
-    Raises:
-        NumericalError: Not far enough to tell the numbers apart.
-    """
+    """Rotation of gravity in the sensor's axes [rad]: in all, and off the line along which it is largest."""
     middle = u.mean(axis=0)
     values, directions = np.linalg.eigh((u - middle).T @ (u - middle) / len(u))
     values = np.maximum(values, 0.0)
@@ -309,28 +295,22 @@ def _words(u: Float64Array) -> str:
     return "(" + ", ".join(f"{sign * x + 0.0:.2f}" for x in u) + ")"
 
 
-# -------------------------------------------------------------------- suggested poses
-
-
 def calibration_poses(
     arm: Arm, *, count: int = 8, travel: float = 1.5, q: ArrayLike | None = None, frame: str | None = None
 ) -> Float64Array:
-    """Poses for `taut.analysis.calibrate_wrist`, in which bias, mass and centre of mass are well determined.
+    """(count, n) poses [rad | m] for `calibrate_wrist`, in which bias, mass and its centre are well determined.
 
-    The first is the arm's own. Each further one is the one of some hundred candidates around it that adds the most to
-    the determinant of the information on the centre of mass, less a little for the displacement. They keep a margin
-    to the limits of the joints and of their torques. Obstacles and self-collision are not considered: look at the
-    poses before a real arm goes there.
+    After the arm's own pose, each is the candidate that adds the most to the determinant of the information on the
+    centre of mass, less a little for the displacement, with a margin to the limits of joints and torques. Obstacles
+    and self-collision are not considered: look at the poses before a real arm goes there.
 
     Args:
         arm: The arm.
-        count: Number of poses, 3 at least.
+        count: Number of poses, at least 3.
         travel: Largest displacement of a joint from q [rad | m].
         q: (n,) where to start from; home if None.
         frame: The sensor's frame, one of the tool's body; the tool's own if None.
 
-    Returns:
-        (count, n) positions [rad | m].
 
     Raises:
         RangeError: Fewer than three poses, no travel.

@@ -1,8 +1,4 @@
-"""Four arms of our own, small enough to check by hand; they need no file and no extra package.
-
-The planar ones move in the vertical x-z plane: at zero a link lies along x, and a positive angle raises it. Under
-`gravity=(0, 0, 0)` they are the same arms on a table.
-"""
+"""Four small arms that can be checked by hand. The planar ones move in the vertical x-z plane, at zero along x."""
 
 from __future__ import annotations
 
@@ -27,21 +23,10 @@ TOOL: Final = "tool"
 
 
 def one_joint(*, M: float = 0.5, m: float = 1.0, r: float = 0.1, b: float = 0.1) -> Arm:
-    """The chapter's link on one hinge, figure 10.2.
+    """The chapter's link on one hinge: M a + m g r cos(theta) + b v = tau, with g = 9.81 m/s^2.
 
-    M a + m g r cos(theta) + b v = tau, with g = 9.81 m/s^2.
-
-    Frames: theta = 0 is horizontal, along x; a positive theta raises the link towards z. The frame `tool` is at
-    the centre of mass.
-
-    Args:
-        M: [kg m^2] inertia of the link about the joint's axis.
-        m: [kg] mass.
-        r: [m] distance of the centre of mass from the axis.
-        b: [N m s/rad] viscous friction.
-
-    Raises:
-        RangeError: A value that no link has; M must be above m r^2.
+    theta = 0 is horizontal along x, theta > 0 raises it towards z. M [kg m^2] is about the hinge, above
+    m r^2; r [m] is the distance of the centre of mass, where the frame `tool` is; b [N m s/rad] is viscous friction.
 
     Example:
         >>> arm = one_joint(r=0.08)
@@ -49,7 +34,7 @@ def one_joint(*, M: float = 0.5, m: float = 1.0, r: float = 0.1, b: float = 0.1)
         [0.08, 0.0, 0.0]
 
     References:
-        Lynch and Park, Modern Robotics (2017), section 10.2.1, equation 10.4 and below.
+        Lynch and Park, Modern Robotics (2017), section 10.2.1, figure 10.2, equation 10.4 and below.
     """
     return assemble(Arm, one_joint_tree(M=M, m=m, r=r, b=b))
 

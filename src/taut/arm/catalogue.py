@@ -1,7 +1,6 @@
-"""The arms that taut knows by name, out of packages on PyPI: where each file is, and what it does not say.
+"""The arms that taut knows by name, from packages on PyPI: files, gripper locks, tools, home poses, drive commands.
 
-An entry states the gripper's locks, the tool, a pose to start from, and the commands that the real arm takes. What
-it puts in place of missing or senseless numbers of the file stands in the arm's notes.
+Numbers that replace missing or senseless ones of a file are stated in the arm's notes.
 """
 
 from __future__ import annotations
@@ -62,12 +61,7 @@ def installed_package(entry: Entry) -> Distribution | None:
 
 
 def entry_tree(entry: Entry) -> Tree:
-    """The links and joints of an entry's file, with what the entry supplies.
-
-    Raises:
-        MissingExtraError: The package is not installed.
-        ModelError: The file is not what the package ships.
-    """
+    """The links and joints of an entry's file, with what the entry supplies."""
     package = installed_package(entry)
     if package is None:
         raise missing_extra(f"arm '{entry.name}'", entry.package, entry.extra)
@@ -130,8 +124,7 @@ ENTRIES: Final = (
         home={f"panda_joint{i}": q for i, q in enumerate(FRANKA_HOME, start=1)},
         locked={"panda_finger_joint1": 0.0, "panda_finger_joint2": 0.0},  # closed
     ),
-    # franky-sim ships two files. fr3.urdf is the whole robot with its hand; fr3_clean.urdf is what its simulator
-    # computes with: no hand, no meshes, and joints that lost their prefix.
+    # fr3.urdf is the whole robot; fr3_clean.urdf, for franky-sim's simulator, lacks hand, meshes, joint prefixes.
     Entry(
         name="fr3",
         package="franky-sim",
@@ -240,13 +233,7 @@ CATALOGUE: Final[Mapping[str, Entry]] = {entry.name: entry for entry in ENTRIES}
 
 
 def described(name: str) -> tuple[Path, dict[str, Path]]:
-    """The model file of that description, and the folders that stand for its package.
-
-    Raises:
-        MissingExtraError: robot_descriptions is not installed.
-        UnknownNameError: It has no such description.
-        FileError: The download failed, or the description has neither URDF nor MJCF.
-    """
+    """The file of a robot_descriptions model, and the folders that stand for its package; may raise FileError."""
     try:
         package = importlib.import_module(DESCRIPTIONS)
     except ImportError as cause:

@@ -196,11 +196,9 @@ def _column(arm: Arm, name: str, given: ArrayLike | Mapping[str, float]) -> Floa
 
 
 def perturbed_copy(arm: Arm, *, seed: int, mass: float, com: float, inertia: float, friction: float) -> Arm:
-    """The arm with random errors in masses, centres of mass, sizes and friction.
+    """The arm with random errors in masses, centres of mass, sizes and friction, log-normal where positive.
 
-    Spreads are log-normal where a value must stay positive, so that every draw is a possible arm. The size
-    acts on the second moment of mass, S = tr(I)/2 1 - I, axis by axis: any positive S is a rigid body, so the
-    triangle inequality holds by construction.
+    The size acts on the second moment of mass S = tr(I)/2 1 - I axis by axis: any S > 0 is a rigid body.
     """
     seed = whole_number("seed", seed)
     for name, value in (("mass", mass), ("com", com), ("inertia", inertia), ("friction", friction)):

@@ -1,7 +1,6 @@
-"""Arm: what the robot is. Joints, bodies, frames, gravity, limits; data, no maths.
+"""Arm: the robot's joints, bodies, frames, gravity and limits; data, no maths.
 
-Joint i moves body i, and its body frame is the joint's own frame. Parents come before children. The base,
-written -1, stands at T_WB in the world. Links that hang on each other by fixed or locked joints are one body.
+Joint i moves body i, whose frame is the joint's own. Parents come before children; the base, written -1, is at T_WB.
 """
 
 from __future__ import annotations
@@ -96,8 +95,6 @@ class Arm:
         for name, value in kept.items():
             object.__setattr__(self, name, value)
 
-    # ---------------------------------------------------------------- what it has
-
     @property
     def n(self) -> int:
         """Number of moving joints."""
@@ -146,11 +143,7 @@ class Arm:
         return float(sum(body.mass for body in self.bodies))
 
     def frame(self, name: str | None = None) -> Frame:
-        """The frame of that name; the tool if no name is given.
-
-        Raises:
-            UnknownNameError: The arm has no such frame.
-        """
+        """The frame of that name (UnknownNameError if the arm has none); the tool by default."""
         name = self.tool if name is None else name
         for frame in self.frames:
             if frame.name == name:
@@ -164,11 +157,7 @@ class Arm:
         )
 
     def joint_index(self, name: str) -> int:
-        """Index in q of the joint of that name.
-
-        Raises:
-            UnknownNameError: The arm has no such joint.
-        """
+        """Index in q of the joint of that name; UnknownNameError if the arm has none."""
         if name in self.joint_names:
             return self.joint_names.index(name)
         raise unknown_name(f"arm '{self.name}'", "joint", name, self.joint_names)
@@ -185,15 +174,8 @@ class Arm:
         """(n,) the shortest way q_to - q_from; continuous joints wrap to [-pi, pi). Floats or symbols."""
         return short_way(q_to - q_from, self.continuous)
 
-    # ---------------------------------------------------------------- changed copies
-
     def with_tool(self, frame: str, T_FE: Pose | None = None, name: str = "tool") -> Arm:
-        """A copy whose tool is another frame, or a new frame at T_FE in that one.
-
-        Raises:
-            UnknownNameError: The arm has no such frame.
-            UsageError: The new name is taken.
-        """
+        """A copy whose tool is another frame, or a new frame at T_FE in it. Raises UnknownNameError, UsageError."""
         if not isinstance(frame, str):  # callers without a type checker
             raise UsageError(f"with_tool takes the name of a frame; got {frame!r}", name="frame")
         base = self.frame(frame)
@@ -231,12 +213,7 @@ class Arm:
         return home_replaced(self, q)
 
     def subset(self, joints: Iterable[str], q: ArrayLike | None = None) -> Arm:
-        """A copy in which only these joints move; the others are locked at q (the home pose by default).
-
-        Raises:
-            UnknownNameError: The arm has no such joint.
-            UsageError: No joint is left, or one is named twice.
-        """
+        """A copy in which only these joints move, the others locked at q (home). UnknownNameError, UsageError."""
         from taut.arm.change import locked_copy
 
         return locked_copy(self, joints, q)
@@ -250,14 +227,14 @@ class Arm:
         inertia: float = 0.0,
         friction: float = 0.0,
     ) -> Arm:
-        """A copy with a modelling error, drawn once from `seed`; what it gives is a possible rigid body.
+        """A copy with a modelling error, drawn once from `seed`; every draw is a possible rigid body.
 
         Args:
             seed: Seed of the draw.
-            mass: Relative spread (standard deviation) of each mass; its inertia scales along.
-            com: Spread of each centre of mass [m].
-            inertia: Relative spread of the body's size about its centre of mass, each axis on its own.
-            friction: Relative spread of viscous and dry friction.
+            mass: Relative standard deviation of each mass; its inertia scales along.
+            com: Standard deviation of each centre of mass [m].
+            inertia: Relative standard deviation of the body's size about its centre of mass, axis by axis.
+            friction: Relative standard deviation of viscous and dry friction.
         """
         from taut.arm.change import perturbed_copy
 
@@ -291,13 +268,7 @@ class Arm:
         return joints_replaced(self, values)
 
     def with_friction(self, friction: Friction) -> Arm:
-        """A copy with another friction, in all its parts.
-
-        Example:
-            >>> from taut import Friction, load_arm
-            >>> load_arm("planar2").with_friction(Friction(viscous=0.1, coulomb=[0.5, 0.2])).coulomb.tolist()
-            [0.5, 0.2]
-        """
+        """A copy with another friction, in all its parts: `arm.with_friction(Friction(viscous=0.1))`."""
         if not isinstance(friction, Friction):
             raise UsageError(f"with_friction takes a taut.Friction; got {type(friction).__name__}", name="friction")
         return self.with_joints(**{name: getattr(friction, name) for name in FRICTION_FIELDS})
@@ -305,17 +276,14 @@ class Arm:
     def with_gears(
         self, ratio: ArrayLike | Mapping[str, float], motor_inertia: ArrayLike | Mapping[str, float]
     ) -> Arm:
-        """A copy with geared motors. What the joint sees of a rotor is its reflected inertia, ratio^2 motor_inertia.
-
-        A rotor inertia that is hard to believe, such as one in g cm^2, gives a warning.
+        """A copy with geared motors, reflected inertia ratio^2 motor_inertia; warns of an implausible rotor inertia.
 
         Args:
-            ratio: Turns of the motor per turn of the joint, one number, one per joint, or by joint name for some
-                joints only; 1 is direct drive. For a prismatic joint, turns of the motor per metre [rad/m].
-            motor_inertia: Of each rotor about its own axis [kg m^2], in the same way.
+            ratio: Turns of the motor per turn of the joint, or per metre [rad/m]: one number, (n,), or by joint name.
+            motor_inertia: Of each rotor about its own axis [kg m^2], in the same forms.
 
         Raises:
-            RangeError: A ratio that is not above zero, or a negative inertia.
+            RangeError: A ratio <= 0, or a negative inertia.
             UsageError: Two mappings that name different joints.
 
         Example:
@@ -332,14 +300,10 @@ class Arm:
         return geared(self, ratio, motor_inertia)
 
     def with_servo(self, servos: Servo | Mapping[str, Servo]) -> Arm:
-        """A copy with the friction and the rotor inertia of a servo in every joint, or of one each by joint name.
+        """A copy with the friction and rotor inertia of a servo in every joint, or of one each by joint name.
 
-        A servo's numbers are those of its output, so that the gear ratio of such a joint is 1. Effort and
-        speed limits stay what they were; `with_joints(effort=servo.stall_torque)` changes them.
-
-        Raises:
-            UnknownNameError: The arm has no such joint.
-            UsageError: Not a servo, or a prismatic joint.
+        A servo's numbers are those of its output, so that the gear ratio becomes 1. Effort and speed limits stay;
+        `with_joints(effort=servo.stall_torque)` changes them. Raises UnknownNameError, UsageError (prismatic joint).
 
         Example:
             >>> from taut import Friction, Servo, load_arm
@@ -350,8 +314,6 @@ class Arm:
         from taut.arm.servo import with_servos
 
         return with_servos(self, servos)
-
-    # ---------------------------------------------------------------- other ways in
 
     @classmethod
     def from_screws(
@@ -373,7 +335,7 @@ class Arm:
 
         Raises:
             ShapeError: The lists do not fit together.
-            ModelError: An inertia or a screw axis that no rigid body or joint has.
+            ModelError: An impossible inertia or screw axis.
 
         References:
             Lynch and Park, Modern Robotics (2017), sections 3.3.2, 8.2 and 8.3.

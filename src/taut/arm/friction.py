@@ -40,11 +40,9 @@ class Friction:
                   with s(v); tau_motor is the motor's torque at the joint, tau_load what weight, motion and
                   contact put on it, which at rest is -tau_motor
 
-    The laws of figure 10.14 by what is given: (a) viscous; (b) coulomb; (c) viscous and coulomb, which at rest is as
-    much; (d) coulomb and a larger static; (e) these and viscous; (f) these and stribeck.
-    `taut.analysis.plot_friction` draws them.
-
-    Friction that is known is friction of the joint's own axis: of gears it is seen at their output.
+    The laws of figure 10.14 by their parameters: (a) viscous; (b) coulomb; (c) viscous and coulomb; (d) coulomb and a
+    larger static; (e) these and viscous; (f) these and stribeck. `taut.analysis.plot_friction` draws them. Friction
+    is that of the joint's own axis, at the output of gears.
 
     Args:
         viscous: Friction per speed [N m s/rad | N s/m].
@@ -126,11 +124,7 @@ FRICTION_FIELDS: Final = tuple(field.name for field in fields(Friction))
 
 
 def check_at_rest(at_rest: ArrayLike, moving: ArrayLike, name: str, prefix: str = "friction.") -> None:
-    """Friction at rest is no less than friction in motion.
-
-    Raises:
-        RangeError: It is.
-    """
+    """Friction at rest is no less than friction in motion."""
     rest, kinetic = np.broadcast_arrays(np.asarray(at_rest, dtype=np.float64), np.asarray(moving, dtype=np.float64))
     wrong = np.argwhere(np.atleast_1d(rest < kinetic))
     if len(wrong):

@@ -57,22 +57,20 @@ def load_arm(
 
     Args:
         model: A name (`taut arms` lists them), the path of a .urdf or an MJCF .xml file, or a pinocchio.Model.
-        tool: The frame that carries the payload and that tasks mean; by default the catalogue's, or the only
-            frame at an end.
-        T_WB: Where the base stands in the world; at its origin by default.
-        locked: Joints that are held, with the position [rad | m] of each. These come on top of the catalogue's
-            grippers; None instead of a position sets a joint free.
-        joints: The only joints that move; all others are held at home.
+        tool: Frame of payload and tasks; by default the catalogue's, or the only frame at an end.
+        T_WB: Pose of the base in the world; at its origin by default.
+        locked: Position [rad | m] of each locked joint, besides the catalogue's grippers; None sets a joint free.
+        joints: The only joints that move; all others are locked at home.
         home: A pose to start from, by joint name or one entry per joint [rad | m].
         gravity: (3,) [m/s^2] in the world; by default the file's, or 9.81 downwards.
 
     Raises:
         ModelError: The model breaks rules; `problems` has each with object, attribute and line.
         FileError: The file cannot be read.
-        UnknownNameError: There is no such arm, frame or joint.
-        MissingExtraError: The arm is in a package that is not installed.
+        UnknownNameError: No such arm, frame or joint.
+        MissingExtraError: The arm's package is not installed.
         RangeError: A position out of limits, or not finite.
-        UsageError: A wrong type, or a tool that has to be named.
+        UsageError: A wrong type, or a tool that must be named.
 
     Example:
         >>> load_arm("planar2").joint_names
@@ -139,15 +137,7 @@ def _require_names(argument: str, names: Iterable[object]) -> None:
 
 
 def open_model(model: str | os.PathLike[str] | PinocchioModel | Tree) -> Tree:
-    """Find and read a model.
-
-    Raises:
-        ModelError: Its text is not what it should be; problems of the model itself are in the tree.
-        FileError: The file cannot be read.
-        UnknownNameError: There is no such arm.
-        MissingExtraError: The arm is in a package that is not installed.
-        UsageError: Neither a name, nor a path, nor a model.
-    """
+    """Find and read a model; problems of the model itself are kept in the tree."""
     if isinstance(model, Arm):
         raise UsageError("model is an Arm already; its methods (with_tool, mounted, subset, ...) give changed copies")
     if isinstance(model, Tree):

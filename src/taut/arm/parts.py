@@ -29,10 +29,7 @@ TURN: Final = 2.0 * math.pi
 
 @dataclass(frozen=True, kw_only=True)
 class Body:
-    """What one joint carries, as one rigid body.
-
-    Frames: `com` and `inertia` are given in the body frame; `inertia` is about the centre of mass.
-    """
+    """The rigid body of one joint; `com` and `inertia` in the body frame, `inertia` about the centre of mass."""
 
     mass: float  # [kg]
     com: Point3  # [m]
@@ -45,10 +42,7 @@ class Body:
 
 @dataclass(frozen=True, kw_only=True)
 class Joint:
-    """One joint. Units are rad and N m for rotating joints, m and N for prismatic ones.
-
-    Those of an Arm are revolute, continuous or prismatic; a file may have others.
-    """
+    """One joint [rad, N m | m, N]. Those of an Arm are revolute, continuous or prismatic; a file may have others."""
 
     name: str
     kind: JointKind
@@ -114,15 +108,14 @@ class Visual:
 
 @dataclass(frozen=True, kw_only=True)
 class Payload:
-    """What the tool carries. A run-time parameter: it changes between ticks without compiling.
+    """Payload of the tool, a run-time parameter: it changes between ticks without compiling.
 
-    Frames: `com` and `inertia` are in the tool frame; `inertia` is about the payload's centre of mass,
-    in the order xx, yy, zz, xy, xz, yz.
+    Frames: `com` and `inertia` are in the tool frame; `inertia` is about the payload's centre of mass.
 
     Args:
         mass: [kg], >= 0.
         com: (3,) [m].
-        inertia: (6,) [kg m^2], or (3, 3).
+        inertia: (6,) [kg m^2] in the order xx, yy, zz, xy, xz, yz, or (3, 3).
 
     Example:
         >>> Payload(mass=1.0, com=[0.0, 0.0, 0.05]).mass
@@ -177,9 +170,6 @@ def checked_payload_entry(path: str, value: ArrayLike) -> Float64Array:
     return Payload(inertia=vector(path, value, 6, unit="kg m^2")).inertia
 
 
-# -------------------------------------------------------------------- angles
-
-
 def short_way(delta: Array, continuous: Sequence[int]) -> Array:
     """Differences of joint positions (..., n); those of continuous joints wrap to [-pi, pi). Floats or symbols."""
     if not continuous:
@@ -191,19 +181,7 @@ def short_way(delta: Array, continuous: Sequence[int]) -> Array:
 
 
 def require_radians(name: str, q: Float64Array, arm: Arm) -> None:
-    """Refuse joint positions that lie more than a whole turn beyond a joint's limits.
-
-    A hinge with limits cannot be there, and no motion that is meant for it has a reason to go there: these are
-    degrees. A joint without limits may be anywhere.
-
-    Args:
-        name: What the positions are called in the message.
-        q: (n,) or (k, n) joint positions [rad | m].
-        arm: The arm that has the limits.
-
-    Raises:
-        RangeError: An angle that looks like degrees.
-    """
+    """Refuse q, (n,) or (k, n), more than a turn beyond a joint's limits, where no motion leads: it is in degrees."""
     hinge = np.array([unit == "rad" for unit in arm.units])
     far = hinge & ((q < arm.lower - TURN) | (q > arm.upper + TURN))
     if not far.any():
@@ -220,25 +198,12 @@ def require_radians(name: str, q: Float64Array, arm: Arm) -> None:
     )
 
 
-# -------------------------------------------------------------------- an inertia as six numbers
-
-
 def inertia_matrix(six: Any) -> Matrix:
-    """(3, 3) from the six numbers xx, yy, zz, xy, xz, yz, floats or symbols.
-
-    Example:
-        >>> inertia_matrix([1.0, 2.0, 3.0, 0.1, 0.2, 0.3]).tolist()
-        [[1.0, 0.1, 0.2], [0.1, 2.0, 0.3], [0.2, 0.3, 3.0]]
-    """
+    """(3, 3) from the six numbers xx, yy, zz, xy, xz, yz, floats or symbols."""
     xx, yy, zz, xy, xz, yz = six
     return tm.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def inertia_entries(I: Matrix) -> Array:
-    """(6,) from a symmetric (3, 3).
-
-    Example:
-        >>> inertia_entries(inertia_matrix([1.0, 2.0, 3.0, 0.1, 0.2, 0.3])).tolist()
-        [1.0, 2.0, 3.0, 0.1, 0.2, 0.3]
-    """
+    """(6,) xx, yy, zz, xy, xz, yz from a symmetric (3, 3)."""
     return tm.array([I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]])

@@ -17,16 +17,10 @@ SEED: Final = 0
 
 
 def reach(arm: Arm, frame: str | None = None, point: ArrayLike = (0.0, 0.0, 0.0)) -> float:
-    """Largest distance [m] of a point of a frame from the origin of the first joint on its chain.
+    """Largest distance [m] of a point (3,) [m] of a frame from the origin of the first joint on its chain.
 
-    The distance, as a function of one joint alone, has its largest value in closed form: a sine of the angle, or
-    a parabola of the slide. Each joint in turn goes there, from the tool to the base, until nothing is gained.
-    Infinite if a slide has no limit.
-
-    Args:
-        arm: The arm.
-        frame: The arm's tool if left out.
-        point: (3,) in that frame [m]; its origin if left out.
+    As a function of one joint it has its maximum in closed form (a sine, or a parabola of the slide): each joint in
+    turn goes there until convergence. Infinite if a slide has no limit.
     """
     tool = arm.frame(frame)
     chain = [arm.joints[i] for i in arm.ancestors(tool.body)]

@@ -98,13 +98,7 @@ class CheckReport:
 
 
 def check_model(model: str | os.PathLike[str]) -> CheckReport:
-    """Read a model and report; nothing that is wrong with it raises.
-
-    Example:
-        >>> report = check_model("planar2")
-        >>> report.ok, report.json()["total_mass"]
-        (True, 6.0)
-    """
+    """Read a model and report; problems of the model do not raise."""
     name = str(model)
     try:
         opened = open_model(model)
@@ -143,9 +137,6 @@ def _problems_of(wrong: TautError, name: str) -> tuple[Problem, ...]:
     if isinstance(wrong, ModelError):
         return wrong.problems
     return (Problem(object=name, attribute=None, message=str(wrong)),)
-
-
-# -------------------------------------------------------------------- as values and as text
 
 
 def _finite(value: float | None) -> float | None:
@@ -234,9 +225,6 @@ def _cell(value: float | None) -> str:
     if math.isnan(value):
         return "missing"
     return "none" if math.isinf(value) else f"{value:.4g}"
-
-
-# -------------------------------------------------------------------- the catalogue
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,7 +1,6 @@
-"""What can be wrong with a model, whoever read it: structure, joints, mass properties; and what is to be doubted.
+"""Rules for every model, whoever read it: structure, joints, mass properties; and doubtful numbers.
 
-Rules about inertia bite on the body that a moving joint carries, with everything that is fixed to it: frames
-without mass are normal. Axes and limits are checked on joints that move.
+Inertia is that of all that a moving joint carries, since frames without mass are normal.
 """
 
 from __future__ import annotations
@@ -221,10 +220,9 @@ def wrong_mass(link: TreeLink) -> str | None:
 
 
 def check_inertia(mass: float, inertia: Float64Array) -> tuple[str, str] | None:
-    """What is wrong with a rigid body's mass properties: (attribute, text), or None.
+    """(attribute, text) of what is wrong with a rigid body's mass properties, or None.
 
-    A body exists only if its mass is positive, its inertia positive definite, and no principal moment
-    larger than the sum of the other two.
+    The mass must be > 0, the inertia positive definite, no principal moment above the sum of the other two.
     """
     if not math.isfinite(mass) or not np.isfinite(inertia).all():
         return "inertia", "mass and inertia must be finite"
@@ -252,14 +250,8 @@ def _triangle(inertia: Float64Array) -> str:
     return f"{name[k]} {diagonal[k]:.4g} > {name[a]} + {name[b]} {diagonal[a] + diagonal[b]:.4g}"
 
 
-# -------------------------------------------------------------------- the mass matrix
-
-
 def indefinite(arm: Arm) -> float | None:
-    """The least eigenvalue of M, scaled to a unit diagonal, where it is too small at a random pose; None if never.
-
-    It is what rounding has to stay below, for M to be positive definite in floats too.
-    """
+    """The least eigenvalue of M, scaled to a unit diagonal, where too small for floats at a random pose, or None."""
     poses = max(1, min(RANDOM_POSES, MAX_ENTRIES // arm.n**2))
     rng = np.random.default_rng(0)
     low, high = np.maximum(arm.lower, -math.pi), np.minimum(arm.upper, math.pi)
@@ -304,9 +296,6 @@ def _about(axis: Float64Array, angle: Float64Array) -> Float64Array:
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     s, c = np.sin(angle)[:, np.newaxis, np.newaxis], np.cos(angle)[:, np.newaxis, np.newaxis]
     return np.asarray(np.eye(3) + s * K + (1.0 - c) * (K @ K))
-
-
-# -------------------------------------------------------------------- numbers to doubt
 
 
 def model_doubts(arm: Arm) -> Iterator[str]:

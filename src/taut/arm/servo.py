@@ -1,8 +1,6 @@
-"""Servos and gears: friction, rotor and motor constants that somebody identified, as the joint sees them.
+"""Servos and gears: identified friction, rotor and motor constants, as the joint sees them.
 
-Parameter files of servos are the JSON of the package better-actuator-models (BAM), one object of numbers by name. Its
-models of friction m1 to m5 are exactly a `Friction`; what m6 and the test bench add has no place in it and is named
-in the notes.
+Parameter files of servos are the JSON of the package better-actuator-models (BAM).
 """
 
 from __future__ import annotations
@@ -109,21 +107,13 @@ class Servo:
 
     @property
     def stall_torque(self) -> float:
-        """The motor's torque at rest under its full voltage, of which friction takes a part [N m].
-
-        Raises:
-            UsageError: The torque constant, the resistance or the voltage is not known.
-        """
+        """Motor torque at rest under full voltage, before friction [N m]; UsageError if a number is missing."""
         kt, R, u = self._known("stall torque", "torque_constant", "resistance", "voltage")
         return kt * u / R
 
     @property
     def no_load_speed(self) -> float:
-        """The speed at which the motor has no torque left under its full voltage [rad/s].
-
-        Raises:
-            UsageError: The torque constant or the voltage is not known.
-        """
+        """Speed of zero motor torque under full voltage [rad/s]; UsageError if a number is missing."""
         kt, u = self._known("no-load speed", "torque_constant", "voltage")
         return u / kt
 
@@ -161,15 +151,11 @@ def with_servos(arm: Arm, servos: Servo | Mapping[str, Servo]) -> Arm:
     return arm.with_joints(**values)
 
 
-# -------------------------------------------------------------------- parameter files
-
-
 def load_servo(path: str | os.PathLike[str], *, voltage: float | None = None) -> Servo:
     """A servo from a parameter file of the package better-actuator-models.
 
     The models m1 (viscous and Coulomb), m2 (Stribeck), m3 (load), m4 (load and Stribeck) and m5 (load, motor's and
-    external torque apart) become a `Friction` exactly. m6 adds two terms in the square of the load, which are left
-    out.
+    external torque apart) become a `Friction` exactly. Of m6 the two terms in the square of the load are left out.
 
     Args:
         path: The JSON file.
@@ -177,8 +163,8 @@ def load_servo(path: str | os.PathLike[str], *, voltage: float | None = None) ->
 
     Raises:
         FileError: The file cannot be read.
-        ModelError: It is no such file, or its numbers break rules; `problems` has each.
-        RangeError: A voltage that is not above zero.
+        ModelError: Not such a file, or its numbers break rules; `problems` has each.
+        RangeError: A voltage <= 0.
 
     References:
         Duclusaud, Passault, Padois and Ly, Extended friction models for the physics simulation of servo
@@ -213,8 +199,18 @@ def _object(file: Path) -> dict[str, Any]:
         text = stream.read(MAX_BYTES + 1)
     if len(text) > MAX_BYTES:
         raise _refused(file, "size", f"the file is larger than {MAX_BYTES // 1024} kB; a servo file has 1 kB")
+
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        names = [name for name, _ in pairs]
+        for name in names:
+            if names.count(name) > 1:
+                raise _refused(file, name, f"'{name}' is there twice; delete one")
+        return dict(pairs)
+
     try:
-        data = json.loads(text)
+        data = json.loads(text, object_pairs_hook=once)
+    except ModelError:
+        raise
     except (RecursionError, ValueError) as cause:  # no JSON, no UTF-8, too deep, or thousands of digits
         said = str(cause) if isinstance(cause, json.JSONDecodeError) else "its text is damaged or far too deep"
         raise _refused(file, "JSON", f"the file is not JSON: {said}", getattr(cause, "lineno", None)) from cause
@@ -269,11 +265,8 @@ def _friction(model: str, values: Mapping[str, Any]) -> Friction:
     return Friction(**of)
 
 
-# -------------------------------------------------------------------- gears
-
-
 def reflected_inertia(ratio: ArrayLike, motor_inertia: ArrayLike) -> Float64Array:
-    """What a joint sees of a rotor through its gear: ratio^2 motor_inertia [kg m^2 | kg].
+    """Reflected inertia of a rotor at its joint: ratio^2 motor_inertia [kg m^2 | kg].
 
     Law:  K = (I_link + G^2 I_motor) v^2 / 2, since the rotor turns G times as fast as the link
 
@@ -282,7 +275,7 @@ def reflected_inertia(ratio: ArrayLike, motor_inertia: ArrayLike) -> Float64Arra
         motor_inertia: Of the rotor about its own axis [kg m^2].
 
     Raises:
-        RangeError: A ratio that is not above zero, or a negative inertia.
+        RangeError: A ratio <= 0, or a negative inertia.
 
     Example:
         A link of 1 kg m^2 with a rotor of 1e-3 kg m^2: in direct drive 99.9 % of the inertia is the link's; behind

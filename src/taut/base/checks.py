@@ -69,11 +69,7 @@ def float_array(
     unit: str = "",
     joints: Sequence[str] | None = None,
 ) -> Float64Array:
-    """A read-only copy of `value` as floats of the given shape; NaN and infinity pass.
-
-    Raises:
-        ShapeError: Not numbers, or another shape.
-    """
+    """A read-only copy of `value` as floats of the given shape; NaN and infinity pass. Raises ShapeError."""
     array = _as_floats(name, value, unit)
     if shape is not None and array.shape != shape:
         count = f" ({count_of(len(joints), 'joint')})" if joints is not None and shape[:1] == (len(joints),) else ""
@@ -86,33 +82,18 @@ def float_array(
 
 
 def require_range(
-    name: str,
+    name: str,  # what messages call the numbers
     value: ArrayLike,
     *,
     unit: str = "",
-    joints: Sequence[str] | None = None,
+    joints: Sequence[str] | None = None,  # where there is an entry for each
     minimum: float = -math.inf,
-    above: float = -math.inf,
+    above: float = -math.inf,  # every entry must be greater
     maximum: float = math.inf,
-    infinite: bool = False,
-    hint: str = "",
+    infinite: bool = False,  # whether infinity is allowed
+    hint: str = "",  # what to do instead of zero
 ) -> None:
-    """Every entry is finite and in its range.
-
-    Args:
-        name: What messages call the numbers.
-        value: The numbers.
-        unit: Their unit, for messages.
-        joints: Names of the joints, where there is an entry for each.
-        minimum: Smallest allowed entry.
-        above: Every entry must be greater.
-        maximum: Largest allowed entry.
-        infinite: Whether infinity is allowed.
-        hint: What to do instead of zero, for the message.
-
-    Raises:
-        RangeError: An entry that is not; the message names the first.
-    """
+    """Every entry is finite and in its range. The RangeError names the first that is not."""
     array = np.asarray(value, dtype=np.float64)
     rules = {
         "finite": np.isnan(array) if infinite else ~np.isfinite(array),
@@ -147,12 +128,7 @@ def finite_array(
     above: float = -math.inf,
     infinite: bool = False,
 ) -> Float64Array:
-    """A read-only copy of `value` as floats of the given shape, all finite and in their range.
-
-    Raises:
-        ShapeError: Not numbers, or another shape.
-        RangeError: An entry that is not; the message names it.
-    """
+    """A read-only copy of `value` as finite floats of the given shape and range. Raises ShapeError or RangeError."""
     array = float_array(name, value, shape=shape, unit=unit, joints=joints)
     require_range(name, array, unit=unit, joints=joints, minimum=minimum, above=above, infinite=infinite)
     return array
@@ -275,11 +251,7 @@ def _beside(file: Path) -> str:
 
 
 def in_compiled_shape(path: str, value: Float64Array, shape: tuple[int, ...]) -> Float64Array:
-    """A parameter in the shape it was compiled with: a scalar k serves as k I, one per joint as a diagonal.
-
-    Raises:
-        ShapeError: It has more entries than the compiled shape has room for.
-    """
+    """A parameter in its compiled shape: a scalar k serves as k I, one per joint as a diagonal. Raises ShapeError."""
     if value.shape == shape:
         return value
     if value.ndim < len(shape) == 2 and value.shape in ((), shape[:1]):

@@ -29,10 +29,7 @@ ShortForm = Literal["scalar", "pair", "force", "matrix"]
 class Declaration(Generic[T]):
     """One declared field. Abstract: use Field, Whole, Choice, Part or Plain.
 
-    Args:
-        default: Value where none is given; without it the field must be given, or may be None if `optional`.
-        optional: Whether it may be None.
-        convert: Makes the value of something shorter, such as a Pose of a point; raises a TautError.
+    `convert` makes the value of something shorter, such as a Pose of a point; it raises a TautError.
     """
 
     run_time: bool = False
@@ -40,7 +37,7 @@ class Declaration(Generic[T]):
 
     def __init__(
         self,
-        default: Any = REQUIRED,
+        default: Any = REQUIRED,  # REQUIRED: the field must be given, or is None if `optional`
         *,
         optional: bool = False,
         convert: Callable[[Any], Any] | None = None,
@@ -61,16 +58,7 @@ class Declaration(Generic[T]):
         def __set__(self, obj: object, value: Any) -> None: ...
 
     def checked(self, value: Any, owner: Any = None, joints: Joints = None) -> Any:
-        """The value as it is stored.
-
-        Args:
-            value: What was given.
-            owner: The object whose field it is, for sizes that it knows.
-            joints: Names of the joints, or their number, where it is known.
-
-        Raises:
-            TautError: The field does not take it; the sentence begins with the field's name.
-        """
+        """The value as stored, or a TautError that begins with the field's name; `owner` and `joints` know sizes."""
         raise NotImplementedError
 
     def refuse(self, rule: str, value: object, kind: type[TautError] = UsageError) -> NoReturn:
@@ -109,7 +97,7 @@ class Field(Declaration[Any]):
         minimum: Smallest allowed entry.
         above: Every entry must be greater.
         maximum: Largest allowed entry.
-        zero_for_none: Whether entries may be 0 for joints that have none, though every other is `above` 0; not all.
+        zero_for_none: Whether some entries may be 0, for joints that have none, though every other is `above` 0.
         infinite: Whether infinity is allowed.
         hint: What to do instead of zero, for the message.
         run_time: Whether it may change between ticks; then it is a parameter by its path.
@@ -151,7 +139,6 @@ class Field(Declaration[Any]):
 
     @property
     def unit_words(self) -> str:
-        """The unit in brackets, for messages."""
         return f" [{self.unit}]" if self.unit else ""
 
     def size(self, owner: Any, joints: Joints = None) -> int | None:
@@ -191,7 +178,6 @@ class Field(Declaration[Any]):
         self._shaped(np.zeros(shape), self.size(owner, joints), joints)
 
     def _shaped(self, array: Float64Array, size: int | None, joints: Joints = None) -> Float64Array:
-        """The array in one of the forms that the field takes."""
         if "pair" in self.accepts and size == 6 and array.shape == (2,):
             return np.repeat(array, 3)
         if "force" in self.accepts and size == 6 and array.shape == (3,):
@@ -223,14 +209,7 @@ class Field(Declaration[Any]):
 
 
 class Whole(Declaration[int]):
-    """A whole number in a range.
-
-    Args:
-        default: As in `Declaration`.
-        minimum: Smallest value.
-        maximum: Largest value.
-        optional: Whether it may be None.
-    """
+    """A whole number in a range."""
 
     def __init__(
         self,
@@ -264,29 +243,20 @@ class Choice(Declaration[T]):
 
 
 class Part(Declaration[T]):
-    """Another object as a field: a declared class, or one of a family such as the laws.
-
-    Args:
-        of: The classes that it may have.
-        default: As in `Declaration`.
-        optional: Whether it may be None.
-        inline: Whether the paths of its parameters and memory are those of the owner, as of a law in a wrapper.
-        convert: As in `Declaration`.
-    """
+    """Another object as a field: a declared class, or one of a family such as the laws, of the classes `of`."""
 
     def __init__(
         self,
         *of: type[T],
         default: Any = REQUIRED,
         optional: bool = False,
-        inline: bool = False,
+        inline: bool = False,  # whether its parameters and memory have the owner's paths, as of a law in a wrapper
         convert: Callable[[Any], Any] | None = None,
     ) -> None:
         super().__init__(default, optional=optional, convert=convert)
         self.of, self.inline = of, inline
 
     def rule(self) -> str:
-        """The rule in words."""
         return " or ".join(IN_WORDS.get(kind, f"{_article(kind.__name__)} {kind.__name__}") for kind in self.of)
 
     def checked(self, value: Any, owner: Any = None, joints: Joints = None) -> Any:  # noqa: ARG002

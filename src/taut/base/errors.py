@@ -1,7 +1,6 @@
 """The one tree of errors, and the words they share.
 
-Every message has the same four parts: what, the rule, what was got, and how to fix it. The error keeps the
-data as attributes, so that a program can act on it without reading the text.
+A message has four parts: what, the rule, the actual value, and how to fix it. The error keeps the data as attributes.
 """
 
 from __future__ import annotations
@@ -24,10 +23,10 @@ class TautError(Exception):
     """Base of every error that taut raises. Its class has a `code`, which stays the same in every version.
 
     Args:
-        message: One sentence: what, rule, what was got, how to fix it.
+        message: One sentence: what, rule, actual value, how to fix it.
         name: The argument, gain, frame or file that the sentence is about.
         joint: The joint that it is about, where there is one.
-        value: What was got.
+        value: The actual value.
         rule: The rule that was broken, in words.
     """
 
@@ -67,7 +66,6 @@ class TautError(Exception):
 
 
 def _revived(kind: type[TautError], args: tuple[Any, ...], state: Mapping[str, Any]) -> TautError:
-    """An error with these arguments and attributes."""
     error = kind.__new__(kind, *args)
     super(TautError, error).__init__(*args)  # that of the built-in class beside it
     for key, value in state.items():
@@ -293,10 +291,6 @@ def printable(text: str, *, lines: bool = False) -> str:
     r"""A text in which control, bidirectional and other invisible characters are written out as escapes.
 
     A terminal obeys the first and shows what the second hide in another order; a lone surrogate cannot be written.
-
-    Args:
-        text: The text.
-        lines: Keep line breaks and tabs.
 
     Example:
         >>> print(printable("a\x1b]0;b\u202e"))

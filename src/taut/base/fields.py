@@ -5,9 +5,8 @@
         noise: Field = Field(0.0, unit="rad | m", minimum=0.0)
         side: Choice[Side] = Choice("link", "motor")
 
-From one declaration come validation, the error sentence, run-time parameters by path, and the reader of a TOML
-table. Relations between fields stand in the one method `check(self)` of a class.
-A sentence begins with the name of the field and contains no Python syntax, so that it reads the same for an argument
+One declaration gives validation, the error sentence, run-time parameters by path, and the reader of a TOML table. A
+sentence begins with the name of the field and contains no Python syntax, so that it reads the same for an argument
 (`kp[2] must be >= 0 [1/s^2]; got -3.0`) and for a key of a file (`law.kp[2] must be >= 0 [1/s^2]; got -3.0`).
 """
 
@@ -53,9 +52,6 @@ class Declared:
     An annotated attribute that is no declaration, `tool: str | None = None`, is a plain field that takes anything.
     Values are converted, checked and stored in the order of the declarations; then `check(self)` sees to relations
     between them. `dataclasses.fields` and `dataclasses.replace` work. A class variable is annotated as ClassVar.
-
-    Raises:
-        TautError: A value that its field does not take, a field that is missing or does not exist.
 
     Example:
         >>> class Load(Declared):
@@ -143,11 +139,7 @@ class Declared:
         """Relations between fields; a class that has some overrides it and calls `refuse`."""
 
     def refuse(self, field: str, rule: str, kind: type[TautError] = UsageError) -> NoReturn:
-        """Refuse the value of a field: `self.refuse("zeta", "is for a law without B; leave one of them out")`.
-
-        Raises:
-            TautError: Always. Field "" is the object as a whole.
-        """
+        """Refuse a field, "" being the whole object: `self.refuse("zeta", "is for a law without B")`."""
         subject = field or type(self).__name__
         raise kind(f"{subject} {rule}", name=subject, value=self.__dict__.get(field), rule=rule)
 
@@ -159,8 +151,6 @@ class Declared:
 
     def __delattr__(self, name: str) -> NoReturn:
         raise dataclasses.FrozenInstanceError(f"cannot delete field '{name}' of {type(self).__name__}")
-
-    # ---------------------------------------------------------------- run-time parameters by path
 
     def declared_parts(self) -> dict[str, Declared]:
         """The declared objects that this one has, by field."""
@@ -196,11 +186,7 @@ class Declared:
         return copy
 
     def find(self, path: str) -> tuple[Declared, Declaration[Any]]:
-        """The object that has the parameter at a path, and its declaration.
-
-        Raises:
-            UnknownNameError: There is none.
-        """
+        """The object that has the parameter at a path, and its declaration. Raises UnknownNameError."""
         if path in self.declared and self.declared[path].run_time:
             return self, self.declared[path]
         for name, part in self.declared_parts().items():
@@ -210,16 +196,7 @@ class Declared:
         raise unknown_name(type(self).__name__, "parameter", path, self.parameters())
 
     def changed(self, path: str, value: Any, *, name: str = "") -> Self:
-        """A copy with another value of the parameter at a path, checked as when it was made.
-
-        Args:
-            path: Of the parameter.
-            value: Its new value.
-            name: What messages call it; the path if left out.
-
-        Raises:
-            TautError: The field does not take it, or there is none.
-        """
+        """A copy with another value of the parameter at a path, which messages call `name`; checked as a new one."""
         head, _, rest = path.partition(".")
         parts = self.declared_parts()
         inner = head if head in parts else next((part for part in parts if not self._below(part)), "")
@@ -240,17 +217,7 @@ class Declared:
     def checked_parameter(
         self, path: str, value: Any, *, name: str = "", joints: Sequence[str] | int | None = None
     ) -> Float64Array:
-        """A new value of the parameter at a path, checked by its declaration alone.
-
-        Args:
-            path: Of the parameter.
-            value: Its new value.
-            name: What messages call it; the path if left out.
-            joints: Names of the joints, or their number, where a vector has an entry for each.
-
-        Raises:
-            TautError: The field does not take it, or there is none.
-        """
+        """A new value of the parameter at a path, which messages call `name`; checked by its declaration alone."""
         owner, field = self.find(path)
         try:
             checked: Float64Array = field.checked(field.converted(value), owner, joints)
@@ -259,11 +226,9 @@ class Declared:
         return checked
 
     def units(self) -> dict[str, str]:
-        """Unit of each run-time parameter by path."""
         return {path: self.find(path)[1].unit for path in self.parameters()}
 
     def _below(self, name: str) -> str:
-        """The beginning of the paths of a part."""
         field = self.declared.get(name)
         return "" if isinstance(field, Part) and field.inline else f"{name}."
 
@@ -279,15 +244,7 @@ class Declared:
         return copy
 
     def check_size(self, joints: Sequence[str] | int, prefix: str = "") -> None:
-        """Every vector has as many entries as there are joints.
-
-        Args:
-            joints: Names of the joints, or their number.
-            prefix: Path of this object in messages, such as "law.".
-
-        Raises:
-            ShapeError: A vector of another size.
-        """
+        """Every vector has an entry for each joint, else ShapeError; `prefix` begins the message: "law."."""
         for name, field in self.declared.items():
             value = self.__dict__[name]
             if isinstance(field, Field) and isinstance(field.shape, str) and value is not None:
@@ -317,7 +274,6 @@ def _shown(value: Any) -> str:
 
 
 def _same(stored: Any, default: Any) -> bool:
-    """True where a stored value is the default of its field."""
     if stored is default:
         return True
     if stored is None or default is None or default is REQUIRED:

@@ -1,7 +1,7 @@
 """Front doors: modules that give the public names of a room, each loaded when it is first used.
 
 A front door lists its names once, as imports below `if TYPE_CHECKING:`, which type checkers follow and Python reads
-as text. So `import taut` loads hardly anything, and a controller loads what it uses.
+as text. So `import taut` loads hardly anything.
 """
 
 from __future__ import annotations
@@ -24,12 +24,7 @@ _UNCHECKED: Final[dict[str, set[tuple[str, str]]]] = {}  # front doors and names
 
 
 def lazy_names(module: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """`__getattr__`, `__dir__` and `__all__` of a front door.
-
-    Args:
-        module: Its name.
-        file: Its file, whose imports for type checkers are its public names.
-    """
+    """`__getattr__`, `__dir__` and `__all__` of a front door, from the imports for type checkers in its file."""
     homes = {name: home for home, name in _IMPORT.findall(Path(file).read_text(encoding="utf-8"))}
     names = sorted(homes)
     for name, home in homes.items():
@@ -66,9 +61,8 @@ def _checked(module: str, name: str, value: Any) -> Any:
     return checked_arguments(value, module, name)
 
 
-# -------------------------------------------------------------------- arguments of public names
-# One that does not exist, or is missing, gets a sentence with the nearest that do. A call that succeeds costs one
-# Python frame more; the signature is read only where Python itself refuses the arguments of that very call.
+# An argument that does not exist, or is missing, gets a sentence with the nearest that do. A call that succeeds costs
+# one Python frame more; the signature is read only where Python itself refuses the arguments of that very call.
 
 
 _CHECKED: Final = "_taut_checked"
@@ -77,13 +71,7 @@ _LISTED = inspect.Parameter.VAR_POSITIONAL
 
 
 def checked_arguments(thing: Any, module: str, name: str) -> Any:
-    """A public function that refuses arguments in words; a class, whose constructors and methods then do.
-
-    Args:
-        thing: The value of the public name; a class stays the object it is, a module of functions too.
-        module: The front door that has the name, where pickle finds a function again.
-        name: Its public name.
-    """
+    """A public function that refuses arguments in words, which pickle finds in `module`; of a class, its methods."""
     if isinstance(thing, FunctionType):
         function = _refusing(thing)
         function.__module__, function.__qualname__ = module, name
@@ -137,7 +125,6 @@ def _refusing(function: FunctionType) -> FunctionType:
 def _wrong(
     function: Callable[..., Any], name: str, args: tuple[Any, ...], kwargs: dict[str, Any]
 ) -> UsageError | None:
-    """The error of the arguments of a call; None if they are right."""
     parameters = list(inspect.signature(function).parameters.values())
     if parameters[:1] and parameters[0].name in ("self", "cls"):
         parameters, args = parameters[1:], args[1:]

@@ -58,13 +58,7 @@ def subtree(flat: Mapping[str, Any], head: str) -> dict[str, Any]:
 
 
 class Named(dict[str, T]):
-    """A dict that reports missing names with the nearest ones.
-
-    Args:
-        owner: What has the names, for the message: "the run".
-        kind: What they name: "term".
-        values: What is there, by name.
-    """
+    """A dict that reports missing names with the nearest ones, as `kind` ("term") of `owner` ("the run")."""
 
     __slots__ = ("_kind", "_owner")
 
@@ -80,12 +74,7 @@ class Named(dict[str, T]):
 
 
 class Parameters(MutableMapping[str, Float64Array]):
-    """Run-time parameters by path; a new value is checked like the first one.
-
-    Args:
-        owner: What has them, for the message: "the loop".
-        values: Their numbers by path.
-    """
+    """Run-time parameters by path; a new value is checked like the first one. Messages name the owner: "the loop"."""
 
     def __init__(self, owner: str, values: Mapping[str, Float64Array]) -> None:
         self._owner, self._values = owner, dict(values)
@@ -105,7 +94,6 @@ class Parameters(MutableMapping[str, Float64Array]):
         return path in self._values
 
     def get(self, path: str, default: Any = None) -> Any:
-        """The value of a parameter, or the default where there is no such parameter."""
         return self[path] if path in self._values else default
 
     def __delitem__(self, path: str) -> None:

@@ -1,7 +1,4 @@
-"""Style of figures: colours that colour-blind readers tell apart, letters that stay legible in a paper.
-
-Nothing here touches matplotlib's global state: every size and colour is given where it is used.
-"""
+"""Style of figures: colours for colour-blind readers, legible letters; matplotlib's globals stay untouched."""
 
 from __future__ import annotations
 

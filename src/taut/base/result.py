@@ -1,7 +1,7 @@
 """Results of analyses: one description of each, from which text, JSON, HTML and plots are made.
 
-An analysis gives a frozen dataclass with its numbers as fields. It inherits `Result` and describes itself once, in
-`content()`; how that looks as text, as data or as a page is decided here and in `taut.record.report`.
+An analysis gives a frozen dataclass that inherits `Result` and describes itself once, in `content()`; text, data and
+pages are made of that here and in `taut.record.report`.
 """
 
 from __future__ import annotations
@@ -29,8 +29,7 @@ class Table:
     Args:
         title: What the rows are.
         columns: Heads, with units: "settling [s]".
-        rows: A cell for each column. Numbers stay numbers; NaN and None have no meaning in their row. A column that
-            holds texts alone is aligned to the left.
+        rows: A cell for each column; NaN and None have no meaning in their row. Columns of texts are aligned left.
         note: A sentence below it.
     """
 

@@ -27,11 +27,7 @@ COLUMNS: Final = ("quantity", "unit", "chapter", "computed", "expected", "differ
 
 
 def chosen(ids: Sequence[str]) -> list[Entry]:
-    """The entries of these ids, in the order of the chapter; all if there are none.
-
-    Raises:
-        UnknownNameError: The book has no such entry.
-    """
+    """The entries of these ids, in the order of the chapter; all if there are none. Raises UnknownNameError."""
     known = list(dict.fromkeys(entry.id for entry in CONTENTS))
     for name in ids:
         if name not in known:
@@ -60,7 +56,6 @@ def table(pages: Iterable[Page]) -> Table:
 
 
 def _number(value: float) -> str:
-    """A number with at most six digits."""
     return f"{value:.6g}" if abs(value) >= 1e-13 or value == 0.0 else "0"
 
 
@@ -76,15 +71,8 @@ def _difference(each: Row) -> str:
     return text if each.ok else f"{text} (!)"
 
 
-# -------------------------------------------------------------------- to keep
-
-
 def prepared_folder(folder: Path) -> Path:
-    """The folder, made if it was not there.
-
-    Raises:
-        FileError: It cannot be made.
-    """
+    """The folder, made if it was not there. Raises FileError."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as wrong:
@@ -93,11 +81,7 @@ def prepared_folder(folder: Path) -> Path:
 
 
 def write(pages: Sequence[Page], folder: Path) -> dict[str, Path]:
-    """The files of the book: a picture for each figure, book.csv and book.md; what each is, and where.
-
-    Raises:
-        FileError: A file cannot be written.
-    """
+    """The files of the book by their kind: a picture for each figure, book.csv and book.md. Raises FileError."""
     written = {}
     try:
         for each in pages:

@@ -72,9 +72,6 @@ def fig_10_9() -> Shown:
     yield "Chosen: a sine as trajectory."
 
 
-# -------------------------------------------------------------------- figures 10.10 and 10.12
-
-
 CENTRES: Final = {1: -0.5 * math.pi, 2: 0.5 * math.pi}  # [rad] of the tasks of figure 10.10
 
 
@@ -197,9 +194,6 @@ def fig_10_12() -> Shown:
         "the gains over M. Both confirm the chapter: better tracking than either alone, less effort than feedback "
         "alone. " + FRICTION
     )
-
-
-# -------------------------------------------------------------------- feedback linearisation
 
 
 @entry("eq-10.17", "error dynamics along any trajectory")

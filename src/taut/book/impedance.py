@@ -253,8 +253,6 @@ def eq_10_50() -> Shown:
     yield "D, B and K of equation 10.48; the model's own motion is followed with kp = 2500, kd = 100."
 
 
-# -------------------------------------------------------------------- high and low impedance
-
 KP, KD = 400.0, 40.0  # [1/s^2], [1/s] of motion control
 KFP, KDAMP = 2.0, 50.0  # [1], [N s/m] of force control
 PLACE: Final = taut.Coordinates.position()
@@ -321,8 +319,6 @@ def sides() -> Shown:
         "the arm's own inertia."
     )
 
-
-# -------------------------------------------------------------------- a haptic display
 
 MASS, FRICTION_DAMPING, VIRTUAL_DAMPING = 0.2, 1.0, 0.5  # [kg], [N s/m], [N s/m] of the display, chosen
 DISPLAY_RATE: Final = 1000.0  # [Hz]

@@ -83,7 +83,7 @@ def on_link(
     v0: float = 0.0,
     **options: Any,
 ) -> Run:
-    """A run of a law on the link, or on another arm of one joint, that stands for continuous time.
+    """A run of a law on the link, or on another arm of one joint, that approximates continuous time.
 
     Ticks are 0.1 ms long, the velocity is measured, the plant has its friction and is integrated to fourth order.
     """
@@ -105,9 +105,6 @@ def total(terms: Mapping[str, Float64Array]) -> Float64Array:
     return added
 
 
-# -------------------------------------------------------------------- the same by SciPy
-
-
 @dataclass(frozen=True, kw_only=True)
 class Solved:
     """A solution at each time."""
@@ -120,23 +117,14 @@ class Solved:
 
 def solved(
     tau: Callable[..., Any],
-    times: Float64Array,
+    times: Float64Array,  # (k,) [s]
     *,
-    desired: Callable[[Any], Any] = np.zeros_like,
-    q0: float,
-    v0: float = 0.0,
+    desired: Callable[[Any], Any] = np.zeros_like,  # angle over time
+    q0: float,  # [rad]
+    v0: float = 0.0,  # [rad/s]
     gravity: bool = True,
 ) -> Solved:
-    """M a + m g r cos(theta) + b v = tau(t, theta, v, e_int) by SciPy's DOP853.
-
-    Args:
-        tau: The torque of a law, written out by hand.
-        times: (k,) where the solution is wanted [s].
-        desired: The desired angle over time.
-        q0: Angle at the start [rad].
-        v0: Its rate [rad/s].
-        gravity: Whether there is any.
-    """
+    """M a + m g r cos(theta) + b v = tau(t, theta, v, e_int) by SciPy's DOP853, with tau written out by hand."""
 
     def rate(t: float, y: Float64Array) -> list[float]:
         theta, v, e_int, _ = y
@@ -204,7 +192,6 @@ class TwoLinks:
         return about[0], about[1]
 
     def M(self, q: Float64Array) -> Float64Array:
-        """(2, 2) mass matrix."""
         I1, I2 = self.inertias
         c1, c2, cos = 0.5 * self.L1, 0.5 * self.L2, math.cos(q[1])
         both = I2 + self.m2 * (c2**2 + self.L1 * c2 * cos)
@@ -212,22 +199,18 @@ class TwoLinks:
         return np.array([[first, both], [both, I2 + self.m2 * c2**2]])
 
     def M_rate(self, q: Float64Array, v: Float64Array) -> Float64Array:
-        """(2, 2) d M / dt."""
         k = -self.m2 * self.L1 * 0.5 * self.L2 * math.sin(q[1]) * v[1]
         return np.array([[2.0 * k, k], [k, 0.0]])
 
     def Cv(self, q: Float64Array, v: Float64Array) -> Float64Array:
-        """(2,) Coriolis and centripetal torques."""
         k = self.m2 * self.L1 * 0.5 * self.L2 * math.sin(q[1])
         return np.array([-k * (2.0 * v[0] * v[1] + v[1] ** 2), k * v[0] ** 2])
 
     def g(self, q: Float64Array) -> Float64Array:
-        """(2,) gravity torques."""
         second = self.m2 * G * 0.5 * self.L2 * math.cos(q[0] + q[1])
         return np.array([(0.5 * self.m1 + self.m2) * self.L1 * G * math.cos(q[0]) + second, second])
 
     def h(self, q: Float64Array, v: Float64Array) -> Float64Array:
-        """(2,) C v + g."""
         return self.Cv(q, v) + self.g(q)
 
     def tip(self, q: Float64Array) -> Float64Array:
@@ -244,7 +227,6 @@ class TwoLinks:
         return np.array([[-self.L1 * math.sin(a) + x2, x2], [self.L1 * math.cos(a) + z2, z2]])
 
     def Jdot_v(self, q: Float64Array, v: Float64Array) -> Float64Array:
-        """(2,) J-dot v."""
         a, b, w = q[0], q[0] + q[1], v[0] + v[1]
         one, two = self.L1 * v[0] ** 2, self.L2 * w**2
         return np.array([-one * math.cos(a) - two * math.cos(b), -one * math.sin(a) - two * math.sin(b)])

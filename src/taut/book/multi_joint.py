@@ -58,8 +58,6 @@ def eq_10_22() -> Shown:
     yield "Chosen: kp = 80, kd = 12, ki = 30."
 
 
-# -------------------------------------------------------------------- PD with gravity compensation
-
 KP, KD = np.array([40.0, 20.0]), np.array([3.0, 1.0])  # [N m/rad], [N m s/rad] of two links, chosen
 START, GOAL = np.array([1.2, -0.9]), np.array([-0.4, 0.8])  # [rad]
 LYAPUNOV_DURATION: Final = 8.0  # [s]
@@ -164,9 +162,6 @@ def eq_10_27() -> Shown:
         "Where theta-dot = 0 off the goal, the spring ensures that theta-ddot is not zero, so that theta-dot becomes "
         "so; the chapter writes that theta-dot is not zero. Numbers of equation 10.23."
     )
-
-
-# -------------------------------------------------------------------- decentralised control
 
 
 def crosstalk(M: Float64Array, kp: Float64Array, kd: Float64Array) -> float:

@@ -28,29 +28,18 @@ MUJOCO: Final = "MuJoCo: mj_fullM, qfrc_bias, mj_jacSite"
 
 @dataclass(frozen=True)
 class Row:
-    """One number that this library computed, beside what it should be.
-
-    Args:
-        quantity: What it is.
-        unit: Its unit; empty for a pure number.
-        computed: By laws, arms and plants of this library.
-        expected: By another way: a closed form, SciPy, MuJoCo, the chapter's own number.
-        source: Which way.
-        within: How far the two may be apart.
-        states: What the chapter states, where that is a number or a slip.
-    """
+    """One number that this library computed, beside what it should be."""
 
     quantity: str
-    unit: str
-    computed: float
-    expected: float
-    source: str
-    within: float
-    states: str = ""
+    unit: str  # empty for a pure number
+    computed: float  # by laws, arms and plants of this library
+    expected: float  # by another way: a closed form, SciPy, MuJoCo, the chapter's own number
+    source: str  # of the expected number
+    within: float  # absolute tolerance
+    states: str = ""  # what the chapter states, where that is a number or a slip
 
     @property
     def difference(self) -> float:
-        """Computed less expected."""
         return self.computed - self.expected
 
     @property
@@ -59,32 +48,21 @@ class Row:
         return abs(self.difference) <= self.within
 
     def json(self, name: str) -> dict[str, Any]:
-        """Plain values, under an id."""
         keys = ("quantity", "unit", "computed", "expected", "source")
         return {"id": name, **{key: getattr(self, key) for key in keys}}
 
 
 def row(
-    quantity: str,
+    quantity: str,  # with its unit in brackets, as "angle [rad]"; without for a pure number
     computed: Any,
     expected: Any,
     source: str,
     *,
-    rel: float = 1e-9,
-    near: float = 0.0,
+    rel: float = 1e-9,  # tolerance relative to the expected number
+    near: float = 0.0,  # absolute tolerance added to it
     states: str = "",
 ) -> Row:
-    """A row of anything that is a number.
-
-    Args:
-        quantity: What it is, with its unit in brackets, as "angle [rad]"; without for a pure number.
-        computed: By this library.
-        expected: By another way.
-        source: Which way.
-        rel: How far they may be apart, of the expected number.
-        near: And beyond that, in its unit.
-        states: What the chapter states.
-    """
+    """A row of anything that is a number."""
     name, _, unit = quantity.removesuffix("]").partition(" [")
     wanted = float(expected)
     return Row(name, unit, float(computed), wanted, source, rel * abs(wanted) + near, states)
@@ -150,19 +128,12 @@ Shown = Iterator["Row | str | Figure"]
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """An equation, a figure or a section of the chapter, and how it is computed.
+    """An equation, a figure or a section of the chapter, and how it is computed."""
 
-    Args:
-        id: "eq-10.6", "fig-10.6", "sec-10.2.1.5"; a section may have several.
-        title: In words.
-        show: Yields its rows, its picture and its notes.
-        part: Of a section, for the name of its picture.
-    """
-
-    id: str
+    id: str  # "eq-10.6", "fig-10.6", "sec-10.2.1.5"; a section may have several
     title: str
-    show: Callable[[], Shown]
-    part: str = ""
+    show: Callable[[], Shown]  # yields its rows, its picture and its notes
+    part: str = ""  # of a section, for the name of its picture
 
     @property
     def name(self) -> str:
@@ -170,11 +141,7 @@ class Entry:
         return f"{self.id}-{self.part}" if self.part else self.id
 
     def page(self) -> Page:
-        """The entry, computed.
-
-        Raises:
-            NumericalError: A number is not finite.
-        """
+        """The entry, computed. Raises NumericalError."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", StabilityWarning)  # the chapter shows what lies beyond its bounds too
             shown = list(self.show())
@@ -199,9 +166,6 @@ def entry(id: str, title: str, *, part: str = "") -> Callable[[Callable[[], Show
         return show
 
     return listed
-
-
-# -------------------------------------------------------------------- pictures
 
 
 def panels(*titles: tuple[str, str, str] | None, height: float = 2.5, **options: Any) -> tuple[Figure, list[Axes]]:
@@ -269,21 +233,11 @@ def block(
 
 
 def frame(ax: Axes, origin: Any, axes: Any, name: str, *, aside: Any) -> None:
-    """The axes of a frame, its letters and its name.
-
-    Args:
-        ax: Where to draw.
-        origin: (2,) in the page.
-        axes: (2, k) its axes in the page, by columns.
-        name: Its name.
-        aside: (2,) where that stands, from the origin.
-    """
+    """The axes (2, k) of a frame, by columns, with their letters; its name stands at `aside` (2,) from the origin."""
     for k in range(axes.shape[1]):
         arrow(ax, origin, origin + axes[:, k], ink=colour(k), width=1.6)
     words(ax, origin + aside, f"{{{name}}}", zorder=6)
 
-
-# -------------------------------------------------------------------- a law as blocks
 
 LABELS: Final[Mapping[str, str]] = {
     "P": r"$K_p$",

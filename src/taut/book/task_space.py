@@ -117,9 +117,6 @@ def eq_10_31() -> Shown:
     )
 
 
-# -------------------------------------------------------------------- a target that spins
-
-
 @dataclass(frozen=True)
 class Spinning:
     """A target that turns on the spot."""
@@ -128,7 +125,6 @@ class Spinning:
     w: Float64Array  # [rad/s]
 
     def at(self, t: float) -> TaskMotion:
-        """The sample at time t [s]."""
         R = Rotation.from_rotvec(self.w * t).as_matrix() @ np.asarray(self.T.R)
         return TaskMotion(pose=Pose(self.T.p, R=R), twist=[0.0, 0.0, 0.0, *self.w])
 

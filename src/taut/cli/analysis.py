@@ -121,8 +121,6 @@ states of the reference's own run.
 )
 
 
-# -------------------------------------------------------------------- design
-
 NUMBERS: Final = {
     "zeta": "damping ratio; 1 for critical damping",
     "overshoot": "of a step [%%], in place of zeta",

@@ -42,24 +42,13 @@ class Answer:
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """One command of `taut`.
-
-    Args:
-        name: Its word.
-        help: One sentence.
-        run: Runs it; the second argument takes lines of progress.
-        arguments: What it takes, each as `add_argument` of argparse does.
-        more: What stands below its help: examples and exit statuses.
-    """
+    """One command of `taut`."""
 
     name: str
     help: str
-    run: Callable[[argparse.Namespace, Say], Answer]
-    arguments: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    more: str = STATUS
-
-
-# -------------------------------------------------------------------- values
+    run: Callable[[argparse.Namespace, Say], Answer]  # the second argument takes lines of progress
+    arguments: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # as of `add_argument`
+    more: str = STATUS  # below its help: examples and exit statuses
 
 
 class ByName(argparse.Action):
@@ -79,10 +68,7 @@ class ByName(argparse.Action):
 
 
 def _value(text: str) -> Any:
-    """A number or an array, else the text: no JSON, or a number with thousands of digits.
-
-    NaN and infinity are numbers however they are written: what takes them says by its own name that it does not.
-    """
+    """A number or an array, else the text. NaN and infinity are numbers: what refuses them names the parameter."""
     try:
         return json.loads(text)
     except (ValueError, RecursionError):
@@ -101,8 +87,6 @@ def numbers(text: str) -> float | list[float]:
     return flat[0] if len(flat) == 1 else flat
 
 
-# -------------------------------------------------------------------- a law of the user's own
-
 GAIN: Final[Mapping[str, Any]] = {
     "action": ByName,
     "metavar": "NAME=VALUE",
@@ -111,13 +95,7 @@ GAIN: Final[Mapping[str, Any]] = {
 
 
 def load_law(place: str, gains: Mapping[str, Any] | None) -> Law:
-    """The law of `FILE.py:CLASS`, made with these gains.
-
-    Raises:
-        UsageError: No such form.
-        FileError: The file cannot be read, fails when it is imported, or makes no law of these gains.
-        UnknownNameError: The file has no such law.
-    """
+    """The law of `FILE.py:CLASS`, made with these gains. Raises UsageError, FileError or UnknownNameError."""
     from taut.control.law import Law
 
     path, colon, name = place.rpartition(":")

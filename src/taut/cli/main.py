@@ -80,14 +80,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line.
-
-    Args:
-        argv: Arguments; those of the process if left out.
-
-    Returns:
-        The exit status.
-    """
+    """Run the command line, with the arguments of the process if left out; the exit status."""
     out = _Output(sys.stdout)
     status: int | SystemExit
     with redirect_stdout(cast("TextIO", out)):
@@ -105,10 +98,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 class _Output:
-    """Standard output on which nothing that came from a file can command a terminal.
+    """Standard output on which no text from a file can command a terminal.
 
-    Where it cannot be written the command goes on to its end: its files and its status count. A reader of a pipe that
-    went away has seen what it wanted; anything else is in `refusal` to be reported.
+    The command goes on to its end where it cannot be written: its files and its status count. A closed pipe is no
+    fault; anything else is in `refusal` to be reported.
     """
 
     def __init__(self, file: TextIO) -> None:
@@ -137,7 +130,6 @@ class _Output:
 
 
 def _status(words: list[str]) -> int:
-    """Run the command line: the exit status."""
     try:
         arguments = _parser().parse_args(words)
         arguments.words = words

@@ -96,8 +96,7 @@ def inverse_kinematics(
         The positions, the outcome, the remaining error. A target that is out of reach is an outcome, no error.
 
     Raises:
-        UsageError: Not an arm, not a pose, unknown directions.
-        UnknownNameError: The arm has no such frame.
+        UsageError, UnknownNameError: Not an arm, not a pose, unknown directions, no such frame.
         ShapeError: q0 or posture of another size.
         RangeError: Positions that are not finite, in degrees, or beyond the limits; a tolerance that is not positive.
 

@@ -25,14 +25,9 @@ MATRIX_ROUNDING: Final = 1e-12  # [-] of the largest entry of a matrix
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlacedGains:
-    """Matrices of a closed loop whose poles are placed.
+    """Matrices of a closed loop with placed poles: K and Ki, (k,) or (k, k); D, of n joints where joints are damped.
 
-    Args:
-        K: (k,) or (k, k) stiffness, in the coordinates of the error.
-        D: (k,) or (k, k) damping; of n joints where joints are damped.
-        Ki: (k,) or (k, k) integral gain.
-        zeta: Damping ratio of every mode; 1 for single poles.
-        force: Pole of the force [1/s], or None.
+    `zeta` is the damping ratio of every mode, 1 for single poles; `force` the pole of the force [1/s], or None.
     """
 
     K: Float64Array
@@ -55,16 +50,14 @@ class ClosedLoop:
         names: (k,) of the coordinates: joints, or axes of the tool.
         units: (k,) "rad" or "m".
         gains: The law with other gains.
-        inertia: (k, k) that the gains meet; the identity where they are accelerations or velocities. None for the
-            arm's own, (J M^-1 J^T)^-1.
+        inertia: (k, k) that the gains meet; 1 for accelerations or velocities; None for (J M^-1 J^T)^-1.
         stiffness: Whether K is a stiffness [N m/rad | N/m], and may be specified.
-        single_pole: Whether the loop has one pole in each direction: "never"; "possible" where K may be zero;
-            "always" where there is no K.
+        single_pole: One pole in each direction: "never"; "possible" where K may be zero; "always" without K.
         decentralised: Whether gains are one number for each joint, unless matrices are asked for.
-        damps_joints: Whether D is that of the joints, M in the place of the inertia and J^T K J in that of K.
-        contact: (k, k) what the stiffness of a contact is multiplied by to give K, of a law of force; None else.
-        alone: The part of the law that moves the arm where nothing is touched; None for all of it.
-        force: (kfp, kfi), (m, m) each, of a law that feeds back the force against the m rows of a constraint.
+        damps_joints: Whether D is that of the joints, with M for the inertia and J^T K J for K.
+        contact: (k, k) of a law of force: K is this times the stiffness of the contact.
+        alone: The part of the law that moves the arm off contact; None for all of it.
+        force: (kfp, kfi), (m, m) each, of a law that feeds back the force against m constraint rows.
     """
 
     x: Snapshot
@@ -91,23 +84,12 @@ class ClosedLoop:
         )  # fmt: skip
 
     def held_by(self, law: Callable[[Law, PlacedGains], Law], **changed: Any) -> ClosedLoop:
-        """The same closed loop of a law that holds another one.
-
-        Args:
-            law: The law around the one that is held, with the gains found.
-            **changed: Fields that differ.
-        """
+        """The same closed loop of a law around it, whose gains `law` sets; `changed` are fields that differ."""
         return dataclasses.replace(self, gains=lambda placed: law(self.gains(placed), placed), **changed)
-
-    # ---------------------------------------------------------------- directions that the arm can move in
 
     @cached_property
     def basis(self) -> Float64Array:
-        """(k, r) orthonormal directions of the error that the arm can move in.
-
-        Raises:
-            RangeError: The arm is singular there, or nearly so.
-        """
+        """(k, r) orthonormal directions of the error that the arm can move in; RangeError near singularities."""
         moving = np.flatnonzero((np.abs(self.J) > MATRIX_ROUNDING).any(axis=1))
         left, sizes, _ = np.linalg.svd(self.J[moving])
         r = min(len(moving), self.x.n)
@@ -183,16 +165,7 @@ class ApparentImpedance:
     def response(
         self, t: Float64Array, F_ext: Float64Array, x0: Float64Array, v0: Float64Array
     ) -> tuple[Float64Array, Float64Array]:
-        """(k, 6) deviations and their rates under a wrench (k, 6): eq. 10.48 integrated by the midpoint rule.
-
-        The wrench goes straight from each tick to the next.
-
-        Args:
-            t: (k,) [s].
-            F_ext: (k, 6) wrench of the environment on the arm [N, N m].
-            x0: (6,) deviation at the first tick [m, rad].
-            v0: (6,) its rate [m/s, rad/s].
-        """
+        """Deviations and rates, (k, 6), under F_ext (k, 6), linear between ticks: eq. 10.48, midpoint rule."""
         x, v = np.zeros((len(t), 6)), np.zeros((len(t), 6))
         x[0], v[0] = x0, v0
         solvers: dict[float, Float64Array] = {}

@@ -85,8 +85,8 @@ class Wrapper(Law, abstract=True):
     """Base of a law around a law, which it calls with `self.inner(...)`. Paths of gains and memory are those of both.
 
     `EnergyTank(law=Impedance(K=..., B=...), capacity=2.0)` has the parameters law.K, law.B and law.capacity, and the
-    columns of both. What it follows, controls and needs is what its law does. A wrapper states its own gains and
-    memory, `command`, and in `check` what it needs of its law.
+    columns of both. References and needs are those of its law. A wrapper states its own gains, memory and `command`,
+    and in `check` what it needs of its law.
     """
 
     law: Part[Law] = Part(Law, inline=True)
@@ -153,11 +153,7 @@ def _check_added_once(owner: dict[str, str], name: str, used: set[str]) -> None:
 
 
 def added(first: Law, second: Law) -> Sum:
-    """The sum of two laws; sums are flattened.
-
-    Raises:
-        UsageError: The two follow different kinds of reference.
-    """
+    """The sum of two laws, flattened; UsageError if they follow different kinds of reference."""
     follows = second.reference if first.ignores_reference else first.reference
     if not second.ignores_reference and second.reference is not follows:
         raise UsageError(

@@ -15,8 +15,7 @@ from taut.trace.array import has_symbols
 class Terms:
     """A named sum. Linear maps go through it: `x.M @ Terms(P=..., D=...)` maps the sum and each term.
 
-    The sum is computed at once, each term only when somebody asks, so that a law pays one `M @` however many
-    terms it names.
+    The sum is computed at once, each term on demand, so that a law pays one `M @` for any number of terms.
 
     Example:
         >>> a = Terms(P=np.array([1.0, 0.0]), D=np.array([0.0, 2.0]))

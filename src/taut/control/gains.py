@@ -22,10 +22,7 @@ TRACE_DAMPING: Final = 1e-5  # of a matrix ki that is inverted, relative to its 
 
 
 class GainValue(np.lib.mixins.NDArrayOperatorsMixin):
-    """A gain as law code sees it: `self.kp @ e` is right for a scalar, one per joint, and a matrix.
-
-    A scalar k acts as k I, a vector as diag(k). `*` multiplies entry by entry and is refused for a matrix.
-    """
+    """A gain in law code: `self.kp @ e` is k I, diag(k) or a matrix; `*`, entry by entry, is refused for a matrix."""
 
     __slots__ = ("_values", "name")
     __array_priority__ = 2000.0
@@ -35,8 +32,6 @@ class GainValue(np.lib.mixins.NDArrayOperatorsMixin):
         # A symbol alone becomes an array without dimensions, so that every gain has a shape.
         self._values = traced_array(values) if isinstance(values, Symbol) else np.asanyarray(values)
         self.name = name
-
-    # ---------------------------------------------------------------- as numbers
 
     @property
     def ndim(self) -> int:
@@ -82,8 +77,6 @@ class GainValue(np.lib.mixins.NDArrayOperatorsMixin):
         return repr(float(self)) if self.ndim == 0 else repr(self._values.tolist())
 
     __hash__ = None  # type: ignore[assignment]  # compared by value, like an array
-
-    # ---------------------------------------------------------------- acting
 
     def __matmul__(self, other: Any) -> Any:
         mapped = getattr(other, "mapped", None)
@@ -151,14 +144,13 @@ def _numeric(result: Any) -> bool:
 class Gain(Field):
     """A run-time parameter of a law that acts by `@`: a scalar as k I, a vector as diag(k), or a matrix.
 
-    A `taut.base.fields.Field` that takes a scalar, one number per joint, or a symmetric positive semidefinite matrix,
-    each entry >= 0, unless it states another range.
+    It takes a scalar, one number per joint, or a symmetric positive semidefinite matrix, with entries >= 0, unless it
+    states another range.
 
     Args:
-        default: Value where none is given; without it the gain must be given, or may be None if `optional`.
+        default: Value where none is given; without it the gain is required, or None if `optional`.
         unit: Shown in messages, in `explain()` and in tables.
-        shape: "n" for one entry per joint, "scalar" for one number, a length such as 3 for a gain on positions of the
-            tool, or the name of an attribute of the law with the length, such as "dimensions".
+        shape: "n" for one per joint, "scalar", a length such as 3, or the law's attribute with it ("dimensions").
         accepts: Other forms: "scalar" for all entries, "pair" (linear, angular) for six, "matrix".
         minimum: Smallest allowed entry.
         above: Every entry must be greater.
@@ -215,14 +207,14 @@ class Gain(Field):
 class Memory:
     """State of a law from tick to tick, declared in its class and no argument of it: `e_int = Memory(unit="rad s")`.
 
-    `command` reads it as memory.e_int and returns the new value with the command, {"e_int": ...}. What starts from
-    the measured state comes from the law's `start(self, x, ref)` instead, under the same name.
+    `command` reads memory.e_int and returns the new value with the command, {"e_int": ...}. What starts from the
+    measured state is returned under its name by the law's `start(self, x, ref)`.
 
     Args:
         initial: Value at the start; a scalar takes the shape that `command` returns.
         unit: Shown in tables.
-        record: Whether a run keeps it as a further column, law.e_int.
-        notice: What the outcome of a run says where it is not zero.
+        record: Whether a run records it as a column, law.e_int.
+        notice: Sentence of a run's outcome where it is not zero.
         doc: One sentence.
     """
 
@@ -330,8 +322,7 @@ class Integral(Remembers):
 
     Args:
         anti_windup: "clamping", "back-calculation" or "none".
-        tracking: How fast limits drive the integral back, at most the control rate; for "back-calculation", which
-            needs it. 10 1/s is usual.
+        tracking: Rate at which limits drive the integral back, for "back-calculation"; 10 1/s is usual.
 
     References:
         Astrom and Hagglund, PID Controllers (1995), section 3.5.
@@ -360,15 +351,9 @@ class Integral(Remembers):
         cut: Callable[[], Vector],
         lost: Callable[[], Vector] | None = None,
     ) -> tuple[Vector, dict[str, Any]]:
-        """(k,) the integral after this tick, and its new memory.
+        """(k,) the integral after this tick, and its new memory, from the error e (k,).
 
-        Args:
-            memory: Its memory, such as memory.integral.
-            e: (k,) the error.
-            dt: Period [s].
-            ki: The gain that the integral is multiplied with, for back-calculation.
-            cut: What limits took of the command, in the directions of e; called where it is needed.
-            lost: The same in the unit of ki int(e), where that is another one.
+        `cut` and `lost` give what limits took of the command, along e: in its unit, and in that of ki int(e).
         """
         before = memory.e_int
         after: Vector = before + e * dt
@@ -380,18 +365,7 @@ class Integral(Remembers):
 
 
 def require_at_most(name: str, values: Any, maximum: float, unit: str, reason: str) -> None:
-    """A number that a sampled loop can take, such as a rate below its own.
-
-    Args:
-        name: What messages call it.
-        values: The numbers.
-        maximum: The largest that is allowed.
-        unit: Of them.
-        reason: What happens beyond, for the message.
-
-    Raises:
-        RangeError: It is larger.
-    """
+    """Refuse numbers above a maximum, such as a rate above the loop's; `reason` is what happens beyond it."""
     largest = float(np.max(np.asarray(values, dtype=np.float64)))
     if largest > maximum:
         raise RangeError(

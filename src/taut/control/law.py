@@ -1,7 +1,6 @@
 """Law: a control law as a pure function of a snapshot, written like the textbook writes it.
 
-A law of your own is a class like ours, in a file of your own. Its fields are gains and memory; `command` gives
-the command, and with memory the new memory. The same code runs on floats and is traced for every target.
+The same code runs on floats and is traced for every target.
 """
 
 from __future__ import annotations
@@ -32,19 +31,19 @@ class Law(Remembers):
 
     A law is a frozen, keyword-only dataclass with these parts:
 
-    * fields: gains `kp: Gain = Gain(unit="1/s^2")` (run-time parameters), laws that it holds `inner: taut.Law`, parts
-      such as `integral: Part[Integral]`, or plain values; relations between them are checked in `check(self)`;
+    * fields: gains `kp: Gain = Gain(unit="1/s^2")` (run-time parameters), inner laws `inner: taut.Law`, parts such as
+      `integral: Part[Integral]`, or plain values; relations between them are checked in `check(self)`;
     * memory `e_int = Memory(unit="rad s")`, which is no argument of the law;
     * `command(self, x, ref)`, or `command(self, x, ref, memory, dt)` with memory, which returns a Command and,
       with memory, a dict of the new memory by name;
-    * `reference`, the kind of sample it follows (JointMotion unless said), and `ignores_reference`;
-    * `needs_contact`, whether a `taut.Phase` with it never starts without contact (not unless said);
+    * `reference`, the kind of sample it follows (by default JointMotion), and `ignores_reference`;
+    * `needs_contact`, whether a `taut.Phase` with it never starts without contact (by default False);
     * optionally `closed_loop(self, x)`, its error dynamics as matrices, by which `taut.design` finds its gains;
     * hooks with a default that does nothing: `start`, `check_rate`, `check_state`, `check_change`, `check_reference`,
       `check_reference_later`.
 
-    Laws add: `FeedForward() + PID(kp=..., kd=...)`. A law must not inherit from another one: it holds it in a field,
-    or is a `Wrapper` around it. A law that it holds in `inner: taut.Law` starts with it, and is called as
+    Laws add: `FeedForward() + PID(kp=..., kd=...)`. A law must not inherit from another one: it has it as a field, or
+    is a `Wrapper` around it. A law in a field `inner: taut.Law` starts with it, and is called as
     `self.inner.command(x, ref, memory.inner, dt)`; its new memory is returned under its name, {"inner": ...}.
     """
 
@@ -72,8 +71,6 @@ class Law(Remembers):
             f"return taut.Torque(...), {{'{name}': ...}}"
         )
 
-    # ---------------------------------------------------------------- hooks
-
     def start(self, x: Snapshot, ref: Any) -> Mapping[str, Any]:  # noqa: ARG002
         """Memory by name that starts from the measured state; called in the first tick."""
         return {}
@@ -89,8 +86,6 @@ class Law(Remembers):
 
     def check_reference_later(self, x: Snapshot, ref: Reference, rate: float) -> None:
         """Refuse what a phase would follow that begins later, elsewhere; x is where the run starts."""
-
-    # ---------------------------------------------------------------- its parts
 
     @classmethod
     def declaration_of(cls, name: str, annotation: str, default: Any) -> Declaration[Any]:
@@ -140,10 +135,7 @@ class Law(Remembers):
         return next((frame for law in followers if (frame := law.controlled_frame)), None)
 
     def closed_loop(self, x: Snapshot) -> ClosedLoop | None:  # noqa: ARG002
-        """The error dynamics of its docstring as matrices, for an arm at rest: `taut.design` places their poles.
-
-        None for a law that states none; `taut.tune` finds its gains.
-        """
+        """Error dynamics as matrices, at rest: `taut.design` places their poles. None: `taut.tune` only."""
         return None
 
     def apparent_impedance(self, x: Snapshot) -> ApparentImpedance | None:  # noqa: ARG002
@@ -155,11 +147,7 @@ class Law(Remembers):
         return self.reference.at_rest(x, self.controlled_frame)
 
     def check_rates(self, rate: float) -> None:
-        """This law, its parts and the laws that it holds must fit the rate, with the gains that they have now.
-
-        Raises:
-            RangeError: A gain that has no meaning at this rate.
-        """
+        """This law, its parts and inner laws must fit the rate, with their present gains. Raises RangeError."""
         for part in self.declared_parts().values():
             if isinstance(part, Law):
                 part.check_rates(rate)
@@ -168,31 +156,15 @@ class Law(Remembers):
         self.check_rate(rate)
 
     def check_states(self, x: Snapshot, rate: float, *, changed: bool = False) -> None:
-        """This law and those that it holds must fit the state of a snapshot, with the gains that they have now.
-
-        Args:
-            x: The state.
-            rate: [Hz].
-            changed: Whether gains have changed on the way: then it is `check_change` that is asked.
-
-        Raises:
-            RangeError: A gain that has no meaning there.
-        """
+        """This law and inner laws must fit the state x; `changed` gains go to `check_change`. Raises RangeError."""
         for name, law in self.children().items():
             law.check_states(self.seen_by(name, x, None)[0], rate, changed=changed)
         (self.check_change if changed else self.check_state)(x, rate)
 
     def check_references(self, x: Snapshot, ref: Reference, rate: float, *, later: bool = False) -> None:
-        """What is to be followed must have a meaning for this law, and for those it holds that follow the same.
+        """This law, and inner laws with the same reference, must be able to follow it from x. RangeError, UsageError.
 
-        Args:
-            x: Where it is followed from.
-            ref: What is to be followed.
-            rate: [Hz].
-            later: Whether that begins later, where it is not known yet, and x is where the run starts.
-
-        Raises:
-            RangeError, UsageError: It has none.
+        `later`: it is followed from a time and place not known yet, and x is where the run starts.
         """
         for law in self.children().values():
             if law.reference is self.reference:
@@ -205,9 +177,6 @@ class Law(Remembers):
         if not isinstance(other, Law):
             return NotImplemented
         return added(self, other)
-
-
-# -------------------------------------------------------------------- checks of a class of law
 
 
 def _takes_memory(cls: type[Law]) -> bool:
@@ -224,9 +193,6 @@ def _takes_memory(cls: type[Law]) -> bool:
     return len(names) == 5
 
 
-# -------------------------------------------------------------------- running a law
-
-
 def initial_memory(law: Law, x: Snapshot, ref: Sample) -> dict[str, Any]:
     """Memory at the first tick: stated values, that of laws it holds, what `start` makes of the measured state."""
     stated = unflatten({path: memory.initial for path, memory in law.every_memory().items()})
@@ -234,11 +200,7 @@ def initial_memory(law: Law, x: Snapshot, ref: Sample) -> dict[str, Any]:
 
 
 def call(law: Law | Task, x: Snapshot, ref: Sample, memory: LawMemory, dt: Any) -> tuple[Command, dict[str, Any]]:
-    """One evaluation of a law.
-
-    Raises:
-        UsageError: What it returns is no command, or its memory does not fit.
-    """
+    """One evaluation of a law; UsageError if it returns no command, or memory that does not fit."""
     who = type(law).__name__
     run: Callable[..., Any] = law.command  # type: ignore[union-attr]  # each subclass declares its own
     result = run(x, ref, MemoryView(memory, who), dt) if law.uses_memory else run(x, ref)
@@ -282,11 +244,7 @@ def _described(result: Any, after: Any) -> str:
 
 
 def as_array(value: Any, name: str) -> Any:
-    """A value of memory or a term as an array.
-
-    Raises:
-        TraceError: It is no number.
-    """
+    """A value of memory or a term as an array."""
     array = value.as_array() if hasattr(value, "as_array") else np.asanyarray(value)
     if array.dtype == object and has_symbols(array):
         return traced_array(array)

@@ -1,7 +1,4 @@
-"""LawSide: sensing, law and limits as one pure function.
-
-A Controller compiles it; a Loop fuses it with a plant.
-"""
+"""LawSide: sensing, law and limits as one pure function. A Controller compiles it; a Loop fuses it with a plant."""
 
 from __future__ import annotations
 
@@ -69,16 +66,7 @@ class Probe:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LawSide:
-    """A law, or a task that selects among laws, with what surrounds it on the controller's side.
-
-    Args:
-        law: The law, or the task.
-        arm: The controller's model of the arm.
-        rate: [Hz].
-        sensing: What the law sees of what is measured.
-        limits: What its command is cut to; None for no limit.
-        adds: What the plant adds itself.
-    """
+    """A law, or a task, with sensing and limits on the controller's model; `adds` is what the plant adds."""
 
     law: Law | Task
     arm: Arm
@@ -99,11 +87,7 @@ class LawSide:
 
     @property
     def single_law(self) -> Law:
-        """The law, where one acts all the time.
-
-        Raises:
-            UsageError: It is a task.
-        """
+        """The law, where one acts all the time; UsageError for a task."""
         if not isinstance(self.law, Law):
             raise UsageError(f"{self.title} has several laws; take a controller of one of them", name="law")
         return self.law
@@ -122,8 +106,6 @@ class LawSide:
     def model(self) -> Model:
         """The constants of the controller's arm."""
         return model_of(self.arm)
-
-    # ---------------------------------------------------------------- parameters
 
     @cached_property
     def parameters(self) -> dict[str, Float64Array]:
@@ -157,13 +139,7 @@ class LawSide:
         return "limits.blend" in ours and any(path in ours and not path.startswith("limits.") for path in paths)
 
     def checked_parameter(self, path: str, value: ArrayLike) -> Float64Array:
-        """A new value of a parameter, checked like the first one and in the compiled shape.
-
-        Raises:
-            UnknownNameError: There is no such parameter.
-            ShapeError: A value that the compiled shape cannot take.
-            RangeError: NaN, infinite, negative, not positive definite.
-        """
+        """A new value of a parameter, checked like the first one and in the compiled shape."""
         if path not in self.parameters:
             raise unknown_name("the controller", "parameter", path, self.parameters)
         head, _, rest = path.partition(".")
@@ -180,15 +156,9 @@ class LawSide:
             new = checked_payload_entry(path, value)
         return in_compiled_shape(path, new, self.parameters[path].shape)
 
-    # ---------------------------------------------------------------- one run at the home pose
-
     @cached_property
     def probe(self) -> Probe:
-        """Shapes and needs of the law, seen in a first run on plain numbers at the home pose.
-
-        Raises:
-            MatchError: The law does not fit: torque limits on another kind of command.
-        """
+        """Shapes and needs of the law, from a first run on plain numbers at the home pose; may raise MatchError."""
         self.law.check_size(self.arm.joint_names)
         self.law.check_rates(self.rate)
         self.sensing.check_fit(self.arm, self.rate)
@@ -223,11 +193,7 @@ class LawSide:
         )
 
     def _check_gravity_once(self, tau: Float64Array, g: Float64Array) -> None:
-        """A law of the user's may not add gravity by x.h and by x.g: at rest, twice what carries the arm.
-
-        Raises:
-            MatchError: It does.
-        """
+        """A user's law must not add gravity by x.h and by x.g: at rest, twice the gravity torque."""
         if np.abs(g).max() > ROUNDING and np.abs(tau - 2.0 * g).max() <= ROUNDING * np.abs(g).max():
             who = self.title
             raise MatchError(
@@ -258,12 +224,7 @@ class LawSide:
         *,
         changed: bool = False,
     ) -> None:
-        """The law, and what it is to follow, must have a meaning where a run starts, or its parameters `changed`.
-
-        Raises:
-            RangeError: A gain that has none there; a reference that the law cannot follow from there.
-            UsageError: A reference that has no meaning for the law.
-        """
+        """The law and its reference must have a meaning where a run starts, or its parameters `changed`."""
         payload = _payload_of(parameters)
         x = Snapshot(self.model, q=q, v=np.zeros(self.arm.n), payload=payload)
         law = self.law.bound(subtree(parameters, "law"))
@@ -272,16 +233,7 @@ class LawSide:
             law.check_references(x, ref, self.rate)
 
     def check_change(self, q: Float64Array, before: Mapping[str, Any], new: Mapping[str, ArrayLike]) -> None:
-        """New parameters must have a meaning where the arm is.
-
-        Args:
-            q: (n,) where it is.
-            before: All parameters of the law side, by path.
-            new: Those that change, and others, which are passed over.
-
-        Raises:
-            RangeError: A gain that has none there.
-        """
+        """New parameters must have a meaning at q (n,); `before` has all of the law side, by path."""
         ours = {path: self.checked_parameter(path, value) for path, value in new.items() if path in self.parameters}
         if any(path.startswith(("law.", "model.")) for path in ours):
             self.check_start(q, {**before, **ours}, changed=True)
@@ -318,14 +270,7 @@ class LawSide:
     def sense(
         self, measured: Mapping[str, Any], memory: Mapping[str, Any], parameters: Mapping[str, Any], dt: Any
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """What the law sees of what is measured, and the new memory of sensing, by path below "sensing".
-
-        Args:
-            measured: What the sensors give; velocities may be missing where nobody reads them.
-            memory: Memory of sensing, by path below "sensing".
-            parameters: All parameters of the law side, by path.
-            dt: [s].
-        """
+        """What the law sees of measurements, and the new memory of sensing; memory and parameters by path."""
         own, payload = subtree(parameters, "sensing"), _payload_of(parameters)
         return self.sensing.see(self.arm, self._with_v(measured), memory, own, payload, dt)
 
@@ -335,15 +280,7 @@ class LawSide:
         return self.sensing.start(self.arm, self._with_v(measured), own, payload)
 
     def check_finite(self, inputs: Mapping[str, Any], tick: int) -> None:
-        """What is measured and wanted in a tick must be finite.
-
-        Args:
-            inputs: Measurements, and fields of the reference as ref.q, ...; only what a tick is given.
-            tick: Its number, for the message.
-
-        Raises:
-            RangeError: NaN or infinity; the message names the measurement, the joint and the tick.
-        """
+        """The inputs of a tick (measurements, ref.q, ...) must be finite; RangeError names joint and tick."""
         n, joints = self.arm.n, self.arm.joint_names
         for name, values in inputs.items():
             of_joints = name not in AT_TOOL and np.shape(values) == (n,)
@@ -361,14 +298,7 @@ class LawSide:
         parameters: Mapping[str, Any],
         t: float,
     ) -> Snapshot:
-        """What the law sees at one instant, as plain numbers: what the source of a stream is given.
-
-        Args:
-            measured: What the sensors give; copied.
-            sensing: Memory of sensing, by path below "sensing"; None before the first tick.
-            parameters: All parameters of the law side, by path.
-            t: [s].
-        """
+        """The law's snapshot at one instant [s], as plain numbers, for the source of a stream; copied."""
         copies = {name: np.array(value, dtype=np.float64) for name, value in measured.items()}
         numbers = {path: np.array(value) for path, value in parameters.items()}
         before = self.sensing_at_start(copies, numbers) if sensing is None else sensing
@@ -378,13 +308,10 @@ class LawSide:
     def _with_v(self, measured: Mapping[str, Any]) -> Mapping[str, Any]:
         return measured if "v" in measured else {**measured, "v": np.zeros(self.arm.n)}
 
-    # ---------------------------------------------------------------- the pure functions
-
     def start(self, measured: Mapping[str, Any], ref: Sample, parameters: Mapping[str, Any]) -> dict[str, Any]:
-        """Memory by path in the first tick, from what is measured then.
+        """Memory by path in the first tick, from measurements; a blend begins with the last command.
 
-        The command of the last tick is what the plant holds: `measured[HELD]` where `measured[KNOWN]` is 1, else the
-        torque that holds the model's weight; of velocities, none. A blend begins with it.
+        That is `measured[HELD]` where `measured[KNOWN]` is 1, else the gravity torque of the model, or zero velocity.
         """
         shapes, sensing = self.probe.shapes, self.sensing_at_start(measured, parameters)
         seen, _ = self.sense(measured, sensing, parameters, self.dt)

@@ -27,7 +27,7 @@ SPEED_FLOOR: Final = 1e-9  # [rad/s, N m] so that nothing is divided by zero
 
 
 class Limits(Declared):
-    """Largest torque, largest change of torque per second, largest speed, and how a change of the law comes in.
+    """Largest torque, largest change of torque per second, largest speed, and blending of a change of the law.
 
     Law:          tau = law + blend; then the rate is limited, then the speed, then the magnitude: the later one wins
                   rate:       |tau - tau of the last tick| <= tau_dot dt
@@ -38,15 +38,13 @@ class Limits(Declared):
                   what slows the arm down is not cut, and of what moves a joint at rest only what would take it
                   beyond its limit within a tick
 
-    The speed limit acts on the acceleration that a torque means, so that a loaded joint neither drops nor gains speed
-    and none is driven over its limit by the others, which move on as they would have. Where a joint lacks the torque
-    for that, all of them accelerate less. From a state outside the limits the command goes to the limit in one step.
-    A velocity command is cut to v; it takes no limit of torque.
+    The speed limit acts on the acceleration that a torque means, so that a loaded joint neither drops nor speeds up
+    and none is driven over its limit by the others. Where a joint lacks the torque for that, all of them accelerate
+    less. From a state outside the limits the command goes to the limit in one step. A velocity command takes only v.
 
-    The rate, and the blend, start from the torque that the plant holds: what `reset(tau_applied=)` says, else the
-    gravity torque, else zero if the plant compensates gravity itself. (A velocity command starts from zero.) With
-    `blend` the command begins there, and the difference to what the law asks for goes to zero in that time as
-    1 - 3 x^2 + 2 x^3. The jump that a new gain or a new payload would make is taken up in the same way.
+    Rate limit and blend start from the torque that the plant holds: that of `reset(tau_applied=)`, else the gravity
+    torque, else zero if the plant compensates gravity. (A velocity command starts from zero.) With `blend` the
+    difference to the law's command, also after a new gain or payload, goes to zero in that time as 1 - 3 x^2 + 2 x^3.
 
     Each kind is a term of its own in the record: rate_limit, speed_limit, torque_limit, blend.
 
@@ -91,7 +89,7 @@ class Limits(Declared):
             blend: Time in which a change comes in [s].
 
         Raises:
-            ModelError: The arm states no effort limit at all, or no speed limit where it is asked for.
+            ModelError: The arm states no effort limit, or no speed limit where `speed`.
         """
         if not isinstance(arm, Arm):  # callers without a type checker
             raise UsageError(f"Limits.of takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
@@ -103,11 +101,7 @@ class Limits(Declared):
         return cls(tau=arm.effort, tau_dot=tau_dot, v=v, blend=blend)
 
     def check_fit(self, arm: Arm, rate: float) -> None:
-        """Limits have one entry or one per joint, and v_gain is no faster than the rate [Hz].
-
-        Raises:
-            ShapeError, RangeError: They do not fit.
-        """
+        """Limits have one entry or one per joint, v_gain is below the rate [Hz]. Raises ShapeError, RangeError."""
         self.check_size(arm.joint_names, "limits.")
         if self.v_gain is not None:
             require_at_most("limits.v_gain", self.v_gain, rate, "1/s", "the rate, or a joint overshoots")
@@ -118,16 +112,7 @@ class Limits(Declared):
         return replace(self, v_gain=rate / BRAKING_TICKS) if needs else self
 
     def terms(self, command: Command, who: str) -> tuple[str, ...]:
-        """The terms that limits add to a command of this kind.
-
-        Args:
-            command: A command of the law.
-            who: The law, for messages.
-
-        Raises:
-            MatchError: Limits that have no meaning for it.
-            UsageError: The law has a term of that name.
-        """
+        """Names of the terms that limits add to this kind of command. Raises MatchError, UsageError (names taken)."""
         stated = self._stated()
         if not isinstance(command, (Torque, Velocity)):
             raise MatchError(
@@ -168,14 +153,9 @@ def limited(
     dt: Any,
     x: Snapshot | None = None,
 ) -> Limited:
-    """The command that goes out: blended, then limited in rate, in speed, in magnitude.
+    """The command that goes out: `asked` (n,) blended, then limited in rate, in speed, in magnitude.
 
-    Args:
-        asked: (n,) what the law asks for.
-        memory: `tau_applied`, the command of the last tick, for a rate limit; what a blend remembers.
-        parameters: The limits that there are, by name.
-        dt: Period [s].
-        x: What moves, for a speed limit on a torque; None for a velocity command.
+    `memory` has `tau_applied`, the last command; x is needed for a speed limit on a torque, None for a velocity.
     """
     terms: dict[str, Vector] = {}
     kept: dict[str, Any] = {}
@@ -233,17 +213,13 @@ def _slowed(tau: Vector, x: Snapshot, parameters: Mapping[str, Array], dt: Any) 
 
 
 def room(speed: Vector, v_max: Array, v_gain: Array, dt: Any) -> Vector:
-    """(n,) acceleration in the direction of motion that a joint may have at a speed; negative beyond its limit.
+    """(n,) admissible acceleration along the motion, v_gain (v_max - speed) near the limit, negative beyond it.
 
-    Near the limit v_gain (v_max - speed). It grows towards rest, where the direction of motion is nothing to go by,
-    to what takes the joint to its limit within a tick.
+    Towards rest it grows to what takes the joint to its limit within a tick: the direction means nothing there.
     """
     growth = tm.clip(v_max / tm.maximum(speed, SPEED_FLOOR), 1.0, 1.0 / (v_gain * dt))
     out: Vector = v_gain * (v_max - speed) * growth
     return out
-
-
-# -------------------------------------------------------------------- how a change comes in
 
 
 def left(phase: Any) -> Any:
@@ -258,25 +234,13 @@ def fresh_blend(n: int) -> dict[str, Any]:
 
 
 def anew(memory: Mapping[str, Any], asked: Vector, begins: Any) -> dict[str, Any]:
-    """Memory of a blend in a tick in which another law may begin: the command starts from that of the last tick.
-
-    Args:
-        memory: `tau_applied`, the command of the last tick, and what a blend remembers.
-        asked: (n,) what is asked for now.
-        begins: Whether a law begins.
-    """
+    """Memory of a blend: where another law `begins`, the command starts from the last one, `tau_applied`."""
     bump = tm.where(begins, memory["tau_applied"] - asked, memory["bump"])
     return {**memory, "bump": bump, "phase": tm.where(begins, 0.0, memory["phase"])}
 
 
 def take_up(memory: Mapping[str, Float64Array], before: Float64Array, after: Float64Array) -> None:
-    """Let the next tick command what it would have without a change of parameters, and the difference fade.
-
-    Args:
-        memory: Memory of the law side by path, changed in place.
-        before: (n,) what the law would have asked for with the old parameters.
-        after: (n,) what it asks for now, at the same inputs and memory.
-    """
+    """Blend a change of parameters: memory, in place, by the commands (n,) of old and new at the same inputs."""
     bump, phase = memory["limits.bump"], memory["limits.phase"]
     bump[...] = bump * left(phase) + before - after
     phase[...] = 0.0

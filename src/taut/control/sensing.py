@@ -1,8 +1,7 @@
-"""Sensing: from what the sensors give to what the law sees: filters, velocities, and the load of a wrist sensor.
+"""Sensing: from measurements to what the law sees: filters, velocities, and the load of a wrist sensor.
 
-Filters are made discrete by the bilinear transform. Their coefficients are computed in every tick from their
-parameters, which may change at any time: they remember inputs and outputs, so that a change moves nothing that stands
-still.
+Filters are made discrete by the bilinear transform, with coefficients from the parameters in every tick: they
+remember inputs and outputs, so that a change of parameters moves nothing that stands still.
 """
 
 from __future__ import annotations
@@ -46,15 +45,7 @@ class Filter(Protocol):
     def filtered(
         self, u: Array, memory: Values, parameters: Values, dt: Any, difference: Subtraction
     ) -> tuple[Array, dict[str, Any]]:
-        """The filter's output, and the new memory.
-
-        Args:
-            u: The measurement.
-            memory: As `start` gives it.
-            parameters: The filter's numbers by name.
-            dt: [s].
-            difference: How two inputs differ: the short way round for joints that turn.
-        """
+        """The filter's output for u, and its memory; `difference` goes the short way round for continuous joints."""
         ...
 
 
@@ -115,17 +106,15 @@ class Notch(Declared):
                   g = 10^(-depth / 20), made discrete so that the sampled filter has the gain g at the frequency, 1 at
                   standstill and at half the rate, and the width exactly; it starts without a transient
 
-    It acts on what the law sees as q and v alike. Continuous joints are filtered the short way round, and what is
-    taken from a position is counted from the sensor's own turn.
+    It acts on q and v alike, on continuous joints the short way round.
 
     Args:
-        frequency: Scalar or one per joint [Hz], below half the controller's rate; among several 0 for joints
-            without a notch.
-        width: Scalar or one per joint [Hz]: between the two frequencies at which a notch without bottom has -3 dB.
+        frequency: Scalar or one per joint [Hz], below half the controller's rate; 0 for joints without a notch.
+        width: Scalar or one per joint [Hz]: between the -3 dB frequencies of a notch of infinite depth.
         depth: Scalar or one per joint [dB], the attenuation at the frequency.
 
     Raises:
-        RangeError: A number of zero or below, or a frequency at half the rate or above.
+        RangeError: A number <= 0, or a frequency at half the rate or above.
 
     References:
         Orfanidis, Introduction to signal processing (1996), section 11.3.
@@ -171,7 +160,7 @@ class Difference(Declared):
         order: 1 or 2.
 
     Raises:
-        RangeError: A cut-off of zero or below, or at half the rate or above.
+        RangeError: A cut-off <= 0, or at half the rate or above.
 
     References:
         Chapter, section 10.1 control system overview, and the pseudocode of figures 10.8 and 10.13.
@@ -210,18 +199,17 @@ class Kalman(Declared):
                   lam = acceleration_noise dt^(3/2) / position_noise,  w = (lam + sqrt(lam^2/3 + 16)) / 2,
                   y = 2 / (w + sqrt(w^2 - 4)),  alpha = 1 - y^2,  beta = lam y
 
-    The model knows neither the arm's dynamics nor the torque: an acceleration that lasts leaves an error of velocity,
-    a constant velocity none. It starts at the first position, at rest. The gains follow from the parameters in every
-    tick, so that these may change at any time.
+    The model knows neither the arm's dynamics nor the torque: constant acceleration leaves an error of velocity,
+    constant velocity none. It starts at the first position, at rest. Its parameters may change at any tick.
 
     Args:
-        acceleration_noise: Scalar or one per joint: how much the joint accelerates, as the square root of a
-            spectral density [rad/s^2/sqrt(Hz) | m/s^2/sqrt(Hz)]. More follows faster.
-        position_noise: Scalar or one per joint: standard deviation of a measured position [rad | m]; that of the
-            steps of an encoder is resolution / sqrt(12). More smooths more.
+        acceleration_noise: Scalar or one per joint: square root of the acceleration's spectral density
+            [rad/s^2/sqrt(Hz) | m/s^2/sqrt(Hz)]; more follows faster.
+        position_noise: Scalar or one per joint: standard deviation of a measured position [rad | m], resolution /
+            sqrt(12) of an encoder; more smooths more.
 
     Raises:
-        RangeError: A number of zero or below.
+        RangeError: A number <= 0.
 
     Example:
         >>> alpha, beta = kalman_gains(1.0, 1.0, 1.0)
@@ -255,16 +243,8 @@ def kalman_gains(acceleration_noise: Any, position_noise: Any, dt: Any) -> tuple
     """Steady gains alpha and beta of a constant-velocity model with white acceleration, in closed form.
 
     With y = sqrt(1 - alpha) and beta = lam y, the steady Riccati equation is (1/y - y)^2 - lam (1/y + y) +
-    lam^2 / 6 = 0, a quadratic in w = y + 1/y. The roots are written without differences of near numbers.
-
-    Args:
-        acceleration_noise: Square root of the acceleration's spectral density.
-        position_noise: Standard deviation of a measured position.
-        dt: Period [s].
-
-    References:
-        Bar-Shalom, Li and Kirubarajan (2001), section 6.5.3: alpha = sqrt(2 beta + beta^2/12) - beta/2 and
-        beta^2 = lam^2 (1 - alpha).
+    lam^2 / 6 = 0, a quadratic in w = y + 1/y; its roots avoid cancellation. Source: Bar-Shalom, Li and Kirubarajan
+    (2001), section 6.5.3: alpha = sqrt(2 beta + beta^2/12) - beta/2 and beta^2 = lam^2 (1 - alpha).
     """
     lam = acceleration_noise * dt * tm.sqrt(dt) / position_noise
     root = tm.sqrt(lam * lam / 3.0 + 16.0)
@@ -275,28 +255,13 @@ def kalman_gains(acceleration_noise: Any, position_noise: Any, dt: Any) -> tuple
 
 
 def check_filter(part: Declared, path: str, rate: float, joints: Sequence[str] | int) -> None:
-    """Every number of a filter is a scalar or one for each entry of what it filters, and below half the rate.
-
-    Args:
-        part: The filter.
-        path: What messages call it.
-        rate: Of the controller [Hz].
-        joints: Names of the entries that it filters, or their number.
-
-    Raises:
-        ShapeError: Neither a scalar nor one for each.
-        RangeError: A frequency at half the rate or above.
-    """
+    """A filter's numbers: a scalar or one for each of `joints`, below half the rate [Hz]. ShapeError, RangeError."""
     part.check_size(joints, f"{path}.")
     check_frequencies(part, path, rate, None if isinstance(joints, int) else joints)
 
 
 def check_frequencies(part: Declared, path: str, rate: float, entries: Sequence[str] | None = None) -> None:
-    """Every number in Hz is below half the rate.
-
-    Raises:
-        RangeError: One is not.
-    """
+    """Every number in Hz is below half the rate."""
     for name, values in part.parameters().items():
         if part.units()[name] == "Hz" and np.any(values >= 0.5 * rate):
             index = [int(i) for i in np.argwhere(values >= 0.5 * rate)[0]]
@@ -318,26 +283,26 @@ class Wrist(Declared):
                   A weight is m g with the moment c x m g, turned by the measured positions. Inertia forces of a tool
                   that accelerates stay in; a low-pass, `Sensing(F_ext=taut.sensors.LowPass(...))`, comes after.
 
-    Every number is a run-time parameter: sensing.wrist.bias, sensing.wrist.mass, ... The payload is the one that the
-    laws count with, model.payload.*: one number for its weight in the joints and in the sensor.
+    Every number is a run-time parameter: sensing.wrist.bias, sensing.wrist.mass, ... The payload is that of the laws,
+    model.payload.*, in the joints and in the sensor.
 
     Frames:
-        bias, com and range are of the sensor's own axes and origin, those of `frame`, force first. What goes in and
-        comes out is in world axes at the tool's origin.
+        bias, com and range are of the sensor's own axes and origin, those of `frame`, force first. Wrenches before
+            and
+        after are in world axes at the tool's origin.
 
     Args:
-        bias: (6,) or (force, moment), what the sensor reads without load [N, N m].
-        mass: [kg] of the tool beyond the sensor, 0 for one that weighs nothing; None for a sensor whose readings have
-            no weight in them, neither the tool's nor the payload's.
+        bias: (6,) or (force, moment), the reading without load [N, N m].
+        mass: [kg] of the tool beyond the sensor; None for readings that contain no weight, neither tool's nor
+            payload's.
         com: (3,) centre of mass of that tool [m].
-        range: (6,) or (force, moment), where the sensor ends [N, N m], infinity for no end. A tick at the end of it
-            is reported: column saturated.F_ext of a run and its outcome, `ctrl.sensed`. The law then sees what the
-            sensor gives, which is less than what is there.
-        frame: Where the sensor stands: a frame of the tool's body; the tool's own if None.
+        range: (6,) or (force, moment) [N, N m], may be infinite. A reading at its end reaches the law as it is, and
+            is reported in the run's column saturated.F_ext, its outcome and `ctrl.sensed`.
+        frame: Frame of the sensor, on the tool's body; the tool's own if None.
 
     Raises:
         ShapeError: One number for forces and moments, a centre of mass that is no vector.
-        RangeError: A negative mass, a range of zero or below, NaN.
+        RangeError: A negative mass, a range <= 0, NaN.
         UsageError: A centre of mass without a mass.
 
     Example:
@@ -373,15 +338,7 @@ class Wrist(Declared):
     def corrected(
         self, arm: Arm, q: Array, F_W: Wrench, parameters: Values, payload: PayloadValues
     ) -> tuple[Array, Any]:
-        """(6,) what touches the tool, and 1.0 where the reading is at the end of its range; None without a range.
-
-        Args:
-            arm: The arm, whose gravity it is.
-            q: (n,) measured positions, by which the reading was turned into the world.
-            F_W: (6,) the reading, in world axes at the tool's origin.
-            parameters: Its numbers by name.
-            payload: What the tool carries, by the controller's model.
-        """
+        """Contact wrench (6,) of F_W, world axes at the tool's origin; 1.0 at the end of the range, None without."""
         from taut.maths.wrist import load_wrench
 
         R_WE, place, cut = dyn.pose(model_of(arm), q).R, self.place(arm), None
@@ -396,11 +353,7 @@ class Wrist(Declared):
         return F_W - place.in_world(known, R_WE), cut
 
     def place(self, arm: Arm) -> SensorPlace:
-        """Where the sensor stands, from the tool.
-
-        Raises:
-            UnknownNameError, UsageError: A frame that does not exist, or that does not move with the tool.
-        """
+        """Pose of the sensor from the tool. Raises UnknownNameError; UsageError for a frame of another link."""
         from taut.maths.wrist import sensor_place
 
         return sensor_place(arm, self.frame, "sensing.wrist")
@@ -412,23 +365,21 @@ SOURCES: Final = (LowPass, Difference, Kalman)
 
 
 class Sensing(Declared):
-    """How the law gets what it sees from what the sensors give.
+    """What the law sees of the measurements.
 
-    Positions and measured velocities go through the notch first; velocities are made from what it lets through.
+    Positions and measured velocities go through the notch first; velocities are made from filtered positions.
     Every number is a run-time parameter: sensing.velocity.cutoff, sensing.notch.frequency, ...
 
     Args:
-        velocity: "measured" takes the velocity that the plant measures, `taut.sensors.LowPass(cutoff=)` filters it;
-            "difference" differences positions of successive ticks, `taut.sensors.Difference(cutoff=)` with a
-            low-pass; `taut.sensors.Kalman(...)` estimates it from positions.
+        velocity: "measured", or filtered by `taut.sensors.LowPass(cutoff=)`; "difference" of positions of successive
+            ticks, or with a low-pass `taut.sensors.Difference(cutoff=)`; an estimate, `taut.sensors.Kalman(...)`.
         notch: Takes a vibration out of positions and velocities.
-        wrist: What is known of the wrist's sensor: bias and load are taken out of the measured wrench, and its
-            range is watched.
-        F_ext: Low-pass of the measured wrench, for a law that uses it; after what `wrist` does.
+        wrist: Bias, load and range of the wrist sensor; the first two are taken out of the measured wrench.
+        F_ext: Low-pass of the measured wrench, for a law that uses it; after `wrist`.
         tau_meas: Low-pass of the measured joint torques, for a law that uses them.
 
     Raises:
-        UsageError: Something else.
+        UsageError: Anything else.
 
     Example:
         >>> sensing = Sensing(velocity=Difference(cutoff=30.0), notch=Notch(frequency=18.0, width=4.0))
@@ -483,16 +434,8 @@ class Sensing(Declared):
         parts = [f"{name} by {type(part).__name__}" for _, part, _, name in self._filters()]
         return ", ".join([*parts, *(["F_ext by Wrist"] if self.wrist is not None else [])])
 
-    # ---------------------------------------------------------------- checks
-
     def check_fit(self, arm: Arm, rate: float) -> None:
-        """Whether it fits an arm and a rate [Hz].
-
-        Raises:
-            ShapeError: A number that is neither a scalar nor one per joint or axis.
-            RangeError: A frequency at half the rate or above.
-            UnknownNameError, UsageError: A wrist sensor at a frame that does not exist, or that leaves the tool.
-        """
+        """It must fit an arm and a rate [Hz]. Raises ShapeError, RangeError, UnknownNameError, UsageError."""
         for name, part in self.declared_parts().items():
             if isinstance(part, Wrist):
                 part.place(arm)
@@ -500,11 +443,7 @@ class Sensing(Declared):
                 check_filter(part, f"sensing.{name}", rate, 6 if name == "F_ext" else arm.joint_names)
 
     def check_used(self, used: Set[str], law: str) -> None:
-        """What changes a measurement that the law does not use would be a number that changes nothing.
-
-        Raises:
-            UsageError: There is such a number.
-        """
+        """Refuse parameters of measurements that the law does not use. Raises UsageError."""
         for field, name in (("wrist", "F_ext"), ("F_ext", "F_ext"), ("tau_meas", "tau_meas")):
             if name not in used and getattr(self, field) is not None:
                 raise UsageError(
@@ -512,17 +451,8 @@ class Sensing(Declared):
                     name=f"sensing.{field}",
                 )
 
-    # ---------------------------------------------------------------- the pure functions
-
     def start(self, arm: Arm, measured: Values, parameters: Values, payload: PayloadValues) -> dict[str, Any]:
-        """Memory by path at the first tick: as if what is measured then had always been constant.
-
-        Args:
-            arm: The arm.
-            measured: What the sensors give.
-            parameters: By path below "sensing".
-            payload: What the tool carries, by the controller's model.
-        """
+        """Memory by path at the first tick: as if the measurements had always been constant."""
         seen = {**measured, **self._wrench(arm, measured, parameters, payload)}
         return {
             f"{path}.{name}": value
@@ -535,13 +465,7 @@ class Sensing(Declared):
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """What the law sees, by measurement, and the new memory; with it what `tells` names.
 
-        Args:
-            arm: The arm, which knows the joints that turn without end.
-            measured: What the sensors give.
-            memory: By path, as `start` gives it.
-            parameters: By path below "sensing".
-            payload: What the tool carries, by the controller's model.
-            dt: [s].
+        Memory is by path; parameters are by path below "sensing".
         """
         after: dict[str, Any] = {}
         seen = {**measured, **self._wrench(arm, measured, parameters, payload)}

@@ -26,9 +26,9 @@ class SideBySide(Law):
     Law:          each part gives the command of its own joints, from an arm of these joints alone
     Closed loop:  that of each part, where no joint of one part carries another: arms on a torso that stands
 
-    A law of task space acts on the joints that move its tool, and names it: `Impedance(tool="left_gripper", ...)`. Of
-    another law the joints are named: SideBySide(head=(law, ["head_pan"])). Every joint belongs to one part. What it
-    follows is `taut.together(left=..., right=...)`.
+    A law of task space acts on the joints that move its tool, and names it: `Impedance(tool="left_gripper", ...)`.
+    For another law the joints are named: SideBySide(head=(law, ["head_pan"])). Every joint belongs to one part. Its
+    reference is `taut.together(left=..., right=...)`.
 
     Args:
         laws: The laws by name; a law, or a pair of a law and the names of its joints.
@@ -50,11 +50,7 @@ class SideBySide(Law):
         """Each part has a size of its own, which is checked where it is known: in the first evaluation."""
 
     def _places(self, arm: Arm) -> dict[str, list[int]]:
-        """Places of each part's joints.
-
-        Raises:
-            MatchError: A joint that belongs to no part, or to two.
-        """
+        """Indices of each part's joints; MatchError for a joint of no part, or of two."""
         owner: dict[int, str] = {}
         out = {}
         for name, law in self.parts.items():
@@ -159,13 +155,7 @@ def _places_of(law: Law, joints: tuple[str, ...] | None, arm: Arm) -> list[int]:
 
 
 def _of_joints(x: Snapshot, model: Model, places: Sequence[int]) -> Snapshot:
-    """What an arm of some of the joints sees: its own rows of what is measured joint by joint.
-
-    Args:
-        x: What the whole arm sees.
-        model: That of the arm in which only these joints move.
-        places: Their places in the whole arm.
-    """
+    """The snapshot of an arm, of that model, in which only the joints at `places` move."""
     rows = {
         name: values if name in AT_TOOL else tm.array([values[i] for i in places])
         for name, values in x.measured.items()

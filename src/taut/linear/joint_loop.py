@@ -37,9 +37,6 @@ PAIRS: Final = [
 """Two numbers that determine the gains of a joint."""
 
 
-# -------------------------------------------------------------------- the standard second-order form
-
-
 @dataclass(frozen=True, kw_only=True)
 class SecondOrder:
     """Gains of a joint and the standard second-order form of its error dynamics.
@@ -102,7 +99,7 @@ def second_order(
 
     Raises:
         UsageError: Not two of them that determine the gains.
-        RangeError: A number without meaning, or a specification that cannot be met.
+        RangeError: A number out of range, or a specification that cannot be met.
 
     Example:
         >>> second_order(M=0.5, b=0.1, kd=2.0, zeta=1.0).kp
@@ -201,9 +198,6 @@ def settling_angle(zeta: float) -> float:
     return float(brentq(lambda angle: _error(zeta, angle) - level, low, high, xtol=1e-15 * high, rtol=1e-15))
 
 
-# -------------------------------------------------------------------- joints under PID
-
-
 def joint_matrix(
     name: str,
     value: ArrayLike,
@@ -213,19 +207,7 @@ def joint_matrix(
     minimum: float = -math.inf,
     above: float = -math.inf,
 ) -> Float64Array:
-    """(n, n) of a number, of one number for each joint, or of a symmetric matrix.
-
-    Args:
-        name: What messages call it.
-        value: The numbers.
-        n: Number of joints.
-        unit: Of them.
-        minimum: 0 for numbers of zero or more, and a positive semidefinite matrix; any if left out.
-        above: 0 for numbers above zero, and a positive definite matrix.
-
-    Raises:
-        ShapeError, RangeError: Another shape, not finite, not symmetric, or not in the range.
-    """
+    """(n, n) matrix of one number, n numbers or a symmetric matrix; `minimum` and `above` bound its eigenvalues."""
     given = finite_array(name, value, unit=unit)
     if given.shape not in ((), (n,), (n, n)):
         raise ShapeError(f"{name} must be a number, ({n},) or ({n}, {n}); got shape {given.shape}", name=name)
@@ -242,28 +224,16 @@ def joint_matrix(
 def pid(
     n: int,
     *,
-    kp: ArrayLike,
-    kd: ArrayLike = 0.0,
-    ki: ArrayLike = 0.0,
-    rate: float | None = None,
+    kp: ArrayLike,  # a number, (n,) or (n, n) [N m/rad | N/m]
+    kd: ArrayLike = 0.0,  # likewise [N m s/rad | N s/m]
+    ki: ArrayLike = 0.0,  # likewise [N m/(rad s) | N/(m s)]
+    rate: float | None = None,  # [Hz]
     velocity: VelocityKind = "measured",
 ) -> LinearSystem:
-    """PID of n joints as a system from measured and desired motion to the command and the error.
+    """PID of n joints as a system; inputs q, v, ref.q, ref.v, outputs command and e; continuous without a rate.
 
     Law:          command = kp e + ki int(e) + kd e_dot,  e = ref.q - q,  e_dot = ref.v - v              eq. 10.6
                   sampled: int(e) sums e dt, this tick's included; v as the controller estimates it
-
-    Args:
-        n: Number of joints.
-        kp: A number, (n,) or (n, n) [N m/rad | N/m].
-        kd: Likewise [N m s/rad | N s/m].
-        ki: Likewise [N m/(rad s) | N/(m s)].
-        rate: [Hz]; None in continuous time.
-        velocity: "measured", "difference" of positions, `taut.sensors.LowPass(...)` of the measured one, or
-            `taut.sensors.Difference(cutoff=...)`.
-
-    Returns:
-        Inputs q, v, ref.q, ref.v; outputs command, e.
     """
     P, D = joint_matrix("kp", kp, n, "N m/rad"), joint_matrix("kd", kd, n, "N m s/rad")
     Ki = joint_matrix("ki", ki, n, "N m/(rad s)")
@@ -325,9 +295,8 @@ def error_dynamics(
     Closed loop:  M e_ddot + (b + kd) e_dot + kp e + ki int(e) = tau_dist                                eq. 10.12
                   stable for 0 <= ki < (b + kd) kp / M (Routh); sampled: exact zero-order hold and delay
 
-    The gains are kp, kd and ki; or of one joint two of kp, kd, zeta, omega_n, settling and overshoot, as of
-    `taut.analysis.second_order`, and ki: first a good transient response, then a small ki, as the chapter advises.
-    Directions of a coupled arm at its tool are joints too, with Lambda in the place of M.
+    The gains are kp, kd and ki; or of one joint ki and two of kp, kd, zeta, omega_n, settling and overshoot, as in
+    `taut.analysis.second_order`. Directions of a coupled arm at its tool are joints too, with Lambda in place of M.
 
     Args:
         M: Inertia, a number, (n,) or (n, n) [kg m^2 | kg]; 1 for gains in units of acceleration, as in eq. 10.19.
@@ -348,7 +317,7 @@ def error_dynamics(
         command, e.
 
     Raises:
-        UsageError, RangeError, ShapeError: Numbers without meaning, by name.
+        UsageError, RangeError, ShapeError: An invalid number, by name.
 
     Example:
         >>> import taut

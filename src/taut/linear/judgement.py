@@ -1,8 +1,7 @@
-"""Judgement of a sampled loop: stable or not, how far from the limit, in which direction, and which gain is to blame.
+"""Judgement of a sampled loop: stability, distance from its limit, least stable direction, and the gains to blame.
 
-The map of one control period is the compiled loop that simulates it; its derivative is taken by central differences.
-Dry friction is left out of the map, in the plant and in its compensation: it has no slope while a joint slides, and
-stiction hides an unstable loop only until a disturbance sets the joint free. Limits and noise are left out too.
+The map of one period is the compiled loop that simulates it, differentiated by central differences, without limits,
+noise and dry friction: that has no slope in sliding, and stiction hides instability only until a joint breaks free.
 """
 
 from __future__ import annotations
@@ -32,6 +31,7 @@ from taut.maths.snapshot import snapshot
 from taut.plant.rigid import RigidPlant
 
 ROUNDING: Final = 1e-9  # [-] of a modulus of one
+SAFETY: Final = 2.0  # [-] on an error that two steps estimate and do not bound
 MIN_MOBILITY: Final = 1e-9  # [-] of the largest mobility of the tool: an axis with less does not move
 FINE: Final = 0.01  # [-] of the largest stable factor on a gain
 MIN_FACTOR, MAX_FACTOR = 2.0**-14, 2.0**14  # [-] on a gain, between which a limit is searched
@@ -53,23 +53,22 @@ Changes = Mapping[str, Any]
 class Judgement(Result):
     """Stability of a sampled loop about its equilibrium next to a start pose; no limits, dry friction or ripple.
 
-    A motor's ripple makes many equilibria close to one another, every other one of them unstable: motion passes them.
+    A motor's ripple makes many equilibria close to one another, every other one unstable: motion passes them.
 
     Args:
         system: The linear model from tick to tick, of the states on which the joints' motion depends.
         stable: Whether deviations do not grow, within the error of central differences.
         decay_rate: Slowest decay of what does not stay where it is put [1/s]; negative for growth.
         q: (n,) the equilibrium [rad | m].
-        joints: Fraction of each joint in the least stable mode, by name, the largest first; empty in a run that is
-            stable.
+        joints: Fraction of each joint in the least stable mode, by name, the largest first; empty for a stable run.
         tool: Fraction of each axis of the tool in it, by kinetic energy (world axes), likewise.
-        largest: Largest factor on a gain, by path, with which the loop is stable, the others as they are. Of an
-            unstable loop for all gains for which there is one; on all of them, "law", where only that helps. Of a
-            stable loop for those that were asked for; infinite without a limit.
-        gains: The gains of `largest` as they are, by path.
+        largest: Largest factor on a gain, by path, with which the loop is stable, others unchanged. Of an unstable
+            loop for all gains with such a factor ("law": on all of them, where only that helps), of a stable loop for
+            those asked for; infinite without a limit.
+        gains: The gains of `largest`, by path.
         relies_on: Friction of the plant that keeps deviations from growing: viscous friction without which a stable
             loop is unstable; dry friction that holds an unstable loop while it is at rest.
-        plant: Name of the plant that it was judged with.
+        plant: Name of the plant.
     """
 
     system: LinearSystem
@@ -157,9 +156,9 @@ def judge(loop: Loop, *, at: ArrayLike | None = None, gains: Iterable[str] = ())
     Law:    x[k+1] = f(x[k]), A = df/dx where f(x) = x; stable where no eigenvalue of A is outside the unit circle
 
     Args:
-        loop: The loop. Its parameters count as they are now.
+        loop: The loop, with its present parameters.
         at: (n,) start pose [rad | m]; home if left out.
-        gains: Paths of gains of which the largest stable factor is found of a stable loop too.
+        gains: Paths of gains whose largest stable factor is found of a stable loop too.
 
     Raises:
         RangeError: No equilibrium near, or a map without a derivative.
@@ -178,15 +177,9 @@ def judge(loop: Loop, *, at: ArrayLike | None = None, gains: Iterable[str] = ())
 
 
 def judge_start(ctrl: HasLawSide, plant: AnyPlant, q: Float64Array, changes: Changes = EMPTY) -> Judgement | str:
-    """The judgement of a run at its start, or a sentence why there is none.
+    """The judgement of a run at its start q (n,), or a sentence why there is none.
 
-    An engine or a robot is judged with a model plant of the same arm.
-
-    Args:
-        ctrl: The controller, or the loop of a model plant.
-        plant: What it runs against.
-        q: (n,) the start pose [rad | m].
-        changes: Parameters by path that events change at the start.
+    An engine or a robot is judged with a model plant of the same arm; `changes` are parameters of events at t = 0.
     """
     if ctrl.engine != "native":
         return "not judged: plain Python is for debugging, and the loop is judged where it is compiled"
@@ -241,27 +234,19 @@ def uncertain_eigenvalues(A: Float64Array, error: Float64Array | float = 0.0) ->
     A, error = (X * scale / scale[:, np.newaxis] for X in (A, error * np.ones_like(A)))
     z, right = np.linalg.eig(A)
     error = error + np.finfo(float).eps / STEP * max(1.0, float(np.abs(A).max()))
-    first = np.sum(np.abs(np.linalg.pinv(right)) * (error @ np.abs(right)).T, axis=1)  # |y| |dA| |x| of each
+    first = SAFETY * np.sum(np.abs(np.linalg.pinv(right)) * (error @ np.abs(right)).T, axis=1)  # |y| |dA| |x| of each
     return z.astype(np.complex128), np.minimum(ROUNDING + first, np.sqrt(np.linalg.norm(error, 2)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Model:
-    """The derivative of a period at its equilibrium, of some states.
-
-    Args:
-        rest: The equilibrium.
-        A: (n, n) of the states.
-        states: (n,) their places among the period's.
-        z: (n,) eigenvalues.
-        slack: (n,) how far each is uncertain by the error of A.
-    """
+    """The derivative of a period at its equilibrium, of some states."""
 
     rest: Rest
-    A: Float64Array
-    states: NDArray[np.intp]
-    z: Complex
-    slack: Float64Array
+    A: Float64Array  # (n, n) of the states
+    states: NDArray[np.intp]  # (n,) their places among the period's
+    z: Complex  # (n,) eigenvalues
+    slack: Float64Array  # (n,) uncertainty of each by the error of A
 
     @classmethod
     def at(cls, period: Period, start: Point, steps: int = NEWTON_STEPS) -> _Model:
@@ -377,21 +362,10 @@ def _is_dry(path: str) -> bool:
     return path == EFFICIENCY or (path.startswith("plant.friction.") and path.rpartition(".")[2] in DRY)
 
 
-# -------------------------------------------------------------------- direction and gains
-
-
 def directions(
     system: LinearSystem, mode: Mode, joints: Sequence[str], M: Float64Array, J: Float64Array
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Fractions of the joints, and of the axes of the tool by kinetic energy, in a mode; the largest first.
-
-    Args:
-        system: The system, with states "plant.q[0]", "plant.v[0]", ...
-        mode: A mode of it.
-        joints: n names.
-        M: (n, n) inertia of the joints.
-        J: (6, n) Jacobian of the tool in world axes.
-    """
+    """Fractions of the joints, and of the tool's world axes by kinetic energy, in a mode; the largest first."""
     of_joints = [sum(mode.participation.get(f"plant.{x}[{i}]", 0.0) for x in "qv") for i in range(len(joints))]
     velocity = np.abs(J @ mode.shape[system.state_places("plant.q")]) ** 2  # of a mode, v = (z - 1) q / dt
     mobility = np.diag(J @ np.linalg.solve(M, J.T))
@@ -404,13 +378,7 @@ def directions(
 
 
 def largest_factor(holds: Callable[[float], bool], tolerance: float, max_factor: float) -> float:
-    """The first limit of factors that hold, from 1 on by factors of 2 and by bisection; 0 or infinite without one.
-
-    Args:
-        holds: Whether a factor holds.
-        tolerance: Relative, of the limit; the factor given is one that holds.
-        max_factor: Without a limit up to it there is none.
-    """
+    """The first limit of factors that hold, from 1 on by factors of 2 and by bisection; 0 or infinite without one."""
     low, high = 1.0, 1.0
     if holds(1.0):
         while holds(high := 2.0 * low):

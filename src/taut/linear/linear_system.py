@@ -1,6 +1,4 @@
-"""LinearSystem: a linear time-invariant system, continuous or sampled, and everything that is read off it.
-
-Where it comes from does not matter afterwards: the error dynamics of joints, a linearised loop, python-control.
+"""LinearSystem: a linear time-invariant system, continuous or sampled, whatever it was made from.
 
 References:
     Astrom and Wittenmark, Computer-controlled systems (1997), sections 2.3 and 3.2 (hold, fractional delay).
@@ -49,21 +47,13 @@ def names(group: str, n: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mode:
-    """One mode of a linear system: a real pole, or a complex pair.
+    """One mode of a linear system: a real pole, or a complex pair."""
 
-    Args:
-        pole: In z [-] of a sampled system, else in s [1/s]; of a pair the one with positive imaginary part.
-        s: The pole in s [1/s]: log(z) / dt of a sampled system.
-        participation: Fraction of each state in the mode, by name, the largest first; they sum to one.
-        shape: (n,) right eigenvector: the direction of the states.
-        resting: Whether it is a position that nothing moves: z = 1 or s = 0.
-    """
-
-    pole: complex
-    s: complex
-    participation: Mapping[str, float]
-    shape: Complex
-    resting: bool
+    pole: complex  # in z [-] if sampled, else in s [1/s]; of a pair the one with positive imaginary part
+    s: complex  # [1/s]; log(z) / dt of a sampled system
+    participation: Mapping[str, float]  # fraction of each state, by name, the largest first; they sum to one
+    shape: Complex  # (n,) right eigenvector: the direction of the states
+    resting: bool  # a position that nothing moves: z = 1 or s = 0
 
     @property
     def omega_n(self) -> float:
@@ -191,14 +181,12 @@ class LinearSystem(Result):
         for name, value in signals.items():
             object.__setattr__(self, name, value)
 
-    # -------------------------------------------------------------------- poles and modes
-
     @cached_property
     def _resting_and_moving(self) -> tuple[int, Complex]:
         """The number of free positions, and the poles of the rest.
 
-        A position that nothing moves is a vector of the null space of A - I (of A in continuous time). Without that
-        space, a pole that still is at z = 1 is one that drifts, so that a multiple pole needs no tolerance.
+        A position that nothing moves is in the null space of A - I (of A in continuous time); another pole at z = 1
+        is a drift. Counted by that space, a multiple pole needs no tolerance.
         """
         scale = balancing(self.A)
         A = self.A * scale / scale[:, np.newaxis]
@@ -246,22 +234,14 @@ class LinearSystem(Result):
 
     @property
     def period(self) -> float:
-        """Period dt of a sampled system [s].
-
-        Raises:
-            UsageError: The system is continuous.
-        """
+        """Period dt of a sampled system [s]; UsageError if continuous."""
         if self.dt is None:
             raise UsageError("the system is continuous, without a period; sample it with zoh(dt)", name="dt")
         return self.dt
 
     @property
     def radius(self) -> float:
-        """Spectral radius [-]: the largest modulus of the poles of a sampled system.
-
-        Raises:
-            UsageError: The system is continuous.
-        """
+        """Spectral radius of a sampled system [-], the largest modulus of its poles; UsageError if continuous."""
         return float(np.exp(self.period * self.s_poles.real.max(initial=-np.inf)))
 
     @property
@@ -281,10 +261,7 @@ class LinearSystem(Result):
 
     @cached_property
     def stable(self) -> bool:
-        """Whether all deviations decay, but for positions that stay where they are put.
-
-        A sustained oscillation, a drift and growth are not stable.
-        """
+        """Whether all deviations decay, but for positions that stay where they are put; a drift is not stable."""
         s = self._in_s(self._resting_and_moving[1])
         s = s[np.isfinite(s.real)]
         return bool((-s.real > UNDAMPED * np.abs(s) + RATE_ROUNDING * self._fastest).all())
@@ -332,8 +309,6 @@ class LinearSystem(Result):
             if shown[k]
         )
 
-    # -------------------------------------------------------------------- other systems
-
     def zoh(self, dt: float, delay: float = 0.0) -> LinearSystem:
         """The system sampled every dt under a zero-order hold, with its inputs delayed, exactly.
 
@@ -344,7 +319,7 @@ class LinearSystem(Result):
             delay: [s] of the inputs; any number of periods. Past inputs become states "past.1.u[0]", ...
 
         Raises:
-            UsageError: The system is sampled already.
+            UsageError: A sampled system.
             RangeError: A period that is not positive, a negative delay.
         """
         import scipy.linalg
@@ -441,22 +416,12 @@ class LinearSystem(Result):
         )  # fmt: skip
 
     def to_control(self) -> Any:
-        """The system as `control.StateSpace`, with its period and names, which have no dots there: "ref_q[0]".
-
-        Raises:
-            MissingExtraError: python-control is not installed.
-        """
+        """The system as `control.StateSpace`, names without dots: "ref_q[0]"; MissingExtraError if not installed."""
         labels = {kind: [name.replace(".", "_") for name in getattr(self, kind)] for kind in SIGNALS}
         return _control().ss(self.A, self.B, self.C, self.D, self.dt or 0, **labels)
 
-    # -------------------------------------------------------------------- signals and responses
-
     def columns(self, input: str) -> list[int]:
-        """Places of an input, by its name or that of its group.
-
-        Raises:
-            UnknownNameError: There is none.
-        """
+        """Indices of an input or of a group of inputs, by name; UnknownNameError if the system has none."""
         return _places("input", input, self.inputs)
 
     def rows(self, output: str) -> list[int]:
@@ -476,12 +441,11 @@ class LinearSystem(Result):
             output: One output or a group.
 
         Returns:
-            (k,) of one input and one output, else (k, outputs, inputs); infinite at a pole that the input excites and
-            the output shows.
+            (k,) of single signals, else (k, outputs, inputs); infinite at a pole that is excited and observed.
 
         Raises:
             UnknownNameError: No such input or output.
-            RangeError: A frequency that is negative, or above half the rate.
+            RangeError: A negative frequency, or one above half the rate.
         """
         out = self._response(omega, input, output)
         return out[:, 0, 0] if input in self.inputs and output in self.outputs else out
@@ -546,18 +510,15 @@ class LinearSystem(Result):
         return out
 
     def dc_gain(self, *, input: str, output: str) -> float | Float64Array:
-        """Steady-state output per constant input: a number of single signals, else (outputs, inputs).
+        """Steady-state output per constant input of a stable system: a number, or of groups (outputs, inputs).
 
-        Infinite where a constant input makes the output grow without end. It has a meaning for stable systems only.
+        Infinite where a constant input makes the output grow without bound.
         """
         gain = np.asarray(self.frequency_response(0.0, input=input, output=output)[0])
         return gain.real if gain.ndim else float(gain.real)
 
     def step(self, *, input: str = "ref.q[0]", output: str = "q[0]") -> StepInfo:
-        """Overshoot, settling, rise and peak time of one output after a step of one input.
-
-        A sampled system is followed from tick to tick, a continuous one exactly.
-        """
+        """Overshoot, settling, rise and peak time of one output (of a sampled system at ticks) after a step."""
         (column, *more), (row, *others) = self.columns(input), self.rows(output)
         if more or others:
             raise UsageError(f"a step is of one input and one output; got '{input}' and '{output}'", name="input")
@@ -569,12 +530,10 @@ class LinearSystem(Result):
             return StepInfo.none(end)
         return step_response(self.A, final, self.C[row] / end, dt=self.dt, s_poles=self.s_poles, final=end)
 
-    # -------------------------------------------------------------------- margins
-
     def sensitivity(
         self, omega: ArrayLike, *, input: str = "disturbance.command", output: str = "command"
     ) -> Complex:
-        """(k, m, m) S = (I + L)^-1 of the loop opened where a group of inputs adds to a group of outputs.
+        """(k, m, m) S = (I + L)^-1 of the loop opened where a group of inputs adds to one of outputs.
 
         Args:
             omega: (k,) [rad/s].
@@ -605,8 +564,6 @@ class LinearSystem(Result):
         return margins_of(
             partial(self.sensitivity, input=input, output=output), signals, self.dt, poles, stable=self.stable
         )
-
-    # -------------------------------------------------------------------- description
 
     def content(self) -> Content:
         """Modes, margins and step as tables, and the figure of `plot`."""
@@ -646,10 +603,7 @@ class LinearSystem(Result):
 
 
 def _eigenvalues(A: Float64Array) -> Complex:
-    """(n,) eigenvalues; of two by the formula of section 10.2.1.1 with an exact discriminant.
-
-    So a critically damped joint has a double real pole, where rounding would split it by the root of its size.
-    """
+    """(n,) eigenvalues; of two by section 10.2.1.1's formula, for rounding would split a critically damped pole."""
     if len(A) != 2:
         return np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
     (a, b), (c, d) = ([Fraction(x) for x in row] for row in A.tolist())

@@ -55,24 +55,22 @@ def linearise(loop: Loop, *, at: ArrayLike | None = None, within: float = WITHIN
 
     Law:    x[k+1] = f(x[k], u[k]), A = df/dx, B = df/du, exactly, of the loop as it is simulated
 
-    The program of the loop is differentiated, and compiled once for a loop. From the state in which a run begins at
-    `at`, Newton's method finds where the loop rests, its reference held. A law without gravity compensation droops,
-    one with an integral does not: `lin.point.moved`. Memory that goes on changing without any effect, such as an
-    integral with ki = 0, is named in `lin.point.drifting`.
+    From the state in which a run begins at `at`, Newton's method finds the equilibrium with the reference held. A law
+    without gravity compensation droops, one with an integral does not: `lin.point.moved`. Memory that keeps changing
+    without any effect, such as an integral with ki = 0, is named in `lin.point.drifting`.
 
     States, inputs and outputs are deviations from that point, by path and index: "plant.q[0]", "law.e_int[2]"; a
     rotation has three, a small rotation vector in world axes. An input is held until the next tick. Inputs: the
     reference, "disturbance.command" (added to the law's command, before the drives), "disturbance.torque" (on the
     joints), "disturbance.wrench" (on the tool, force first, world axes), noise (1 is one standard deviation).
-    Outputs: q, v and the tool's pose and twist (world axes), true at the tick, and the law's command. Against a
-    reference that is held, the error of an output is minus its deviation.
+    Outputs: q, v and the tool's pose and twist (world axes), true at the tick, and the law's command. With the
+    reference held, the error of an output is minus its deviation.
 
     A non-smooth point, such as a limit that is reached or stiction, has a derivative on each branch;
-    `lin.point.branches` states which one the model is of. Quantisation of encoders and amplifiers counts by its mean
-    slope.
+    `lin.point.branches` states which one the model is of. Quantisation counts by its mean slope.
 
     Args:
-        loop: The loop. Its parameters count as they are now.
+        loop: The loop, with its present parameters.
         at: (n,) joint positions to begin at [rad | m]; home if left out.
         within: Maximum distance of the equilibrium from `at` [rad | m].
 
@@ -146,15 +144,11 @@ def _model(map_: LoopMap, rest: Rest, start: Float64Array) -> LinearSystem:
     )  # fmt: skip
 
 
-# -------------------------------------------------------------------- non-smooth points
-
-
 def _smooth(map_: LoopMap, at: Point, found: Derivative, states: Sequence[int]) -> tuple[Derivative, list[str]]:
     """The derivative, and sentences about states in which the derivatives to either side differ.
 
-    Where those are one and that at the point is another, the point is non-smooth by rounding alone, and the mean of
-    both is the derivative: at rest a law may compare two energies that are both zero but for rounding. A length that
-    is zero counts by its mean slope, and is not named.
+    Where those agree but differ from that at the point, it is non-smooth by rounding alone (two energies of zero at
+    rest): their mean is the derivative. A length of zero counts by its mean slope too.
     """
     sides, block = beside(map_, at, states), np.ix_(states, states)
     A, one, other = (x.A[block].T for x in (found, *sides))  # a row for each state that is moved
@@ -233,22 +227,13 @@ def _flags(map_: LoopMap, record: Mapping[str, Any], memory: Mapping[str, Any]) 
     return out + [notices[path] for path in notices if path in memory and np.any(np.asarray(memory[path]) != 0.0)]
 
 
-# -------------------------------------------------------------------- the equilibrium
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rest:
-    """An equilibrium: a point at which nothing changes that has an effect.
-
-    Args:
-        point: The point.
-        found: The derivative there.
-        drifting: States that go on changing without any effect, and by how much in a period.
-    """
+    """An equilibrium: a point at which no state changes that has an effect."""
 
     point: Point
     found: Derivative
-    drifting: Mapping[str, float]
+    drifting: Mapping[str, float]  # states that change without any effect, and by how much in a period
 
 
 def observed_states(A: Float64Array, C: Float64Array) -> Flags:
@@ -283,17 +268,7 @@ def standing_states(found: Derivative, tolerance: float) -> Flags:
 
 
 def equilibrium(map_: PeriodMap, start: Point, within: float = WITHIN, steps: int = NEWTON_STEPS) -> Rest:
-    """The nearest point to a start at which the loop rests with the same inputs and parameters.
-
-    Args:
-        map_: The map of a period.
-        start: Inputs, parameters, and the memory of the first tick.
-        within: Maximum distance of a joint from the start [rad | m].
-        steps: Steps of Newton's method at most.
-
-    Raises:
-        RangeError: There is none so near; the message names a joint and its distance.
-    """
+    """The nearest equilibrium to a start, by Newton's method; RangeError if none is `within` [rad | m]."""
     memory, coordinates = start.memory, map_.state_coordinates
     joints = coordinates.places["plant.q"]
     step = np.full(len(coordinates), np.inf)

@@ -1,11 +1,8 @@
 """Performance of a linear system: its step response, and its stability margins.
 
-A step is the free response of what is still to go: x_final - exp(A t) x_final. It is followed on a grid, and where it
-crosses a level between two points the crossing is solved for with the matrix exponential.
-
-Margins of each signal alone (gain, phase, delay), and the disk margin of all at once, are read off the sensitivity
-S = (I + L)^-1 where signals are added to those at which a loop is opened, so that a joint in closed form and a
-linearised arm need the same code.
+A step is the free response of the remaining error, x_final - exp(A t) x_final, on a grid; where it crosses a level
+between two points the crossing is solved for. All margins are read off the sensitivity S = (I + L)^-1 where signals
+are added to those at which a loop is opened, so that a joint in closed form and a linearised arm need the same code.
 """
 
 from __future__ import annotations
@@ -40,27 +37,15 @@ SCALING_SWEEPS: Final = 60  # sweeps of the scaling that makes the bound tight
 BALANCED: Final = 1e-4  # [-] change of the scaling at which they end
 
 
-# -------------------------------------------------------------------- step response
-
-
 @dataclass(frozen=True, kw_only=True)
 class StepInfo:
-    """Step response of one output to one input, as figure 10.4 of the chapter defines its numbers.
+    """Step response of one output to one input, as in figure 10.4 of the chapter; NaN if it does not settle."""
 
-    Args:
-        final: The output in the end, after a unit step.
-        overshoot: [%] of the final value; NaN if the response does not settle.
-        settling_time: [s] from which on the output is within 2 % of its final value; infinite if it does not settle,
-            NaN if it is so lightly damped that it was not followed to its end.
-        rise_time: [s] from 10 % to 90 %; NaN if it does not settle.
-        peak_time: [s] of the largest overshoot; NaN without one.
-    """
-
-    final: float
-    overshoot: float
-    settling_time: float
-    rise_time: float
-    peak_time: float
+    final: float  # after a unit step
+    overshoot: float  # [%] of the final value
+    settling_time: float  # [s] to stay within 2 %; infinite if it never does, NaN if too lightly damped to follow
+    rise_time: float  # [s] from 10 % to 90 %
+    peak_time: float  # [s] of the largest overshoot; NaN without one
 
     @classmethod
     def none(cls, final: float = math.nan) -> StepInfo:
@@ -86,23 +71,14 @@ def powers(row: Float64Array, step: Float64Array, count: int) -> Float64Array:
 
 def step_response(
     A: Float64Array,
-    start: Float64Array,
-    row: Float64Array,
+    start: Float64Array,  # (n,) final state, which is the remaining error at the beginning
+    row: Float64Array,  # (n,) remaining error as a fraction of the final value: row @ x
     *,
     dt: float | None,
-    s_poles: Complex,
+    s_poles: Complex,  # (n,) [1/s]
     final: float,
 ) -> StepInfo:
-    """Numbers of a step response by the decay of row @ x from x = start.
-
-    Args:
-        A: (n, n), continuous or of a period.
-        start: (n,) the state in the end of the step, which is what is still to go at its beginning.
-        row: (n,) by which what is still to go is row @ x, as a fraction of the final value.
-        dt: Period [s], or None.
-        s_poles: (n,) poles [1/s].
-        final: The final value, for the result.
-    """
+    """Numbers of a step response by the decay of row @ x from x = start."""
     import scipy.linalg
     from scipy.optimize import brentq
 
@@ -169,45 +145,29 @@ def _followed(step: Float64Array, start: Float64Array, row: Float64Array, count:
     return np.concatenate(parts)[:count]
 
 
-# -------------------------------------------------------------------- margins
-
-
 @dataclass(frozen=True, kw_only=True)
 class SignalMargins:
-    """Margins of the loop opened at one signal, with the others closed.
-
-    Args:
-        signal: Its name.
-        gain: Smallest and largest factor on the signal between which the loop is stable [-]; 0 and infinity for none.
-        phase: Phase margin [deg], lead or lag; infinite for a loop whose gain never is one.
-        delay: Delay margin [s]; of a sampled loop exact for whole periods, since a part of one acts within the hold.
-        crossover: Frequency of the phase margin [rad/s]; NaN without one.
-    """
+    """Margins of the loop opened at one signal, with the others closed."""
 
     signal: str
-    gain: tuple[float, float]
-    phase: float
-    delay: float
-    crossover: float
+    gain: tuple[float, float]  # smallest and largest stable factor on the signal [-]; 0 and infinity for none
+    phase: float  # [deg], lead or lag; infinite for a loop whose gain never is one
+    delay: float  # [s]; of a sampled loop exact for whole periods: a part of one acts within the hold
+    crossover: float  # frequency of the phase margin [rad/s]; NaN without one
 
 
 @dataclass(frozen=True, kw_only=True)
 class DiskMargin:
-    """Margin of all signals at once: each may be multiplied by any complex number of a disk, each by another.
+    """Margin of all signals at once: each may be multiplied by its own complex number of a disk.
 
-    The disk is (1 + d alpha / 2) / (1 - d alpha / 2) with d inside the unit circle. The alpha here is a lower bound:
-    the loop is stable for at least that much.
-
-    Args:
-        alpha: Size of the disk [-]; at most 2.
-        omega: Frequency at which it is smallest [rad/s].
+    The disk is (1 + d alpha / 2) / (1 - d alpha / 2), |d| < 1; the alpha here is a lower bound.
 
     References:
         Seiler, Packard and Gahinet, An introduction to disk margins, IEEE Control Systems Magazine 40 (2020).
     """
 
-    alpha: float
-    omega: float
+    alpha: float  # size of the disk [-]; at most 2
+    omega: float  # frequency at which it is smallest [rad/s]
 
     @property
     def gain(self) -> tuple[float, float]:
@@ -223,15 +183,10 @@ class DiskMargin:
 
 @dataclass(frozen=True, kw_only=True)
 class Margins:
-    """Stability margins of a loop; all zero for an unstable one.
+    """Stability margins of a loop; all zero for an unstable one."""
 
-    Args:
-        signals: Margins of the loop opened at each signal alone.
-        disk: That of all signals at once.
-    """
-
-    signals: tuple[SignalMargins, ...]
-    disk: DiskMargin
+    signals: tuple[SignalMargins, ...]  # of the loop opened at each signal alone
+    disk: DiskMargin  # of all signals at once
 
     @property
     def gain(self) -> tuple[float, float]:
@@ -259,12 +214,7 @@ class Margins:
 
 
 def frequency_grid(dt: float | None, poles: Float64Array) -> Float64Array:
-    """Frequencies [rad/s], closer together about those of poles; up to half the rate of a sampled system.
-
-    Args:
-        dt: Period [s], or None.
-        poles: (k,) natural frequencies [rad/s].
-    """
+    """Frequencies [rad/s], closer together about those of (k,) poles [rad/s]; up to half the rate if sampled."""
     some = poles[poles > 0.0]
     if dt:
         highest = np.pi / dt
@@ -281,15 +231,7 @@ def frequency_grid(dt: float | None, poles: Float64Array) -> Float64Array:
 def margins_of(
     sensitivity: Sensitivity, signals: tuple[str, ...], dt: float | None, poles: Float64Array, *, stable: bool
 ) -> Margins:
-    """Margins from the sensitivity at some signals.
-
-    Args:
-        sensitivity: Gives (k, n, n) at (k,) frequencies [rad/s].
-        signals: n names.
-        dt: Period [s], or None.
-        poles: Natural frequencies of the poles [rad/s], about which the grid is closer.
-        stable: Whether the loop is stable; an unstable one has no margin.
-    """
+    """Margins from the sensitivity (k, n, n) at n signals, on a grid closer about the poles' frequencies [rad/s]."""
     if not stable:
         none = tuple(SignalMargins(signal=j, gain=(1.0, 1.0), phase=0.0, delay=0.0, crossover=0.0) for j in signals)
         return Margins(signals=none, disk=DiskMargin(alpha=0.0, omega=0.0))
@@ -377,10 +319,7 @@ def _disk(sensitivity: Sensitivity, omega: Float64Array, S: Complex) -> DiskMarg
 
 
 def scaled_norm(M: Complex) -> Float64Array:
-    """(k,) upper bounds of mu of (k, n, n) for independent complex factors: the norm of D M D^-1.
-
-    The diagonal D makes each row of the matrix as large as the column beside it, after Osborne (1960).
-    """
+    """(k,) upper bounds of mu of (k, n, n) for independent complex factors: |D M D^-1|, D after Osborne (1960)."""
     off = np.abs(M) ** 2 * (1.0 - np.eye(M.shape[1]))
     d = np.ones(M.shape[:2])  # squares of D
     for _ in range(SCALING_SWEEPS):

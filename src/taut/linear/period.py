@@ -1,8 +1,7 @@
-"""One control period of a loop as a map from memory to memory, with its derivative, in coordinates that have names.
+"""One control period of a loop as a map from memory to memory, with its derivative, in named coordinates.
 
-`Period` is the loop that simulates, differentiated by central differences: quick to make, for it is compiled anyway.
-`LoopMap` has the exact derivative of the same map, by automatic differentiation of the loop's program, and inputs.
-`equilibrium` of `taut.linear.linearise` searches with either.
+`Period` is the loop that simulates, compiled anyway, differentiated by central differences; `LoopMap` has the exact
+derivative of the same map, by automatic differentiation, and inputs. `equilibrium` searches with either.
 """
 
 from __future__ import annotations
@@ -53,40 +52,24 @@ EMPTY: Final[Mapping[str, Any]] = MappingProxyType({})
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Point:
-    """State of a loop in a tick, flat.
+    """State of a loop in a tick, flat."""
 
-    Args:
-        inputs: Time, reference, noise and disturbances.
-        parameters: All parameters.
-        memory: All memory.
-    """
-
-    inputs: Float64Array
+    inputs: Float64Array  # time, reference, noise, disturbances
     parameters: Float64Array
     memory: Float64Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Derivative:
-    """The derivative of a period at a point, in all its coordinates.
+    """The derivative of a period at a point, in all its coordinates."""
 
-    Args:
-        A: (N, N) of the memory after the period by that before it.
-        B: (N, m) of the memory after the period by inputs.
-        C: (p, N) of outputs by the memory before it.
-        D: (p, m) of outputs by inputs.
-        residual: (N,) change of the memory in the period.
-        memory: The memory after it.
-        record: What the tick records, flat.
-    """
-
-    A: Float64Array
-    B: Float64Array
-    C: Float64Array
-    D: Float64Array
-    residual: Float64Array
-    memory: Float64Array
-    record: Float64Array
+    A: Float64Array  # (N, N) memory after the period by memory before it
+    B: Float64Array  # (N, m) memory after the period by inputs
+    C: Float64Array  # (p, N) outputs by memory before it
+    D: Float64Array  # (p, m) outputs by inputs
+    residual: Float64Array  # (N,) change of the memory in the period
+    memory: Float64Array  # after the period
+    record: Float64Array  # of the tick, flat
 
 
 class PeriodMap(ABC):
@@ -109,18 +92,7 @@ class PeriodMap(ABC):
 
 
 class Period(PeriodMap):
-    """One control period of a loop as it is simulated: reference and clock held, without noise.
-
-    The loop is compiled once, for runs and for this. Derivatives are central differences.
-
-    Args:
-        loop: The loop.
-        q: (n,) joint positions of the start, at rest [rad | m].
-        changes: Parameters by path that differ from those of the loop.
-
-    Raises:
-        RangeError: The loop cannot start there.
-    """
+    """One period of a loop as it is simulated, from rest at q, reference and clock held; central differences."""
 
     tolerance, rest = 1e-6, 1e-11
 
@@ -194,16 +166,7 @@ class Period(PeriodMap):
 
 
 class LoopMap(PeriodMap):
-    """One control period of a loop, compiled with its exact derivative.
-
-    Quantisation of encoders and amplifiers counts by its mean slope, which is one: it is left out.
-
-    Args:
-        loop: The loop.
-
-    Raises:
-        UsageError: A task of phases.
-    """
+    """One period of a loop with its exact derivative; quantisation counts by its mean slope, which is one."""
 
     tolerance, rest = 0.0, 1e-13
 
@@ -294,11 +257,7 @@ _MAPS: Final[WeakKeyDictionary[Loop, LoopMap]] = WeakKeyDictionary()
 
 
 def loop_map(loop: Loop) -> LoopMap:
-    """The map of a loop, compiled once however often it is asked for.
-
-    Raises:
-        UsageError: Not a loop.
-    """
+    """The map of a loop, compiled once however often it is asked for."""
     if not isinstance(loop, Loop):  # callers without a type checker
         raise UsageError(
             f"a taut.Loop(ctrl, plant, ref, duration=...) is needed; got {type(loop).__name__}", name="loop"
@@ -309,11 +268,7 @@ def loop_map(loop: Loop) -> LoopMap:
 
 
 def starting(loop: Loop, map_: LoopMap, q: Float64Array) -> Point:
-    """The start of a loop at rest at joint positions (n,), in the sample of its reference there.
-
-    Raises:
-        RangeError: It may not start there.
-    """
+    """The start of a loop at rest at joint positions (n,), in the sample of its reference there."""
     loop.side.check_start(q, {**loop.parameters, DT: loop.dt}, loop.ref)
     inputs = held_reference(loop, map_.inputs, q, loop.ref)
     values = map_.parameters.pack({**loop.parameters, DT: loop.dt})
@@ -333,20 +288,13 @@ def beside(map_: PeriodMap, at: Point, states: Iterable[int]) -> tuple[Derivativ
 
 
 def mean_of(found: Derivative, sides: tuple[Derivative, Derivative]) -> Derivative:
-    """The derivative at a point that itself has none: the mean of those beside it.
-
-    A law that takes the length of an error that is zero, or compares two energies that are, has such a point.
-    """
+    """The mean of the derivatives beside a point that has none, as where a law takes the length of a zero error."""
     means = {name: 0.5 * (getattr(sides[0], name) + getattr(sides[1], name)) for name in "ABCD"}
     return dataclasses.replace(found, **means)
 
 
 def finite_derivative(map_: PeriodMap, at: Point) -> Derivative:
-    """The derivative at a point; beside it, where it is not finite there.
-
-    Raises:
-        RangeError: Nor is it there; the message names a state.
-    """
+    """The derivative at a point, or beside it where it is not finite there; RangeError names a state without one."""
     found, names = map_.derivative(at), map_.state_coordinates.names
     if not all(np.isfinite(x).all() for x in (found.A, found.B, found.C, found.D)):
         found = mean_of(found, beside(map_, at, range(len(names))))
@@ -362,21 +310,11 @@ def finite_derivative(map_: PeriodMap, at: Point) -> Derivative:
 
 
 def held_reference(loop: Loop, inputs: Block, q: Float64Array, ref: Reference | None = None) -> Float64Array:
-    """(size,) inputs of a tick: the reference held where the loop starts at rest, no noise, no disturbance.
-
-    Args:
-        loop: The loop.
-        inputs: Block of the inputs.
-        q: (n,) joint positions of the start [rad | m].
-        ref: The reference that is held; a hold of the start if left out.
-    """
+    """(size,) inputs of a tick: the reference (of q if left out) held at the start, no noise, no disturbance."""
     rows, side = np.zeros((1, inputs.size)), loop.side
     feed = ReferenceFeed(Hold() if ref is None else ref, side.law.reference, side.arm, loop.dt, side.at_rest(q))
     feed.fill(subtree(inputs.views(rows), "ref"), 0, lambda: None)
     return np.asarray(rows[0])
-
-
-# -------------------------------------------------------------------- smooth plants
 
 
 @dataclass(frozen=True)
@@ -403,14 +341,7 @@ class HasStages(Protocol):
 
 
 def smooth_plant(plant: AnyPlant, needs: Container[str]) -> ModelPlant:
-    """The same arm, drives and sensors as a model plant without quantisation, which has no derivative.
-
-    A plant that no model can be made of, such as an engine or a robot, is represented by `RigidPlant`.
-
-    Args:
-        plant: The plant.
-        needs: What the controller measures.
-    """
+    """The same arm, drives and sensors as a model plant without quantisation; else as a `RigidPlant`."""
     if isinstance(plant, ModelPlant) and not isinstance(plant, RigidPlant):
         return plant  # a model of the user's own
     stages = plant if isinstance(plant, HasStages) else RigidPlant(plant.arm)
@@ -435,18 +366,8 @@ def _without_steps(part: Any) -> Any:
     return dataclasses.replace(part, resolution=None) if getattr(part, "resolution", None) is not None else part
 
 
-# -------------------------------------------------------------------- coordinates
-
-
 class BlockCoordinates:
-    """Small changes of the numbers of a block: one for each entry, three for each rotation.
-
-    A field named R with shape (3, 3) is a rotation; it changes by a small rotation vector in world axes.
-
-    Args:
-        block: The block.
-        only: The fields to change; all if left out.
-    """
+    """Small changes of a block: one for each entry, three (world rotation vector) for each rotation R (3, 3)."""
 
     def __init__(self, block: Block, only: Iterable[str] | None = None) -> None:
         chosen = None if only is None else set(only)

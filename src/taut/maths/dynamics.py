@@ -374,10 +374,7 @@ def kinetic_energy(model: Model, q: Vector, v: Vector, payload: PayloadValues | 
 
 
 def potential_energy(model: Model, q: Vector, payload: PayloadValues | None = None) -> Any:
-    """Potential energy in the gravity field [J], zero at the world's origin.
-
-    The bodies are taken from the Arm itself: regrouping keeps torques, not where the mass is.
-    """
+    """Potential energy in gravity [J], zero at the world's origin, of the Arm's bodies: regrouping moves mass."""
     g = model.arm.gravity
     energy: Any = 0.0
     links = link_poses(model, q)

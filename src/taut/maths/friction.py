@@ -157,7 +157,6 @@ class FrictionValues:
 
     @classmethod
     def fixed(cls, friction: Friction) -> FrictionValues:
-        """A friction's own numbers."""
         return cls.of({name: getattr(friction, name) for name in FRICTION_FIELDS}, friction)
 
     @staticmethod
@@ -167,18 +166,15 @@ class FrictionValues:
 
     @property
     def dry(self) -> bool:
-        """Whether there is any dry friction."""
         return self.coulomb is not None or self.static is not None or self.loaded
 
     @property
     def loaded(self) -> bool:
-        """Whether it grows with load."""
         names = ("load_motor", "load_external", "load_motor_static", "load_external_static")
         return any(getattr(self, name) is not None for name in names)
 
     @property
     def falls(self) -> bool:
-        """Whether it is larger at rest than in motion."""
         return any(getattr(self, name) is not None for name in AT_REST)
 
 

@@ -59,7 +59,6 @@ class IkOutcome(enum.Enum):
 
     @classmethod
     def of(cls, code: float) -> IkOutcome:
-        """The outcome behind a number."""
         return list(cls)[round(float(code))]
 
 
@@ -79,12 +78,10 @@ class Task:
 
     @property
     def asked(self) -> int:
-        """Number of directions."""
         return SIZES[self.directions]
 
     @property
     def size(self) -> int:
-        """Number of rows."""
         return len(self.rows)
 
     def seen(self, T: Pose, six: Array) -> Array:

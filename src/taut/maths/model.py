@@ -69,7 +69,6 @@ class PayloadValues:
         return cls(mass=values["mass"], com=values["com"], inertia=values["inertia"])
 
     def body(self) -> RigidBody:
-        """The payload as a rigid body, in the tool frame."""
         S = tm.skew(self.com)
         I = inertia_matrix(self.inertia) - self.mass * (S @ S)
         return RigidBody(m=self.mass, h=self.mass * self.com, I=I)
@@ -100,7 +99,6 @@ class Model:
 
     @property
     def n(self) -> int:
-        """Number of joints."""
         return len(self.joints)
 
     def placement(self, frame: str | None) -> tuple[int, Float64Array, Float64Array]:
@@ -284,7 +282,6 @@ class Adds:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The components that are added."""
         return tuple(name for name in COMPONENTS if getattr(self, name))
 
     def __str__(self) -> str:

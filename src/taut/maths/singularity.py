@@ -259,7 +259,6 @@ class Beyond:
 
     @classmethod
     def of(cls, all_of: tuple[Sphere, ...], p: Vector3, R: Array) -> Self:
-        """That of a pose."""
         past: Any = 1.0
         for sphere in all_of:
             way = p + R @ sphere.point - sphere.centre if sphere.point.any() else p - sphere.centre

@@ -55,10 +55,7 @@ class SensorPlace:
 
 
 def sensor_place(arm: Arm, frame: str | None, owner: str) -> SensorPlace:
-    """Place of a sensor at a frame fixed to the body that carries the tool, at the tool if none is named.
-
-    Raises UnknownNameError or UsageError (a frame on another body); `owner` is what messages call the sensor.
-    """
+    """Place of the sensor `owner` at a frame of the body that carries the tool; at the tool if none is named."""
     tool, place = arm.frame(), arm.frame(frame)
     if place.body != tool.body:
         raise UsageError(

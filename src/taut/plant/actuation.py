@@ -92,8 +92,7 @@ class Motor(MotorModel):
         no_load: Speed at which no torque is left [rad/s]. Needs `stall`.
 
     Raises:
-        UsageError: One of stall and no_load alone.
-        RangeError: A limit that is not above zero.
+        UsageError, RangeError: One of stall and no_load alone; a limit that is not above zero.
     """
 
     peak: Field = Field(unit="N m", shape="n", above=0.0, optional=True)
@@ -144,9 +143,8 @@ class ElectricMotor(MotorModel):
     """Direct-current (or field-oriented) motors by their electrical numbers, at their own shafts.
 
     Model:        L di/dt = V - R i - k omega,   tau_motor = k i,   |V| <= voltage, |i| <= current
-                  the amplifier's current loop has `Actuation(bandwidth=)`, and asks for the voltage which that takes:
-                  where the supply has it, i follows its target as a first-order lag; where not, by R and L alone
-                  within a step of the integrator V is held, and i is exact
+                  the amplifier's current loop has `Actuation(bandwidth=)`: i follows its target as a first-order lag,
+                  or by R and L alone where the voltage saturates; within a step V is held, and i is exact
 
     Args:
         torque_constant: k [N m/A], which is also the back-EMF constant [V s/rad].
@@ -181,7 +179,7 @@ class ElectricMotor(MotorModel):
         return {"current": current}
 
     def step(self, x: MotorInput) -> MotorStep:
-        """What is asked for is a current, and of the torque's ripple the amplifier knows nothing.
+        """The step of a current target; the amplifier does not know the torque's ripple.
 
         The voltage is held over the step; the current that it drives is exact, and so are its mean and its heat.
         """
@@ -243,11 +241,11 @@ class TorqueLoop(Declared):
                   is at its limit and the error would drive it further
 
     Closed loop:  of friction f before the sensor, f / (1 + kp) is left at once and nothing in the long run:
-                  tau_link follows tau with the pole -ki / (1 + kp), where the drive is fast enough
-                  what the loop can do ends where it is as fast as the drive: its lag, and one step of delay
+                  tau_link follows tau with the pole -ki / (1 + kp), where the drive is fast enough;
+                  the drive's lag, and one step of delay, limit the gains
 
-    It reads the joint torque sensor at the link: `Sensors(torque=...)`, its bias included; noise and steps of that
-    sensor are those of the controller's ticks, and the loop, which is faster, has none.
+    It reads the joint torque sensor at the link, `Sensors(torque=...)`, with its bias, but without noise and steps,
+    which are those of the controller's ticks.
 
     Args:
         kp: Proportional gain [1].
@@ -344,11 +342,7 @@ class Actuation(Declared):
         return tuple(name for name in ("resolution", *PARTS) if getattr(self, name) is not None)
 
     def taps(self, dt: float) -> int:
-        """The delay in controller periods.
-
-        Raises:
-            RangeError: It is not a whole number of them.
-        """
+        """The delay in controller periods; RangeError where it is not a whole number of them."""
         taps = float(self.delay) / dt
         whole = abs(taps - round(taps)) <= 1e-6
         if not whole or round(taps) > MAX_TAPS:
@@ -361,8 +355,6 @@ class Actuation(Declared):
                 value=float(self.delay),
             )
         return round(taps)
-
-    # ---------------------------------------------------------------- the pure functions
 
     def start(self, arm: Arm, weight: Vector, parameters: Values) -> dict[str, Any]:
         """The drives' memory at the start: they hold the arm, as its brakes did before, or give all they can."""
@@ -378,7 +370,7 @@ class Actuation(Declared):
         """One step, dt long, with motors at q and v (joint units) when it starts, and the memory after it.
 
         The order is that of the signals: inner loop, resolution, the motor's curve, the lag, ripple. What the plant
-        adds to the command itself comes after all of them, but the inner loop's sensor has it too.
+        adds to the command comes after all of them, but the inner loop's sensor has it too.
         """
         p = subtree(parameters, "actuation")
         tau, error = memory["held"], None

@@ -39,31 +39,31 @@ class RigidContact(Declared):
         one-sided rows: phi >= 0, lam <= 0, phi lam = 0; the contact pushes and does not pull
         friction in the two directions across the gradient at the contact's point, a round cone: it holds the point,
         |f| <= friction |F_n|, or it brakes its sliding with f = -friction |F_n| v / |v|; a face, with torsion, has a
-        moment about the gradient too: |m| <= torsion friction |F_n|, against its turning
+        moment about the gradient too: |m| <= torsion friction |F_n|, against its rotation
         impact: where the gap closes at a speed u, friction times the impulse acting too, it opens at restitution u;
         rebounds whose flight would be shorter than two steps do not take place
 
     A step's positions are those with phi = 0 at its end, its velocities those with A_q v + dphi/dt = 0 there, each by
-    impulses of the constraint (as RATTLE does), so that nothing drifts and a frictionless contact keeps the energy.
-    Of a gap that closes in a step, the instant is interpolated.
+    impulses of the constraint (as RATTLE does): no drift, and a frictionless contact keeps the energy. The instant at
+    which a gap closes within a step is interpolated.
 
-    A row that holds both ways beside one-sided ones of the same function, as the two tilts of `plane(face=...)`,
-    holds as long as one of them touches; a tilt at landing falls to zero with 20 ms, as of a face that lies down. The
-    corners of a face as four one-sided rows can tip over an edge, which a `face` cannot.
+    A two-sided row beside one-sided ones of the same function, as the two tilts of `plane(face=...)`, holds as long
+    as one of them touches; a tilt at landing decays to zero in 20 ms, as of a face that lies down. The corners of a
+    face as four one-sided rows can tip over an edge, which a `face` cannot.
 
     Columns of a run:
-        contact.lam (k,), the multipliers at the tick, at the same state and torque, without any correction of drift;
-        of a gap that closes in the step, impulse / dt. contact.on (k,), 1.0 for rows that act after the step.
-        contact.drift, the largest size of phi of what touches at the tick. contact.correction, by how much the step's
-        impulses / dt differ from lam: what the way through the step takes. contact.slip (c, 3) [m/s], at which points
-        with friction slide at the tick.
+        contact.lam (k,), the multipliers at the tick, at the same state and torque, without correction of drift; of a
+        gap that closes in the step, impulse / dt. contact.on (k,), 1.0 for rows that act after the step.
+        contact.drift, the largest |phi| of touching rows at the tick. contact.correction, the difference of the
+        step's impulses / dt and lam. contact.slip (c, 3) [m/s], sliding velocities of points with friction at the
+        tick.
 
     Args:
         constraint: What holds: a taut.Constraint.
-        friction: Coulomb's mu, of contacts at a point: each function of it is a number that depends on where the
-            origin of a frame is, and not on how it is turned, such as a plane, a sphere, a cylinder. None for none.
-            The surface rests across its gradient, however it moves along it.
-        torsion: Radius of the moment that resists turning about the gradient, for contacts with friction [m]: 2/3 of
+        friction: Coulomb's mu, of contacts at a point: each function is a number that depends on the origin of a
+            frame and not on its orientation, such as a plane, a sphere, a cylinder. None for none. The surface rests
+            across its gradient, however it moves along it.
+        torsion: Radius of the moment that resists rotation about the gradient, for contacts with friction [m]: 2/3 of
             that of a round pad. None for none.
         restitution: Speed after an impact over that before, from 0 to 1. None for 0.
 
@@ -99,11 +99,7 @@ class RigidContact(Declared):
 
 
 def each_contact(given: object) -> tuple[RigidContact, ...]:
-    """Contacts from what a plant is given: one, a bare constraint, or a sequence of them.
-
-    Raises:
-        UsageError: Something else, or none.
-    """
+    """Contacts from what a plant is given: one, a bare constraint, or a sequence of them."""
     if isinstance(given, Constraint):
         return (RigidContact(constraint=given),)
     if isinstance(given, RigidContact):
@@ -215,8 +211,6 @@ class Contacts(Declared):
         model = model_of(self.arm)
         return model.placement(place.frame[0])[0] == model.placement(None)[0]
 
-    # ---------------------------------------------------------------- parameters
-
     def declared_parts(self) -> dict[str, Declared]:
         """The contacts by their number, of which a single one has none in its paths."""
         return {str(c): part for c, part in enumerate(self.parts)}
@@ -231,15 +225,8 @@ class Contacts(Declared):
         """Of one contact; None where there is none."""
         return parameters.get(f"contact.{self._below(str(c))}{name}")
 
-    # ---------------------------------------------------------------- checks
-
     def check_points(self) -> None:
-        """Whether the arm has the frames, and friction its points.
-
-        Raises:
-            UnknownNameError: No such frame.
-            UsageError: Friction where there is no point of contact.
-        """
+        """UnknownNameError for frames that the arm lacks; UsageError for friction without a point of contact."""
         x = self._snapshot(self.arm.home, np.zeros(self.arm.n))
         for part in self.parts:
             part.constraint.at(x)
@@ -266,12 +253,7 @@ class Contacts(Declared):
             )
 
     def check_start(self, q: Vector, v: Vector) -> None:
-        """Whether a run can begin at a state.
-
-        Raises:
-            RangeError: It is not on what holds both ways, moves against it, or is behind a one-sided one; rows that
-                depend on each other, or have no gradient.
-        """
+        """RangeError for a start off a two-sided row, against it, or behind a one-sided one; or dependent rows."""
         x = self._snapshot(q, v)
         for place in self.places:
             rows = place.piece.at(x)
@@ -311,9 +293,6 @@ def _check_row(which: str, phi: float, speed: float, *, one_sided: bool) -> None
         )
 
 
-# -------------------------------------------------------------------- force feedback
-
-
 @runtime_checkable
 class HasContacts(Protocol):
     """A plant that rigid contacts may hold."""
@@ -326,12 +305,7 @@ class HasContacts(Protocol):
 
 
 class RigidTouch:
-    """A tool at a rigid contact, in plain numbers.
-
-    Args:
-        contacts: The contacts.
-        q: (n,) where the arm is.
-    """
+    """A tool at a rigid contact, in plain numbers, with the arm at q."""
 
     def __init__(self, contacts: Contacts, q: Float64Array) -> None:
         self._contacts = contacts
@@ -352,12 +326,7 @@ class FeedsForceBack(Protocol):
     """A law that feeds a measured force back."""
 
     def force_loop_gain(self, dt: float, touch: RigidTouch | None) -> float:
-        """The largest eigenvalue of (kfp + kfi dt / 2) P at a rigid contact; 0 where that is not known.
-
-        Args:
-            dt: Control period [s].
-            touch: The contact; None for the one that the law states itself.
-        """
+        """The largest eigenvalue of (kfp + kfi dt / 2) P at a contact, the law's own for None; 0 if unknown."""
         ...
 
 
@@ -367,16 +336,8 @@ def check_force_feedback(
     """Force feedback through ideal drives, unfiltered, must be stable on a rigid contact, where it is a tick late.
 
     F_app(t + dt) = P F(t) with F = ... - (kfp + kfi dt / 2) F_app(t): the largest eigenvalue of (kfp + kfi dt / 2) P
-    must be under 1, where P is the part of a wrench that presses on the contact. For one number that is the number.
-
-    Args:
-        side: The law with its rate.
-        plant: What it meets.
-        q: (n,) where it meets it; without, only laws are checked that state the contact themselves.
-        parameters: Its gains by path; those it was made with if left out.
-
-    Raises:
-        RangeError: It is unstable.
+    must be under 1, where P is the part of a wrench that presses on the contact; else a RangeError. Without q, only
+    laws are checked that state the contact themselves.
     """
     if not isinstance(plant, HasContacts) or plant.contacts is None or plant.actuation.acts:
         return

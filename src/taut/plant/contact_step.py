@@ -122,18 +122,8 @@ def contact_step(
 ) -> ContactStep:
     """A step of semi-implicit Euler under impulses that keep phi at its end, and then its rate (RATTLE).
 
-    Args:
-        contacts: The contacts.
-        model: Constants of the arm.
-        factors: Of its mass matrix, with implicit damping.
-        q: (n,) positions.
-        v: (n,) velocities.
-        v_free: (n,) velocities that the step would give without contact.
-        t: Time [s].
-        memory: The plant's.
-        parameters: The plant's.
-        dt: Length of the step [s].
-        sweeps: Of block Gauss-Seidel.
+    `factors` are of the mass matrix with implicit damping, `v_free` is the velocity that the step gives without
+    contact; `sweeps` counts those of block Gauss-Seidel.
     """
     k, touches = contacts.count, contacts.touches
     here = _Here.at(contacts, Snapshot(model, q=q, v=v, t=t))
@@ -231,7 +221,7 @@ class _Bounces:
         """From the gaps, their mean rates in the step without an impact, and what a step adds to these.
 
         Semi-implicit velocities are those of the middle of a step, so that the instant of the impact matters twice:
-        for the speed there, and for what the rest of the step does.
+        for the speed there, and for the rest of the step.
         """
         k = contacts.count
         happens: list[Any] = [False] * k
@@ -343,10 +333,9 @@ def _about_tool(row: Array, away: Array | None) -> Array:
 
 
 def _across(n: Vector) -> Matrix:
-    """(2, 3) two directions across a unit vector, which turn with it smoothly but where it looks along -z.
+    """(2, 3) two directions across a unit vector, smooth but at -z.
 
-    References:
-        Duff et al., Building an orthonormal basis, revisited, J. Computer Graphics Techniques 6 (2017).
+    Duff et al., Building an orthonormal basis, revisited, J. Computer Graphics Techniques 6 (2017).
     """
     x, y, z = n
     sign = tm.where(z < 0.0, -1.0, 1.0)

@@ -23,17 +23,17 @@ RESTS: Final = 1e-9  # [rad/s | m/s] of a joint that friction holds: in MuJoCo i
 
 
 class Transmission(Declared):
-    """Gears that lose power, have play, or give way. The ratio itself and the rotor stand in the Arm.
+    """Gears that lose power, have backlash, or are elastic. The ratio itself and the rotor are the Arm's.
 
     Model:        power: the motor drives, P_out = efficiency P_in; the load drives, P_in = efficiency P_out back
                   as a friction of the gear: |f| <= (1 - efficiency) |tau_in| against motion that the motor drives,
                   |f| <= (1 / efficiency - 1) |tau_in| against motion that the load drives; at rest it sticks
                   tau_in = tau - B a_motor is what reaches the gear: the motor's torque less what accelerates its
                   rotor, so that M a = efficiency (tau - B a) + ... where the motor drives. Of a motor without torque
-                  a load has the rotor alone to accelerate; what it holds besides is taut.Friction(load_external=...)
-                  play and elasticity: tau_link = K z(delta) + D delta_dot where the teeth touch, delta = q_motor - q,
-                  z(delta) = delta beyond +-backlash / 2, else 0; the rotor then has a motion of its own,
-                  B a_motor = tau - friction - tau_link, and friction acts on its side
+                  a load has the rotor alone to accelerate; further load friction is taut.Friction(load_external=...)
+                  backlash and elasticity: tau_link = K z(delta) + D delta_dot where the teeth touch,
+                  delta = q_motor - q, z(delta) = delta beyond +-backlash / 2, else 0; the rotor then has a motion of
+                  its own, B a_motor = tau - friction - tau_link, and friction acts on its side
 
     Args:
         efficiency: Of the gears, in (0, 1]; 1 for none lost.
@@ -87,8 +87,6 @@ class Transmission(Declared):
         there = {"efficiency": self.lossy, "damping": self.stiffness is not None, "backlash": self.has_play}
         return {name: x for name, x in own.items() if there.get(name, True)}
 
-    # ---------------------------------------------------------------- the pure functions
-
     def loss_limits(self, tau: Vector, p: Values) -> tuple[Vector, Vector]:
         """(n,) largest friction of gears that tau reaches, against positive and against negative motion."""
         driving = (1.0 - p["efficiency"]) * tm.abs(tau)
@@ -115,16 +113,7 @@ class Transmission(Declared):
 
 
 def require_rotors(arm: Arm, joints: tuple[int, ...], rotor_inertia: Float64Array | None = None) -> None:
-    """A motor that moves apart from its link needs a rotor.
-
-    Args:
-        arm: The arm.
-        joints: Those whose motor does.
-        rotor_inertia: (n,) seen at the joints [kg m^2 | kg]; the arm's own if left out.
-
-    Raises:
-        UsageError: One has none.
-    """
+    """UsageError for a motor that moves apart from its link without a rotor; `rotor_inertia` is the arm's if None."""
     rotor = arm.rotor_inertia if rotor_inertia is None else rotor_inertia
     for i in joints:
         if rotor[i] <= 0.0:
@@ -205,13 +194,7 @@ class FrictionLaw(Declared):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Drivetrain:
-    """Rotors, friction and transmissions of an arm.
-
-    Args:
-        arm: The arm.
-        friction: What friction there is; None for none.
-        transmission: Losses, play and elasticity; None for a rigid one without losses.
-    """
+    """Rotors, friction and transmissions of an arm."""
 
     arm: Arm
     friction: Friction | FrictionLaw | None
@@ -265,8 +248,6 @@ class Drivetrain:
             return FrictionValues(viscous=self.friction.viscous(subtree(parameters, "plant.friction")))
         return FrictionValues.of(subtree(parameters, "plant.friction"), self.friction)
 
-    # ---------------------------------------------------------------- the pure functions
-
     def start(self, q: Vector, v: Vector, weight: Vector, parameters: Values) -> dict[str, Any]:
         """Memory at the start: springs and teeth carry the weight, friction nothing yet."""
         n = self.arm.n
@@ -295,11 +276,10 @@ class Drivetrain:
         dt: Any,
         contact: Any = 0.0,
     ) -> FrictionLimits:
-        """The friction limits of a step, from the motors' speeds v, their torques and what loads them.
+        """The friction limits of a step, from the motors' speeds v, their torques and their loads, all at its start.
 
-        What friction there is depends on speed and torque at the start of the step. What the gears lose depends on
-        the torque that reaches them, what accelerating the rotors leaves of that of the motors: for that M is the
-        mass matrix of the links, and contact what rigid contacts put on the joints.
+        The loss of the gears depends on the torque that reaches them, less that which accelerates the rotors: for
+        that M is the mass matrix of the links, and contact what rigid contacts put on the joints.
         """
         at_rest = memory["at_rest"] > 0.5 if self.remembers_rest else None
         law = self._of_law(values, v, at_rest, tau, load, parameters)
@@ -331,9 +311,8 @@ class Drivetrain:
     ) -> Vector:
         """(n,) of the rotors in a step: M a = load + passed (tau - rotor a), joints at rest held; none reverses.
 
-        passed is the efficiency where the motor drives and its inverse where the load does. Which one drives does not
-        depend on what the gear passes, of one joint, so that a solution without losses shows it; of coupled joints
-        the next one corrects it.
+        passed is the efficiency where the motor drives and its inverse where the load does. For one joint a solution
+        without losses shows which of them drives; for coupled joints the next one corrects it.
         """
         n, rotor = self.arm.n, _per_joint(rotor, self.arm.n)
         moves = tm.where(tm.abs(v) > RESTS, 1.0, 0.0)

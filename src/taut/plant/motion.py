@@ -1,8 +1,7 @@
 """How a rigid arm moves in one step: under stiff drives, or under torques that motors, gears and friction pass on.
 
-Where the power of the drives goes is the work of each part of a step, joint by joint. A torque's work is its product
-with the way that its joint goes in the step, dt v+, as the integrator moves it. What a step of finite length adds to
-that has a name too: `integration`, which tends to zero with dt.
+Work is accounted for by each part of a step, joint by joint: torque times the displacement dt v+ of its joint.
+`integration` is what a step of finite length adds; it tends to zero with dt.
 
     electric = copper + magnetic + motor + conversion                          where the motor is an electric one
     motor    = rotor + viscous + dry + gears + spring + damping + link + integration
@@ -69,17 +68,11 @@ class _Moved:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Motion:
-    """Steps of an arm with its drives, friction and environment, as pure functions of the plant's memory.
-
-    Args:
-        parts: The arm, its drives, and what touches it.
-        sweeps: Of projected Gauss-Seidel in a step.
-        energy: Whether to keep account of work.
-    """
+    """Steps of an arm with its drives, friction and environment, as pure functions of the plant's memory."""
 
     parts: PlantParts
-    sweeps: int
-    energy: bool
+    sweeps: int  # of projected Gauss-Seidel in a step
+    energy: bool  # keeps account of work
 
     @cached_property
     def model(self) -> Model:

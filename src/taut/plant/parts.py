@@ -51,17 +51,7 @@ class Steps(NamedTuple):
         return f"steps of {self.period / count:.9g} s (substeps={count}, or the timestep of MuJoCo)"
 
     def require(self, fast: float, name: str, what: str, instead: str) -> None:
-        """Refuse steps in which something moves by more than its own time.
-
-        Args:
-            fast: Length of a step over that time [-].
-            name: Of what is too fast.
-            what: The beginning of the sentence.
-            instead: Another way to fix it.
-
-        Raises:
-            RangeError: They are too long.
-        """
+        """RangeError for steps in which something moves by more than its own time: `fast` is their ratio."""
         if fast > 1.0 + ROUNDING:
             raise RangeError(
                 f"{what}, too fast for steps of {self.dt:g} s; give the plant {self.shorter(fast)}, or {instead}",
@@ -182,8 +172,6 @@ class PlantParts(Declared):
         held = self.contacts is not None and self.contacts.measured
         return self.scene or held or self.environment is not None
 
-    # ---------------------------------------------------------------- parameters
-
     @cached_property
     def values(self) -> dict[str, Float64Array]:
         """Run-time parameters by path, as the plant was made with them: those that are there."""
@@ -204,13 +192,7 @@ class PlantParts(Declared):
         return flatten(below)
 
     def checked(self, path: str, value: ArrayLike) -> Float64Array:
-        """A new value of a parameter, checked like the first one and in its shape.
-
-        Raises:
-            UnknownNameError: There is no such parameter.
-            ShapeError: Another shape.
-            RangeError: NaN, infinite, or against its rule.
-        """
+        """A new value of a parameter, checked like the first one and in its shape."""
         if path not in self.values:
             raise unknown_name(f"plant '{self.name}'", "parameter", path, self.values)
         shape, new = self.values[path].shape, self._checked(path, value)
@@ -242,11 +224,7 @@ class PlantParts(Declared):
         return new
 
     def _check_kept_apart(self, stiffness: Float64Array) -> None:
-        """Which joints are rigid is known when a plant is made.
-
-        Raises:
-            RangeError: Another joint is.
-        """
+        """RangeError for another rigid joint than when the plant was made."""
         for i, value in enumerate(np.broadcast_to(stiffness, (self.arm.n,))):
             if np.isinf(value) == (i in self.drivetrain.compliant):
                 was = "elastic" if np.isinf(value) else "rigid"
@@ -260,28 +238,14 @@ class PlantParts(Declared):
 
     @staticmethod
     def check_together(values: Mapping[str, ArrayLike]) -> None:
-        """Refuse values by path that do not go together, each of which is right by itself.
-
-        Raises:
-            RangeError: Less friction at rest than in motion.
-        """
+        """RangeError for values by path that do not go together: less friction at rest than in motion."""
         for at_rest, moving in AT_REST.items():
             rest = values.get(FRICTION + at_rest)
             if rest is not None:
                 check_at_rest(rest, values.get(FRICTION + moving, 0.0), at_rest, prefix=FRICTION)
 
-    # ---------------------------------------------------------------- the length of steps
-
     def require_short_steps(self, parameters: Values, steps: Steps) -> None:
-        """Refuse steps that are too long for a motor, an inner loop or a transmission, with the arm at home.
-
-        Args:
-            parameters: By path, as the run begins with them.
-            steps: The steps.
-
-        Raises:
-            RangeError: They are; the sentence says what is enough.
-        """
+        """RangeError for steps too long for a motor, an inner loop or a transmission, with the arm at home."""
         train, actuation = self.drivetrain, self.actuation
         if actuation.motor is None and actuation.torque_loop is None and not train.compliant:
             return
@@ -325,18 +289,10 @@ class PlantParts(Declared):
             )
 
     def require_short_contact(self, q: Float64Array, parameters: Values, steps: Steps) -> None:
-        """Refuse steps that are too long for a ready-made environment, at the start of a run.
+        """RangeError for steps that are too long for a ready-made environment, at the start of a run.
 
         An oscillation of omega with damping delta, both taken at the beginning of a step, is stable in semi-implicit
         Euler while omega^2 dt^2 + 2 delta dt < 4. Half of that is let through, since the tool's inertia changes.
-
-        Args:
-            q: (n,) positions at the start.
-            parameters: By path, as the run begins with them.
-            steps: The steps.
-
-        Raises:
-            RangeError: They are; the sentence says what is enough.
         """
         assert self.environment is not None
         stiff = self.takes != "torque" and not self.scene  # drives that nothing moves
@@ -364,7 +320,7 @@ class PlantParts(Declared):
 
 
 def _require_slow_torque_loop(names: Sequence[str], p: Values, share: Float64Array, steps: Steps) -> None:
-    """It reads what the motor gave in the last step, which alternates where kp share is too large.
+    """RangeError where the torque loop, which reads the torque of the last step, alternates: kp share is too large.
 
     A lag of left = exp(-omega dt) over a step, and mean = (1 - left) / (omega dt), has a root at -1 for
     kp share (1 + left - 2 mean) = 1 + left; without a lag for kp share = 1.

@@ -1,6 +1,6 @@
 """RigidPlant: a rigid arm with drives, friction, sensors and an environment, as pure functions.
 
-Written like a law, so that it runs on floats, is fused with a controller into one native loop, and differentiated.
+It runs on floats, is fused with a controller into one native loop, and is differentiated.
 """
 
 from __future__ import annotations
@@ -48,41 +48,36 @@ class RigidPlant:
         semi-implicit Euler: v+ = v + dt a with b v taken at v+, q+ = q + dt v+; dry friction really sticks, and
         depends on speed and load as they are when a step begins.
         rk4: fourth order in smooth motion; dry friction and elastic transmissions are refused.
-        A joint with an elastic transmission or backlash has a motor that moves by itself: see
-        taut.drives.Transmission.
+        A joint with elasticity or backlash has a motor that moves by itself: see taut.drives.Transmission.
 
     Frames:
         F_ext is the wrench of the environment on the arm, force first, in world axes at the tool's origin. Like the
-        joint torques, what the sensor gives in a tick is that of the last step of the integrator; a run records
-        what acted in the step that follows the tick.
+        joint torques, the sensor gives that of the last step of the integrator; a run records that of the next one.
 
     Args:
         arm: The true arm; make it differ from the controller's and there is a modelling error.
-        friction: "arm" for the arm's own friction (`arm.with_friction`), None for none, or a law of your own: see
-            `taut.drives.FrictionLaw`.
+        friction: "arm" for the arm's own (`arm.with_friction`), None for none, or a `taut.drives.FrictionLaw`.
         integrator: "semi-implicit-euler" or "rk4".
         substeps: Steps of the integrator in one control period.
         takes: The command: "torque", "velocity" or "position". The last two are stiff drives, which need
             `actuation=Actuation(bandwidth=...)`.
         actuation: The drives: delay, amplifier, motor, gear; ideal if left out.
         sensors: What is measured, and how well; ideal sensors if left out.
-        environment: What touches the tool, if anything: a taut.environments.Spring, a taut.environments.StiffWall,
-            ..., or a class of your own, see `taut.environments.Environment`. Then the wrench is measured too, and the
-            run's column work.environment [J] is what it did on the arm until the tick. Stiff drives do not give way
-            to it, and give the torque that it takes.
+        environment: What touches the tool, if anything: a taut.environments.Spring, StiffWall, ..., or a class of
+            your own, see `taut.environments.Environment`. The wrench is then measured too, and the run's column
+            work.environment [J] is its work on the arm. Stiff drives do not give way to it.
         contact: What holds the arm rigidly, or stops it: a taut.RigidContact, a bare taut.Constraint, or several in a
             tuple. See `taut.RigidContact` for the physics and the columns.
         adds: What the plant adds to a torque command itself: "gravity", "coriolis", and "friction", which cancels the
             arm's own, so that none is left.
-        sweeps: Of projected Gauss-Seidel in each step, for joints that dry friction holds together; half of them
-            before those that it holds are solved for exactly. What a further one would change is the run's column
-            friction_residual [N m | N].
+        sweeps: Of projected Gauss-Seidel in each step, for joints that dry friction couples; half of them before the
+            sticking ones are solved for exactly. The run's column friction_residual [N m | N] is the change of a
+            further one.
         energy: Keep account of the work of each part of the drives: columns work.motor, work.dry, ... [J], see
             `taut.plant.motion`.
 
     Raises:
-        UsageError: Options that do not go together, or are of another kind.
-        ShapeError: Sensors for another number of joints.
+        UsageError, ShapeError: Options that do not go together, or are of another kind or size.
     """
 
     arm: Arm
@@ -136,8 +131,6 @@ class RigidPlant:
         """A plant of the same arguments but these."""
         return dataclasses.replace(self, arm=arm or self.arm, sensors=sensors or self.sensors)
 
-    # ---------------------------------------------------------------- what it declares
-
     @property
     def name(self) -> str:
         """What it is called in messages."""
@@ -173,30 +166,17 @@ class RigidPlant:
         return dict(self.parts.values)
 
     def checked_parameter(self, path: str, value: ArrayLike) -> Float64Array:
-        """A new value of a parameter, checked like the first one and in its shape.
-
-        Raises:
-            UnknownNameError: There is no such parameter.
-            ShapeError: Another shape.
-            RangeError: NaN, infinite or negative.
-        """
+        """A new value of a parameter, checked and in its shape. Raises UnknownNameError, ShapeError, RangeError."""
         return self.parts.checked(path, value)
 
     def check_together(self, values: Mapping[str, ArrayLike]) -> None:
-        """Refuse values by path that do not go together, each of which is right by itself.
-
-        Raises:
-            RangeError: Less friction at rest than in motion.
-        """
+        """RangeError for values by path that do not go together: less friction at rest than in motion."""
         self.parts.check_together(values)
-
-    # ---------------------------------------------------------------- the pure functions
 
     def start(self, q: Vector, v: Vector, parameters: Values, dt: float) -> dict[str, Any]:
         """Memory by path at the start of a run, from the true state.
 
-        The drives hold the arm against gravity until the first command arrives, as its brakes did before; that is
-        also what a limit of the torque rate starts from.
+        Until the first command the drives carry gravity; a limit of the torque rate starts from there.
         """
         n = self.arm.n
         rest = np.zeros(n)
@@ -246,7 +226,7 @@ class RigidPlant:
     def extra(self, before: Values, after: Values) -> dict[str, Any]:
         """What a run records of a tick, besides motion and torques: from memory at the tick and after the first step.
 
-        F_ext, friction_residual and contact.* are those of that step, work.* what was done until the tick.
+        F_ext, friction_residual and contact.* are those of that step, work.* is until the tick.
         """
         reported = ("F_ext", "friction_residual", *(f"contact.{name}" for name in REPORTED))
         out = {name: after[name] for name in reported if name in after}

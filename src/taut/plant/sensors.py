@@ -143,8 +143,7 @@ class Encoder(ShaftSensor):
         The shaft is the link, or the motor behind a gear: then the numbers are those of the motor's shaft, and the
         joint sees each of them divided by the gear ratio, `arm.gear`. Either way the reading is in joint units.
 
-    The noise is white from tick to tick: its standard deviation is the same at every rate, so that its density grows
-    as the rate falls.
+    The noise is white, with one standard deviation at every rate, so that its density grows as the rate falls.
 
     Args:
         resolution: (n,) or scalar, the step [rad | m at the link, rad at the motor]; None for none, and among
@@ -187,9 +186,6 @@ class Tachometer(ShaftSensor):
 
     Raises:
         RangeError: Negative noise, NaN.
-
-    References:
-        Chapter, section 10.1 control system overview.
     """
 
     quantity = "v"
@@ -215,9 +211,6 @@ class TorqueSensor(FaultySensor):
 
     Raises:
         RangeError: A resolution of zero or below, negative noise, NaN.
-
-    References:
-        Chapter, section 10.1 control system overview.
     """
 
     resolution: Field = Field(unit="N m | N", shape="n", above=0.0, zero_for_none=True, optional=True, hint=NO_STEPS)
@@ -235,16 +228,17 @@ class WrenchSensor(FaultySensor):
     """A six-axis force-torque sensor between arm and tool.
 
     Model:
-        reading = the wrench of the environment on the arm + load + bias + noise, cut at +-range: that is what the
-        real part does, and a run records in how many ticks it did
+        reading = the wrench of the environment on the arm + load + bias + noise, cut at +-range
         load = m (g - a_c) and its moment, less I alpha + omega x I omega: weight and inertia of the tool and of the
-        plant's payload, where `tool` is given; without it nothing weighs, as if all that had been taken out exactly
+        plant's payload, where `tool` is given; without it there is no load, as if perfectly compensated
+        A run records in how many ticks the reading was cut.
 
     Frames:
-        What it gives is F_ext, in world axes at the tool's origin. Bias, noise, range and load are of the sensor's
-        own axes and origin, force first: those of `frame`. A driver rotates the reading into the world by the
-        positions that the arm measures, and so does this: an encoder that is wrong rotates it wrongly. Accelerations
-        are those of the last step of the integrator, zero before the first, as F_ext is.
+        It gives F_ext in world axes at the tool's origin. Bias, noise, range and load are of the sensor's own axes
+        and origin, force first: those of `frame`. As by a driver, the reading is rotated into the world by the
+        measured
+        positions: an encoder that is wrong rotates it wrongly. Accelerations are those of the last step of the
+        integrator, zero before the first, as F_ext is.
 
     Args:
         bias: (6,) or (force, moment), what it reads without load [N, N m].
@@ -256,8 +250,7 @@ class WrenchSensor(FaultySensor):
         frame: Where it stands: a frame of the tool's body; the tool's own if None.
 
     Raises:
-        ShapeError: One number for forces and moments.
-        RangeError: A range of zero or below, negative noise, NaN.
+        ShapeError, RangeError: One number for forces and moments; a range of zero or below, negative noise, NaN.
         UsageError: A tool that is no payload.
 
     Example:
@@ -404,8 +397,6 @@ class Sensors(Declared):
     wrench: OneSensor = OneSensor(WrenchSensor, default=WrenchSensor(), optional=True)
     tip: OneSensor = OneSensor(Accelerometer, optional=True)
 
-    # ---------------------------------------------------------------- what they declare
-
     def by_measurement(self, *, touched: bool = True) -> dict[str, tuple[str, Sensor]]:
         """Name and sensor of each that reads something; `touched` if something touches the tool."""
         return {
@@ -438,8 +429,6 @@ class Sensors(Declared):
         shapes, there = measurement_shapes(arm.n), self.by_measurement(touched=touched)
         return {name: shapes[name] for name, (_, sensor) in there.items() if "noise" in sensor.parameters()}
 
-    # ---------------------------------------------------------------- checks
-
     def check_arm(self, arm: Arm, *, touched: bool) -> None:
         """Whether they fit the arm.
 
@@ -458,21 +447,16 @@ class Sensors(Declared):
                 name="wrench",
             )
 
-    # ---------------------------------------------------------------- the pure function
-
     def read(self, model: Model, true: Values, noise: Values, parameters: Values) -> dict[str, Any]:
-        """What they give, by measurement; and saturated.F_ext, saturated.a_tip: 1.0 in a tick that is at its range.
+        """Their readings, by measurement; and saturated.F_ext, saturated.a_tip: 1.0 in a tick that is at its range.
 
         Args:
             model: The constants of the true arm.
-            true: What is true, by name: q, v and tau; q_motor, v_motor and tau_link where the transmission makes
-                them differ; F_ext where something touches the tool; a, the joints' acceleration, for `tip` and
-                for a wrench sensor that weighs, and payload.mass, payload.com and payload.inertia for the latter.
+            true: By name: q, v and tau; q_motor, v_motor and tau_link where the transmission makes them differ; F_ext
+                where something touches the tool; a, the joints' acceleration, for `tip` and for a wrench sensor that
+                weighs, and payload.mass, payload.com and payload.inertia for the latter.
             noise: Standard normal numbers by measurement.
             parameters: The sensors' parameters, by path below "sensors".
-
-        Raises:
-            ShapeError: A sensor of the user's own gives a reading of another shape.
         """
         out: dict[str, Any] = {}
         shapes = measurement_shapes(model.arm.n)

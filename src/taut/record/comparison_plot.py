@@ -58,23 +58,11 @@ def compare(
     torques: bool = False,
     bars: Mapping[str, Sequence[float]] | None = None,
 ) -> Figure:
-    """Error norm over time of several runs, and bars of their metrics, as a matplotlib Figure.
+    """Error norm over time of at most eight runs, and bars of their metrics, as a matplotlib Figure.
 
-    Joints in rad and joints in m have no norm together: each unit has its own axes, and bars of its own. Of runs
-    whose reference is one of the task, the errors are those of the tool's position and rotation, and of force those
-    of the force and moment that the arm applies.
-
-    Args:
-        runs: The runs by the name that each gets in the figure.
-        title: A title for the figure.
-        measures: Names of the metrics to draw as bars; by default two of the error, effort and chatter.
-        joint: The joint whose motion, error and metrics are drawn, instead of those of all together.
-        window: (start, end) of what the bars are about [s]; of all if left out.
-        torques: Whether the norms of the torques stand beside the errors.
-        bars: Other numbers of each run to draw as bars, by title.
-
-    Raises:
-        UsageError: No runs, or more than eight.
+    Joints in rad and joints in m have no norm together: each unit has its own axes and bars. With a reference of the
+    task, the errors are those of the tool's position and rotation, and of the force and moment that the arm applies.
+    `measures` are metrics to draw; `joint` is one to draw alone, `window` (start, end) [s] what the bars are about.
     """
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
@@ -122,8 +110,6 @@ def compare(
         row[0].set_yticks(row[0].get_yticks(), labels)
     return figure
 
-
-# -------------------------------------------------------------------- over time
 
 Curves = dict[tuple[str, str], Float64Array]  # by title and unit
 
@@ -209,9 +195,6 @@ def _draw(ax: Axes, panel: Panel, runs: Sequence[Run]) -> None:
     ax.margins(x=0.01)
 
 
-# -------------------------------------------------------------------- bars
-
-
 def _usual_bars(runs: Sequence[Run]) -> Sequence[str]:
     if any(len(run) and force_error(run) is not None for run in runs):
         return FORCE_BARS
@@ -251,18 +234,12 @@ def _number(value: float) -> str:
     return np.format_float_positional(float(f"{value:.3g}"), trim="-")
 
 
-# -------------------------------------------------------------------- runs that differ by chance
-
 SPREAD_HEIGHT: Final = 4.6  # [in]
 WINDOW: Final = 0.02  # [s]
 
 
 def spread_figure(runs: Mapping[str, Run]) -> Figure:
-    """The tool's path from above, its height and the environment's force over time, one line for each run.
-
-    Raises:
-        UsageError: A run that does not say where its tool is.
-    """
+    """The tool's path from above, its height and the environment's force over time, one line for each run."""
     from matplotlib.figure import Figure
 
     for name, run in runs.items():

@@ -79,9 +79,6 @@ def film(
     return target
 
 
-# -------------------------------------------------------------------- what is asked for
-
-
 def _checked_size(size: tuple[int, int], suffix: str) -> tuple[int, int]:
     try:
         width, height = (whole_number("an edge of size", edge, minimum=SIZES[0], maximum=SIZES[1]) for edge in size)
@@ -139,17 +136,10 @@ def _wanted(run: Run, arm: Arm, ticks: Ticks) -> Float64Array:
     return Chain.of(model_of(arm), None).poses(q[ticks])[1]
 
 
-# -------------------------------------------------------------------- pictures
-
-
 def _pictures(
     stack: ExitStack, run: Run, arm: Arm, ticks: Ticks, camera: tuple[float, float] | None, size: tuple[int, int]
 ) -> tuple[Iterator[render.Picture], str]:
-    """Rendered pictures, and what there is to say about them.
-
-    Raises:
-        NoRendererError: None can be drawn here.
-    """
+    """Rendered pictures, and what there is to say about them; NoRendererError if none can be drawn."""
     folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="taut-video-"))
     try:
         import mujoco  # noqa: F401
@@ -198,9 +188,6 @@ def _captioned(pictures: Iterator[render.Picture], times: Float64Array) -> Itera
         place = (0.025 * image.width, 0.025 * image.width)
         ImageDraw.Draw(image).text(place, f"t = {t:.2f} s", fill=(40, 40, 40), font=letters)
         yield image
-
-
-# -------------------------------------------------------------------- files
 
 
 def _write_gif(path: Path, images: Iterator[Any], fps: int) -> None:

@@ -34,7 +34,7 @@ def plot_friction(friction: Mapping[str, Friction], *, speed: float = 1.0) -> Fi
         speed: To either side [rad/s].
 
     Raises:
-        UsageError: Not friction, nothing to draw, or more panels than a figure holds.
+        UsageError: Not friction, none, or too many panels.
         RangeError: A speed that is not above zero.
 
     Example:

@@ -28,9 +28,6 @@ ShapeKind: TypeAlias = Literal["plane", "box", "sphere", "ellipsoid", "cylinder"
 Numbers: TypeAlias = tuple[float, ...]
 
 
-# -------------------------------------------------------------------- what stands around an arm, to be seen in films
-
-
 @dataclass(frozen=True, kw_only=True)
 class Shape:
     """A shape on a thing."""
@@ -79,9 +76,6 @@ class Around:
 
     def __bool__(self) -> bool:
         return bool(self.things or self.missing)
-
-
-# -------------------------------------------------------------------- what a run was made with, and how it ended
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,11 +173,7 @@ class RunInfo:
 
 
 def check_info(info: RunInfo, joints: Sequence[str]) -> None:
-    """Require of an info that was read that its parts fit each other and the joints of the run.
-
-    Raises:
-        ValueError: They do not; the text names the entry.
-    """
+    """Require (ValueError) that the parts of an info that was read fit each other and the joints of the run."""
     for name, right in _rules(info, joints):
         if not right:
             raise ValueError(f"info.{name} is not what taut.run records")

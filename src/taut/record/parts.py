@@ -46,14 +46,7 @@ class PhaseWindow:
 def windows(
     names: Sequence[str], phase: Float64Array, ended: Float64Array, t: Float64Array
 ) -> tuple[PhaseWindow, ...]:
-    """The stretches of a run, in order.
-
-    Args:
-        names: Of the phases by their number, and of what follows where the task has stopped.
-        phase: (k,) number of the phase that acted.
-        ended: (k,) what ended it in that tick, as a code; 0 where it went on.
-        t: (k,) [s].
-    """
+    """The stretches of a run, in order, by (k,) the phase that acted and (k,) a code of what ended it, or 0."""
     if not len(t):
         return ()
     lasts = [int(k) for k in np.flatnonzero(ended)]
@@ -79,14 +72,9 @@ def windows(
 def outcome_with_phases(
     found: Sequence[PhaseWindow], outcome: Outcome, contact: Callable[[PhaseWindow], str]
 ) -> Outcome:
-    """The outcome of a run with how each phase of its task ended.
+    """The outcome of a run with how each phase of its task ended, and what was measured at a start without contact.
 
     A task that stopped for another reason than its last `until` did not go to its end.
-
-    Args:
-        found: The stretches of the run.
-        outcome: That of the run.
-        contact: What was measured where a phase began without contact, in words.
     """
     last = found[-1]
     before = found[-2] if last.name == STOP and len(found) > 1 else last
@@ -101,24 +89,14 @@ def outcome_with_phases(
 
 
 def phases_of(run: Run) -> tuple[PhaseWindow, ...]:
-    """The stretches of a run of a task.
-
-    Raises:
-        UsageError: The run is not one of a task.
-    """
+    """The stretches of a run of a task."""
     if not run.info.phases:
         raise UsageError("the run has no phases: its law is not a task, a list of taut.Phase", name="phases")
     return windows([*run.info.phases, STOP], run.extra["phase"], run.extra["phase_ended"], run.t)
 
 
 def phase_of(run: Run, name: str, visit: int) -> Run:
-    """The ticks of one phase as a run of its own, with what it followed as reference.
-
-    Raises:
-        UsageError: The run is not one of a task.
-        UnknownNameError: It has no phase of that name.
-        RangeError: The phase did not act that often.
-    """
+    """The ticks of one phase as a run of its own, with what it followed as reference."""
     found, about = phases_of(run), run.info.phases
     if name not in (*about, STOP):
         raise unknown_name("the run", "phase", name, [*about, STOP])
@@ -147,16 +125,8 @@ def phase_of(run: Run, name: str, visit: int) -> Run:
     return dataclasses.replace(part, extra=extra, reference=reference, outcome=outcome, info=info)
 
 
-# -------------------------------------------------------------------- laws side by side
-
-
 def part_of(run: Run, name: str) -> Run:
-    """The joints, terms and reference of one of the laws side by side.
-
-    Raises:
-        UsageError: The run is not one of laws side by side.
-        UnknownNameError: It has no such part.
-    """
+    """The joints, terms and reference of one of the laws side by side."""
     parts = run.info.parts
     if not parts:
         raise UsageError("the run has no parts: its law is not taut.SideBySide", name="part")

@@ -23,9 +23,6 @@ T = TypeVar("T")
 def plain(value: Any) -> Any:
     """A value as mappings, lists, texts and numbers; fields that have their default are left out.
 
-    Raises:
-        UsageError: Something in it has no plain form.
-
     Example:
         >>> plain({"R": np.eye(2), "path": Path("a")})
         {'R': [[1.0, 0.0], [0.0, 1.0]], 'path': 'a'}
@@ -53,16 +50,10 @@ def plain(value: Any) -> Any:
 
 
 def restored(kind: type[T], values: Any, name: str) -> T:
-    """The inverse of `plain`.
+    """The inverse of `plain` for a dataclass; ValueError, which calls it `name`, for values that do not fit.
 
-    Args:
-        kind: A dataclass. Its annotations are numbers, texts, arrays (`Annotated` with their shape), poses, literals,
-            dataclasses, and tuples and mappings of these.
-        values: What a file holds.
-        name: What messages call it.
-
-    Raises:
-        ValueError: The values are not those of such a dataclass.
+    Its fields are numbers, texts, arrays (`Annotated` with their shape), poses, literals, dataclasses, and tuples and
+    mappings of these.
     """
     made: T = _restored(kind, values, name)
     return made

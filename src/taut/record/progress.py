@@ -15,13 +15,7 @@ T = TypeVar("T")
 
 
 class Progress:
-    """A bar on standard error that appears when the work takes a while.
-
-    Args:
-        total: Number of steps.
-        show: True or False; None shows it on a terminal only.
-        what: What is counted.
-    """
+    """A bar on standard error that appears when the work takes a while; by default (None) on a terminal only."""
 
     def __init__(self, total: int, show: bool | None, what: str = "simulating") -> None:
         self._total = total

@@ -1,9 +1,8 @@
 """Pictures of a scene by MuJoCo's renderer, in a process of its own.
 
-Which OpenGL works is found out by trying, and a failed try leaves traces in the process that made it: modules half
-imported, environment variables, sometimes a crash. So each try has a process of its own, and the caller's stays as
-it was. The process runs this file: it gets a folder with `scene.mjb` and `frames.npz`, says `ready` when it can draw,
-and then writes one picture after the other, as bytes, to its standard output. So nothing of taut is imported here.
+Which OpenGL works is found out by trying, and a failed try leaves traces in its process: modules half imported,
+environment variables, sometimes a crash. So each try runs this file in a process of its own, without taut: it gets a
+folder with `scene.mjb` and `frames.npz`, says `ready`, and writes pictures as bytes to its standard output.
 """
 
 from __future__ import annotations
@@ -63,16 +62,7 @@ def backends() -> list[str]:
 
 @contextmanager
 def opened(folder: Path, model: Any, frames: Frames) -> Iterator[Iterator[Picture]]:
-    """One picture (height, width, 3) per frame, by the first backend that works.
-
-    Args:
-        folder: An empty folder, for the files that the other process reads.
-        model: A compiled MuJoCo model.
-        frames: What to draw.
-
-    Raises:
-        NoRendererError: None works, or the process ended before the last picture.
-    """
+    """One picture (height, width, 3) per frame, by the first backend that works; files go to an empty folder."""
     import mujoco
 
     mujoco.mj_saveModel(model, str(folder / "scene.mjb"), None)
@@ -141,9 +131,6 @@ class _Renderer:
         self._process.wait()
         self._answers.close()
         self._errors.close()
-
-
-# -------------------------------------------------------------------- the other process
 
 
 def draw_all(folder: Path, out: IO[bytes]) -> None:

@@ -82,18 +82,13 @@ FOLDERS: Final = re.compile(
 def report(x: object, path: str | os.PathLike[str], *, title: str = "", repeat: str = "") -> Path:
     """Write a report: numbers, pictures, settings, versions, and how to do it again, in one HTML file.
 
-    The file needs no other file, no network and no script; it prints, and it reads on a phone. It names files without
-    their folders, and no machine.
+    The file needs no other file, no network and no script. It names files without their folders, and no machine.
 
     Args:
-        x: A `taut.Run`; or a result of an analysis, such as `taut.design`, `taut.compare`, `taut.doctor` or
-            `taut.linearise` give: anything that describes itself in `content()`.
+        x: A `taut.Run`; or a result, as of `taut.design` or `taut.doctor`: anything with a `content()`.
         path: Where to, ending in .html, in a folder that exists. What is there stays until the new file is whole.
         title: A title, instead of the usual one.
-        repeat: How to do it again, instead of what is known: a run of a scenario knows its command.
-
-    Returns:
-        The path.
+        repeat: How to do it again; a run of a scenario knows its command.
 
     Raises:
         UsageError: Nothing that can be reported; a run without two ticks.
@@ -115,11 +110,7 @@ def report(x: object, path: str | os.PathLike[str], *, title: str = "", repeat: 
 
 
 def content_of(x: object, *, title: str = "", repeat: str = "") -> Content:
-    """What a report holds, before it is a file.
-
-    Raises:
-        UsageError: Nothing that can be reported.
-    """
+    """The content of a report, before it is a file; UsageError for what has none."""
     if not isinstance(x, (Run, Result)):
         got = x.__name__ if isinstance(x, type) else type(x).__name__
         raise UsageError(f"a report is of a taut.Run or of a result, which has content(); got {got}", name="x")
@@ -127,18 +118,8 @@ def content_of(x: object, *, title: str = "", repeat: str = "") -> Content:
     return dataclasses.replace(content, title=title or content.title, repeat=repeat or content.repeat)
 
 
-# -------------------------------------------------------------------- of a run
-
-
 def content_of_run(run: Run) -> Content:
-    """What the report of a run holds.
-
-    Args:
-        run: The run.
-
-    Raises:
-        UsageError: It has no two ticks.
-    """
+    """The content of the report of a run; UsageError if it has no two ticks."""
     if len(run) < MIN_TICKS_OF_REPORT:
         raise UsageError(
             f"a report needs a run of {MIN_TICKS_OF_REPORT} ticks at least; got {len(run)}: {run.outcome}", name="run"
@@ -222,9 +203,6 @@ def _value(value: Any) -> str:
     """A value in one line, with six digits."""
     rounded = json.loads(json.dumps(plain(value)), parse_float=lambda digits: float(f"{float(digits):.6g}"))
     return short(value if isinstance(value, str) else json.dumps(rounded, ensure_ascii=False), MAX_VALUE_LETTERS)
-
-
-# -------------------------------------------------------------------- as HTML
 
 
 def html_of(content: Content) -> str:
@@ -315,7 +293,7 @@ def _picture(title: str, figure: Figure) -> str:
 
 
 def without_folders(text: str) -> str:
-    """A text whose files have their names alone: where they lie is nobody's business.
+    """A text whose files have their names alone: their folders are private.
 
     Example:
         >>> without_folders("stopped at /home/anna/laws/mine.py:12 after 3 m/s, 1/2 of ~/work/a.toml")

@@ -77,11 +77,7 @@ class Run:
 
     @property
     def rate(self) -> float:
-        """Ticks per second [Hz].
-
-        Raises:
-            UsageError: The run does not say.
-        """
+        """Ticks per second [Hz]; UsageError if the run does not state it."""
         if self.info.rate is None:
             raise UsageError("the run has no rate; give info=RunInfo(rate=...) [Hz]", name="rate")
         return self.info.rate
@@ -100,10 +96,7 @@ class Run:
 
     @cached_property
     def error(self) -> Float64Array | None:
-        """(k, n) tracking error [rad | m], wanted minus true, the short way round for joints that wrap.
-
-        None where the reference is not one of joint positions.
-        """
+        """(k, n) tracking error [rad | m], wanted minus true, the short way round if it wraps; None of a task."""
         wanted = getattr(self.reference, "q", None)
         return None if wanted is None else short_way(np.asarray(wanted) - self.q, self.continuous)
 
@@ -115,11 +108,7 @@ class Run:
 
     @cached_property
     def task(self) -> TaskSide:
-        """What the frame that the law controls did: pose, twist, Jacobian, and errors of position and rotation.
-
-        Raises:
-            UsageError: A run that was not made by `taut.run` does not say which frame that is.
-        """
+        """The controlled frame: pose, twist, Jacobian, errors of position and rotation; UsageError if unknown."""
         from taut.record.tool import task_of
 
         return task_of(self)
@@ -133,23 +122,14 @@ class Run:
 
     @property
     def arms(self) -> tuple[Arm, Arm]:
-        """The arms that the controller and the plant had, without what is only drawn; a log holds them too.
-
-        Raises:
-            UsageError: The run was not made by `taut.run`, or its log holds none.
-        """
+        """The controller's and the plant's arm, without what is only drawn; UsageError if not recorded."""
         controller, plant = self.info.controller_arm, self.info.plant_arm
         if controller is None or plant is None:
             raise UsageError("the run does not hold the arms that it was made with; it is no run of taut.run")
         return controller, plant
 
     def require_arm(self, arm: Arm) -> None:
-        """Require that an arm has the joints of the run.
-
-        Raises:
-            UsageError: It is no arm.
-            MatchError: It has others.
-        """
+        """Require that an arm has the joints of the run (UsageError, MatchError)."""
         if not isinstance(arm, Arm):  # callers without a type checker
             raise UsageError(f"arm must be an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
         if arm.joint_names != self.joint_names:
@@ -160,11 +140,7 @@ class Run:
             )
 
     def content(self) -> Content:
-        """The description of the run that `taut.report` writes.
-
-        Raises:
-            UsageError: It has no two ticks.
-        """
+        """The description of the run that `taut.report` writes; UsageError if it has no two ticks."""
         from taut.record.report import content_of_run
 
         return content_of_run(self)
@@ -234,17 +210,12 @@ class Run:
             reference=type(self.reference).of(fields),
         )
 
-    # ---------------------------------------------------------------- to look at
-
     def plot(self, *, joints: Iterable[str | int] | None = None) -> Figure:
-        """Positions, tracking error, torque and its terms over time, as a matplotlib Figure.
+        """Positions, tracking error, torque and its terms over time, as a matplotlib Figure (`figure.savefig`).
 
         Args:
-            joints: Names or indices of the joints to show; by default all, of more than eight those with the
-                largest error.
+            joints: Names or indices; by default all, of more than eight those with the largest error.
 
-        Returns:
-            The figure, which no window shows; save it with `figure.savefig("run.pdf")`.
 
         Raises:
             UnknownNameError: The run has no such joint.
@@ -273,14 +244,11 @@ class Run:
             path: Where to: .gif, or .mp4 where ffmpeg is installed.
             fps: Frames per second of the film.
             size: Width and height in pixels.
-            speed: How fast the film plays; 2.0 is twice as fast as it was.
-            camera: Azimuth and elevation [deg] of the direction of view, from the x axis towards y, and upwards; by
-                default across the plane of an arm that moves in one, else from ahead and above.
+            speed: Speed of the film over that of the run [-].
+            camera: Azimuth (from the x axis towards y) and elevation of the view [deg]; by default across
+                the plane of an arm that moves in one, else from ahead and above.
             arm: The arm to draw; the plant's by default. A run from a file needs it.
             progress: Show progress; by default on a terminal when it takes a while.
-
-        Returns:
-            The path.
 
         Raises:
             FileError: Another suffix, no such folder, no ffmpeg.
@@ -299,8 +267,6 @@ class Run:
             arm=arm,
             progress=progress,
         )
-
-    # ---------------------------------------------------------------- to keep
 
     def arrays(self) -> dict[str, Float64Array]:
         """Everything by name: t, q, v, tau, command, terms.P, reference.q, extra.F_ext, ...; one row per tick."""

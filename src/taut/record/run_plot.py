@@ -1,7 +1,4 @@
-"""Plots of a run, like the chapter's figures: positions, errors, the torque and what it is made of, the tool.
-
-Figures are made without pyplot, so that no window, no display and no global state is involved.
-"""
+"""Plots of a run, like the chapter's figures, without pyplot: no window, no display, no global state."""
 
 from __future__ import annotations
 
@@ -59,16 +56,8 @@ _NUMBER: Final = re.compile(r"\b\d+\.\d+(e[+-]?\d+)?\b")
 def plot(run: Run, *, joints: Iterable[str | int] | None = None) -> Figure:
     """Positions with the reference dashed, tracking error, torque with its limits, and the terms, over time.
 
-    Where the reference is one of the task, the tool's position and both its errors stand above, and where something
-    touched the tool, its force and moment.
-
-    Args:
-        run: The run.
-        joints: Names or indices; by default all, of more than eight the eight with the largest error.
-
-    Raises:
-        UnknownNameError: The run has no such joint.
-        UsageError: No joint, more than eight, or a run without ticks.
+    With a reference of the task, the tool's position and both its errors stand above, and where something touched the
+    tool, its force and moment. By default all joints, of more than eight those with the largest error.
     """
     from matplotlib.figure import Figure
 
@@ -143,9 +132,6 @@ def _dashed(label: str) -> Line2D:
     return _key(label, style=DASHED, width=0.9)
 
 
-# -------------------------------------------------------------------- joints
-
-
 def _joints(run: Run, shown: Sequence[int], units: Sequence[str], figure: SubFigure) -> None:
     """Position, error and torque of all joints, one row for those in rad and one for those in m."""
     axes = figure.subplots(len(units), 3, squeeze=False, sharex=True)
@@ -177,10 +163,7 @@ def _joints(run: Run, shown: Sequence[int], units: Sequence[str], figure: SubFig
 
 
 def _command(run: Run, joint: int, place: int, ax: Axes) -> bool:
-    """What acted on a joint, with its limit where it comes near to that; whether it does.
-
-    The limit is the largest torque that the controller lets through, else that the arm can give.
-    """
+    """What acted on a joint, with its limit (the controller's, else the arm's) if it comes near; whether it does."""
     values, limit = (run.tau if run.kind == "torque" else run.command)[:, joint], np.inf
     line(ax, run.t, values, colour(place))
     if run.kind == "torque":
@@ -226,9 +209,6 @@ def _term_keys(run: Run) -> list[Line2D]:
     return [*keys, _key(f"zero: {', '.join(idle)}", width=0.0)] if idle else keys
 
 
-# -------------------------------------------------------------------- the tool
-
-
 def is_task_run(run: Run) -> bool:
     """Whether a run has errors of the task."""
     return isinstance(run.reference.motion, TaskMotion) and run.info.tool is not None
@@ -251,9 +231,9 @@ def _axis_keys(heading: str) -> list[Line2D]:
 
 
 def _wrench(run: Run, figure: SubFigure) -> None:
-    """Force and moment of the environment on the arm at the tool, in world axes, with what was wanted dashed.
+    """Force and moment of the environment on the arm at the tool, world axes, with what was wanted dashed.
 
-    Where the contacts of a scene tell their normals, the force along them stands beside, with the one asked for.
+    Where the contacts of a scene report their normals, the force along them stands beside, with the one asked for.
     """
     contact = true_normal(run)
     pressed = contact is not None and bool(np.any(contact[0]))

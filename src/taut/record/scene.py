@@ -36,9 +36,6 @@ TILES: Final = ([0.86, 0.89, 0.92], [0.77, 0.81, 0.86])
 BARE: Final = (0.8, 0.8, 0.8, 1.0)  # colour of a visual that has none of its own
 
 
-# -------------------------------------------------------------------- from where to look
-
-
 @dataclass(frozen=True, kw_only=True)
 class View:
     """A camera that looks at a point; the z axis of the world points up in the picture."""
@@ -67,13 +64,7 @@ def points_of(arm: Arm, q: Float64Array) -> Float64Array:
 
 
 def view_of(arm: Arm, points: Float64Array, camera: tuple[float, float] | None = None) -> View:
-    """A view of all that an arm does.
-
-    Args:
-        arm: The arm.
-        points: (k, n + 2, 3) [m] where its base, joints and tool go.
-        camera: Azimuth and elevation of the direction of view [deg]; found if left out.
-    """
+    """A view of all that an arm does, through (k, n + 2, 3) points [m]; camera: azimuth, elevation [deg]."""
     low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
     centre = 0.5 * (low + high)
     radius = max(SMALLEST, float(np.linalg.norm(points - centre, axis=-1).max()))
@@ -96,22 +87,10 @@ def _direction(arm: Arm) -> tuple[float, float]:
     return math.degrees(math.atan2(ahead[1], ahead[0])), -8.0
 
 
-# -------------------------------------------------------------------- what is seen
-
-
 def scene(arm: Arm, view: View, size: tuple[int, int], around: Around | None = None) -> tuple[Any, Float64Array, str]:
-    """A compiled model of the arm in its surroundings.
+    """A compiled model of the arm in its surroundings, (n,) the places of its joints in qpos, and what is not shown.
 
-    Bodies whose visuals can be shown get them; the others get capsules from joint to joint.
-
-    Args:
-        arm: The arm.
-        view: What is looked at.
-        size: Width and height of the pictures.
-        around: What stands around it; what moves by itself becomes a mocap body, in the order of the things.
-
-    Returns:
-        The model; (n,) where each joint's position stands in qpos; what could not be shown, in words.
+    Bodies without visuals get capsules from joint to joint; what moves by itself becomes a mocap body, in its order.
     """
     shown = [visual for visual in arm.visuals if visual.shape != "mesh" or Path(visual.file).is_file()]
     problem = "" if len(shown) == len(arm.visuals) else "some of their files are not there"

@@ -64,11 +64,7 @@ class TaskSide:
 
 
 def task_of(run: Run) -> TaskSide:
-    """The task side of a run.
-
-    Raises:
-        UsageError: The run does not say where its tool is.
-    """
+    """The task side of a run; UsageError if the run does not state where its tool is."""
     chain = run.info.tool
     if chain is None:
         raise UsageError(
@@ -81,13 +77,10 @@ def task_of(run: Run) -> TaskSide:
     return TaskSide(frame=chain.frame, p=p, R=R, J=J, twist=twist, wanted=wanted)
 
 
-# -------------------------------------------------------------------- force
-
-
 def wanted_wrench(run: Run) -> Float64Array | None:
-    """(k, 6) F_app that was asked for, at the tool that the law controls, world axes; None where none was.
+    """(k, 6) desired F_app at the tool that the law controls, world axes; None without one.
 
-    Of a hybrid law it is what was asked for as F_app, with a motion; what its rows do not hold may be anything.
+    Of a hybrid law it is the F_app of its reference, of which its rows may leave parts uncontrolled.
     """
     if run.info.tool is None or not len(run):
         return None
@@ -108,10 +101,7 @@ def force_error(run: Run) -> Float64Array | None:
 
 
 def true_normal(run: Run) -> tuple[Float64Array, Float64Array] | None:
-    """(k,) the force along the normals of the contacts [N], and (k, 3) their direction, zero where nothing touches.
-
-    None where the run does not tell.
-    """
+    """(k,) force along the normals of the contacts [N], and (k, 3) these, zero without contact; None if unknown."""
     if NORMAL_FORCE not in run.extra:
         return None
     force = np.asarray(run.extra[NORMAL_FORCE], dtype=np.float64)
@@ -120,13 +110,10 @@ def true_normal(run: Run) -> tuple[Float64Array, Float64Array] | None:
 
 
 def wanted_press(reference: HybridMotion, n: Float64Array) -> Float64Array | None:
-    """(k,) the force into the surface that was asked for [N]: press, and what of F_app is against the normal.
+    """(k,) the desired force into the surface [N]: press, and what of F_app is against the normal n (k, 3).
 
-    None where multipliers were asked for, for a run does not have the rows that they belong to.
-
-    Args:
-        reference: Of k ticks.
-        n: (k, 3) the normal, zero where nothing touches: there that of the tick before counts, or of the first.
+    Where n is zero (no contact) that of the tick before counts, or the first. None with multipliers, whose rows a run
+    does not have.
     """
     if np.any(reference.lam):
         return None
@@ -143,14 +130,10 @@ def estimated_normal(run: Run) -> Float64Array | None:
     return functools.reduce(lambda a, b: np.where(np.isnan(a), b, a), taken) if taken else None
 
 
-# -------------------------------------------------------------------- impedance
-
-
 def expected_deviation(run: Run) -> Float64Array | None:
-    """(k, 6) what eq. 10.48 makes of the run's own F_ext: deviation from the reference, world axes [m, rad].
+    """(k, 6) deviation from the reference that eq. 10.48 makes of the run's own F_ext, world axes [m, rad].
 
-    From the deviation and its rate at the first tick on. None where the law states no impedance, where there is no
-    wrench, or where its gains change in the run.
+    From the deviation and its rate at the first tick on. None without an impedance, a wrench, or constant gains.
     """
     deviation = Deviation.of(run)
     return None if deviation is None else deviation.expected()

@@ -46,18 +46,16 @@ def compare(
     Args:
         laws: Laws, texts such as "PID(kp=100, kd=20)" or "stiff: PID(kp=900, kd=60)", names of laws of the scenario,
             and recorded runs; by name, or in a list in which no two have the same. The scenario's own laws if left
-            out, or if there are only runs. Laws follow the reference of the scenario or loop, so that they must be of
-            its kind.
+            out, or if there are only runs. All laws follow the kind of reference that the scenario or loop has.
         on: A built-in scenario by its name, the path of a .toml file, or a `taut.Loop`, whose plant, reference,
             sensing and limits every law gets. Left out for runs alone.
         case: Which of the scenario's cases, where it has any.
         by: A figure to rank by, or several, of which the next decides between equals: "rms_error", "effort",
             "noise_chatter", "model_worst", ..., or any metric of a run; the smallest is the best.
-        noise: Standard deviation by sensor, {"position": 1e-5}, to compare with the plant as it is; where it is left
-            out the plant's own noise against none, or where that has none, 1e-5 rad of positions and 1e-3 rad/s of
+        noise: Standard deviation by sensor, {"position": 1e-5}, to compare with the plant as it is; if left out the
+            plant's own noise against none, or where that has none, 1e-5 rad of positions and 1e-3 rad/s of
             velocities. {} leaves these figures out.
-        model: By how much the true arm may differ; 20 % in masses and friction if left out; None leaves the figures
-            out.
+        model: By how much the true arm may differ; 20 % in masses and friction if left out; None: no such figures.
         references: References of laws that follow another kind, by the law's name.
         parameters: Values by path that every loop gets, such as {"plant.payload.mass": 1.0}.
         q0: (n,) where every run starts [rad | m]; the scenario's, or of a loop the arm's home, if left out.
@@ -123,13 +121,13 @@ def grade(
 ) -> Grade:
     """A law against a reference law: each figure with pass or fail, and where their commands differ, in which term.
 
-    Both run on the experiment. A figure passes within the tolerance of the reference's, above or below. Then both
-    get the states of the reference's own run, tick by tick: the largest difference of their commands there passes
-    within the tolerance of the reference's largest command, and is reported with joint, time and terms that differ.
+    A figure passes within the tolerance of the reference's, above or below. Then both get the states of the
+    reference's own run, tick by tick: the largest difference of their commands passes within the tolerance of the
+    reference's largest command, and is reported with joint, time and terms that differ.
 
     Args:
         law: A law, or its text.
-        reference: What it is to do the same as.
+        reference: The law that it should match.
         on: As of `taut.compare`.
         case: As of `taut.compare`.
         tolerance: Relative; 5 % if left out.
@@ -202,7 +200,6 @@ def _case_of(scenario: Scenario, case: str | None) -> Scenario:
 def _named(
     items: Sequence[Item | tuple[str, Item]] | Mapping[str, Item], own: Mapping[str, Law]
 ) -> dict[str, Law | Run]:
-    """Laws and runs by name, no two of the same."""
     if isinstance(items, str) or not isinstance(items, (Sequence, Mapping)):
         raise UsageError(
             "laws are given in a list or by name: ['PID(kp=100, kd=20)', taut.laws.PID(kp=...)]", name="laws"

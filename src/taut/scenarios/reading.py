@@ -1,8 +1,8 @@
 """The one reader of scenario files: tables that know their place, and the walker from tables to objects.
 
-What a class with declared fields, a dataclass or a function takes is what its table may have: its arguments state
-which keys exist, which are required, and which of them are objects that have tables of their own. Values are checked
-where the object is made; an error then names file, section and key as they are written.
+The arguments of a class with declared fields, a dataclass or a function state which keys its table may have, which
+are required, and which have tables of their own. Values are checked where the object is made; an error then names
+file, section and key as they are written.
 """
 
 from __future__ import annotations
@@ -35,20 +35,8 @@ TEXT_OR_COMMENT: Final = re.compile(
 DOTTED: Final = re.compile(rf"(?<![^\s.,=\[\]{{}}])(?:[^\s.,=\[\]{{}}]+[ \t]*+\.[ \t]*+){{{TABLE_DEPTH}}}")
 
 
-# -------------------------------------------------------------------- files
-
-
 def read_toml(path: str | Path, label: str = "") -> Table:
-    """The root table of a file.
-
-    Args:
-        path: The file.
-        label: What messages call it; its path if left out.
-
-    Raises:
-        FileError: It cannot be read.
-        ScenarioError: It is no TOML, or none that a scenario could be.
-    """
+    """The root table of a file, which messages call `label`. Raises FileError or ScenarioError."""
     file = readable_file("scenario", path)
     if file.stat().st_size > MAX_BYTES:
         raise ScenarioError(f"scenario '{file}' is larger than {MAX_BYTES} bytes; a scenario is a page of text")
@@ -95,18 +83,8 @@ def _refuse_hostile(root: Table) -> None:
             raise root.error(f"{place} a whole number beyond the 64 bits of TOML; write it as 1e20")
 
 
-# -------------------------------------------------------------------- tables
-
-
 class Table:
-    """One table of a file: its values, and the place that messages name.
-
-    Args:
-        file: What messages call the file.
-        path: Of the table in it, such as "plant.actuation"; empty for the root.
-        values: The keys and what stands behind them.
-        folder: Where the files lie that it names.
-    """
+    """One table of a file: its values and the place that messages name; `path` is "" for the root."""
 
     def __init__(self, file: str, path: str, values: Mapping[str, Any], folder: Path = Path()) -> None:
         self.file, self.path, self.values, self.folder = file, path, dict(values), folder
@@ -124,10 +102,7 @@ class Table:
         return key in self.values
 
     def get(self, key: str, default: Any = None) -> Any:
-        """The value of a key, whatever it is."""
         return self.values.get(key, default)
-
-    # ---------------------------------------------------------------- errors
 
     def error(self, text: str, key: str = "") -> ScenarioError:
         """An error about this table, or about one of its keys, with which its text then begins."""
@@ -135,12 +110,7 @@ class Table:
 
     @contextlib.contextmanager
     def blamed(self, key: str = "", *, made: str = "") -> Iterator[None]:
-        """Errors of what is made from this table name it, and the key that they are about.
-
-        Args:
-            key: The key to name where an error is about none that is written here.
-            made: What is made, whose name a message need not begin with.
-        """
+        """Errors of `made` from this table name it and the key that they are about, or `key` if that is not here."""
         try:
             yield
         except ScenarioError:
@@ -168,31 +138,20 @@ class Table:
         return ScenarioError(f"{self.where} {text}", name=self.below(key))
 
     def need(self, key: str, what: str = "") -> None:
-        """A key has to be there; `what` is what a message calls it.
-
-        Raises:
-            ScenarioError: It is not.
-        """
+        """A key has to be there, else ScenarioError; `what` is what its message calls it."""
         if key not in self.values:
             what = what or f"the key '{key}'"
             raise ScenarioError(f"{self.where} needs {what}", name=self.below(key))
 
     def only(self, known: Iterable[str]) -> None:
-        """Nothing but these keys may be there.
-
-        Raises:
-            ScenarioError: There is another key.
-        """
+        """No other keys may be there. Raises ScenarioError."""
         names = sorted(set(known))
         for key in self.values:
             if key not in names:
                 text = str(unknown_name(self.where, "key", key, names)).replace("; it has ", "; it takes ")
                 raise ScenarioError(text, name=self.below(key))
 
-    # ---------------------------------------------------------------- values
-
     def text(self, key: str, default: Any = None) -> Any:
-        """A text."""
         value = self.values.get(key, default)
         if value is not default and not isinstance(value, str):
             raise self.error(f"must be a text in quotes; got {shown(value)}", key)
@@ -206,18 +165,13 @@ class Table:
         raise self.error(f"must be an array of texts such as {example}; got {shown(value)}", key)
 
     def choice(self, key: str, options: Iterable[str], default: Any = None) -> Any:
-        """One of a few words."""
         value, words = self.values.get(key, default), tuple(options)
         if key in self.values and (not isinstance(value, str) or value not in words):
             raise self.error(f"must be one of {quoted_list(words, most=len(words))}; got {shown(value)}", key)
         return value
 
     def file_of(self, key: str, kind: str) -> Path:
-        """The file that a key names: a path from the scenario's own folder, or an absolute one.
-
-        Raises:
-            ScenarioError: It cannot be read; the message says where it was looked for.
-        """
+        """The file that a key names: a path from the scenario's folder, or an absolute one. Raises ScenarioError."""
         name = self.text(key)
         place = self.folder.resolve() / name
         with self.blamed(key):
@@ -228,10 +182,7 @@ class Table:
                     raise
                 raise FileError(f"{cause} (paths begin at the scenario's own folder)", name=cause.name) from cause
 
-    # ---------------------------------------------------------------- tables
-
     def at(self, path: str, values: Mapping[str, Any]) -> Table:
-        """Another table of the same file."""
         return Table(self.file, path, values, self.folder)
 
     def table(self, key: str, *, required: bool = False) -> Table:
@@ -255,12 +206,7 @@ class Table:
         return self.at(self.path, {key: value for key, value in self.values.items() if key not in keys})
 
     def merged(self, changes: Mapping[str, Any], label: str) -> Table:
-        """This table with other values: tables merge, anything else takes the place of what was there.
-
-        Args:
-            changes: The keys with their new values.
-            label: What messages call the file then.
-        """
+        """This table with other values: tables merge, others are replaced; `label` is what messages call the file."""
         return Table(label, self.path, _merged(self.values, changes), self.folder)
 
 
@@ -270,7 +216,6 @@ def _merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _names(value: object, name: str) -> bool:
-    """True where a value is a name, or has it among others."""
     return value == name if isinstance(value, str) else isinstance(value, (list, dict)) and name in value
 
 
@@ -285,11 +230,7 @@ def shown(value: object) -> str:
 
 
 def with_values(root: Table, values: Mapping[str, Any]) -> Table:
-    """A file with other values of some keys, by their paths: {"run.duration": 2.0}.
-
-    Raises:
-        ScenarioError: A path below something that is no table.
-    """
+    """A file with other values of some keys, by their paths: {"run.duration": 2.0}. Raises ScenarioError."""
     table = copy.deepcopy(root.values)
     for path, value in values.items():
         *above, last = path.split(".")
@@ -301,8 +242,6 @@ def with_values(root: Table, values: Mapping[str, Any]) -> Table:
         at[last] = value
     return root.at(root.path, table)
 
-
-# -------------------------------------------------------------------- the walker
 
 Reader = Callable[[Table, str], Any]
 
@@ -369,17 +308,10 @@ def _options(hint: Any) -> Iterable[Any]:
 
 
 def read(kind: Callable[..., Any], table: Table, *, others: Iterable[str] = (), blame: str = "", **made: Any) -> Any:
-    """The object that a table describes.
+    """The object of a kind (class or function) that a table describes; `made` are arguments from elsewhere.
 
-    Args:
-        kind: The class or function that makes it.
-        table: Keys and values.
-        others: Keys that are read elsewhere.
-        blame: The key to name where an error is about none of those that are written.
-        made: Arguments that do not come from the table.
-
-    Raises:
-        ScenarioError: A key that does not exist, one that is missing, a value that the object does not take.
+    `others` are keys read elsewhere, `blame` the key to name where an error is about none of those written. Raises
+    ScenarioError.
     """
     known = {name: argument for name, argument in arguments(kind).items() if name not in made}
     table.only([*known, *others])

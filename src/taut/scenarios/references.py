@@ -59,11 +59,7 @@ FORCES: Final = ("press", "lam", "F_app")  # that a motion applies, as of taut.p
 HYBRID_MOTION: Final = hybrid_kind(TaskMotion)
 
 
-# -------------------------------------------------------------------- kinds without a class of their own
-
-
 def _hold() -> Hold:
-    """A hold of the first state."""
     return Hold()
 
 
@@ -85,10 +81,7 @@ ONSET: Final = 0.7  # [s] in which the motion sets in
 
 
 class SamplePolicy(Declared):
-    """A stand-in for a learned policy: each period a chunk of poses along a smooth random path about a pose.
-
-    No two chunks agree: each is a little off the path.
-    """
+    """A stand-in for a learned policy: each period a chunk of poses along a smooth random path, no two alike."""
 
     T: Part[Pose] = Part(Pose)  # the pose that it moves about
     period: Field = Field(0.1, unit="s", above=0.0)
@@ -124,8 +117,6 @@ class SamplePolicy(Declared):
         return Pose(self.T.p + offset[:3], R=R)
 
 
-# -------------------------------------------------------------------- [reference]
-
 FORCE_KINDS: Final[Mapping[str, Callable[..., Any]]] = {"force": TaskForce, "force-samples": _force_samples}
 KINDS: Final[Mapping[str, Callable[..., Any]]] = {
     "hold": _hold,
@@ -149,14 +140,7 @@ FROM_BEGIN: Final[Mapping[str, Callable[..., Any]]] = {"steady": Steady, "by": _
 
 
 def read_reference(table: Table, arm: Arm, home: Float64Array, laws: Mapping[str, Law]) -> Reference:
-    """A hold, a set-point or a trajectory, of joints, of the tool or of a force.
-
-    Args:
-        table: [reference]; a hold of the first state if it is empty.
-        arm: The arm that follows it.
-        home: (n,) what "home" and relative_to_home mean [rad | m].
-        laws: The laws by their labels: the frame that they control is the one whose pose at home is "home".
-    """
+    """[reference]: a hold, a set-point or a trajectory of joints, tool or force; `home` (n,) is its "home"."""
     if not table.values:
         return Hold()
     table.need("kind")
@@ -189,8 +173,7 @@ def _forces(table: Table) -> dict[str, Any]:
 class _Home:
     """Positions, poses and points of a [reference], which may be "home" or relative to it.
 
-    Of a pose that is relative, p is added to the position at home, and the rotation is by the world's axes, about the
-    tool.
+    Of a relative pose p is added to the position at home, and the rotation is by the world's axes, about the tool.
     """
 
     def __init__(self, table: Table, arm: Arm, q: Float64Array, laws: Mapping[str, Law]) -> None:
@@ -241,7 +224,6 @@ class _Home:
             return self.T.p + finite_array(key, written, shape=(3,), unit="m")
 
     def _placed(self, table: Table) -> Pose:
-        """The pose of a table, in the world."""
         if not self.relative:  # where a zero is a place, and the identity an orientation, that few arms can take
             table.need("p", "its position p")
             if not any(word in table for word in ROTATIONS):
@@ -252,7 +234,6 @@ class _Home:
         return Pose(self.T.p + pose.p, R=pose.R @ self.T.R) if self.relative else pose
 
     def moved(self, samples: Samples | TaskSamples) -> Samples | TaskSamples:
-        """Samples of a file, in the world."""
         with self.table.blamed("file"):
             if isinstance(samples, Samples):
                 return dataclasses.replace(samples, q=self.q + samples.q) if self.relative else samples
@@ -281,19 +262,11 @@ _OF_HOME: Final[Mapping[str, Callable[[_Home, str], Any]]] = {
 }
 
 
-# -------------------------------------------------------------------- [[phases]]
-
 TASK: Final = "task"  # what the law of a task is called in tables and in [[pass]]
 
 
 def read_phases(root: Table, arm: Arm, home: Float64Array) -> Task:
-    """The task of a scenario.
-
-    Args:
-        root: The scenario.
-        arm: The arm that follows it.
-        home: (n,) what "home" means in a reference [rad | m].
-    """
+    """The task of a scenario, with `home` (n,) as what "home" means in a reference [rad | m]."""
     phases = [_phase(table, arm, home) for table in root.tables("phases")]
     try:
         return Task.of(phases)

@@ -73,7 +73,6 @@ class ScenarioResult(Result):
         return not self.missed and not self.skipped and all(one.outcome.ok for one in self.runs.values())
 
     def json(self) -> dict[str, Any]:
-        """The result as plain values."""
         return {
             "scenario": self.scenario.name,
             "metrics": _metrics_by_case(self.runs),
@@ -143,9 +142,6 @@ class ScenarioResult(Result):
         return Table(columns=heads, rows=rows)
 
 
-# -------------------------------------------------------------------- runs and their parts
-
-
 def _within(one: Run, window: tuple[float, float] | None) -> Metrics:
     """The metrics of a run in a window of it; of all of it where it ended before."""
     if window is None or not len(one) or one.t[-1] < window[0]:
@@ -208,26 +204,13 @@ def _shortfall(figure: PassFigure, one: Run) -> str:
     return f"{what} must be {f'<= {high:g}' if values[0] > high else f'>= {low:g}'}; got {values[0]:.6g}"
 
 
-# -------------------------------------------------------------------- running
-
-
 def run_scenario(
     scenario: Scenario, folder: Path, *, say: Callable[[str], None], engine: EngineChoice = "auto"
 ) -> ScenarioResult:
-    """Run every law of a scenario and write its files.
+    """Run every law of a scenario and write its files to a folder; the result lists files that could not be made.
 
-    Args:
-        scenario: What to run.
-        folder: Where the files go; made if it is not there.
-        say: Takes a line of progress.
-        engine: Engine of the controllers.
-
-    Returns:
-        What happened, files that could not be made included.
-
-    Raises:
-        FileError: Something stands where the folder or a file should be; nothing has run yet.
-        ScenarioError: A law that cannot be compiled, a run that cannot begin.
+    Raises ScenarioError, and FileError before the first run where something stands in the way of a file. `say` takes
+    lines of progress.
     """
     files = _targets(scenario, folder)
     runs: dict[Trial, Run] = {}
@@ -246,7 +229,6 @@ def run_scenario(
 
 
 def _info(scenario: Scenario, trial: Trial) -> ScenarioInfo:
-    """The scenario as a run keeps it."""
     return ScenarioInfo(
         name=scenario.name,
         **trial._asdict(),
@@ -266,15 +248,8 @@ def _blamed(scenario: Scenario, trial: Trial) -> Iterator[None]:
         raise ScenarioError(f"{scenario.source}: {place} {cause}") from cause
 
 
-# -------------------------------------------------------------------- files
-
-
 def _targets(scenario: Scenario, folder: Path) -> dict[str, Path]:
-    """The files to write, by kind, in a folder that is made. What stands in their way is refused before the run.
-
-    Raises:
-        FileError: The folder cannot be made, or takes no files; a folder has the name of a file.
-    """
+    """The files to write, by kind, in a folder that is made. Raises FileError if something is in their way."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as cause:  # such as a name that is too long, or of a file

@@ -74,7 +74,6 @@ class OfRuns(Declared):
 
     @property
     def span(self) -> tuple[float, float] | None:
-        """Start and end of the window [s]."""
         if self.window is None:
             return None
         start, end = np.asarray(self.window).tolist()
@@ -169,7 +168,6 @@ class Trial(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Its name in messages."""
         return f"{self.case}: {self.law}" if self.case else self.law
 
 
@@ -201,9 +199,6 @@ class Scenario:
         return Trial(self.outputs.shown_case or cases[-1], law)
 
 
-# -------------------------------------------------------------------- files
-
-
 def built_in_scenarios() -> dict[str, Path]:
     """The scenarios that come with taut, by name."""
     folder = Path(str(resources.files("taut.scenarios"))) / "files"
@@ -214,11 +209,7 @@ def built_in_scenarios() -> dict[str, Path]:
 
 
 def scenario_file(name: str) -> Path:
-    """The file of a scenario, by its name or path.
-
-    Raises:
-        UnknownNameError: There is no such scenario.
-    """
+    """The file of a scenario, by its name or path. Raises UnknownNameError."""
     known = built_in_scenarios()
     if name in known:
         return known[name]
@@ -233,16 +224,9 @@ def load_scenario(
 ) -> Scenario:
     """A scenario by the name of a built-in one, or by the path of a file.
 
-    Args:
-        name: Name or path.
-        own_laws: Laws that take the place of the scenario's own, by the place that they were loaded from.
-        values: Keys that get another value, by their path in the file, {"run.duration": 2.0, "laws.PD.kp": 5.0}, and
-            parameters of the loop of each law from the start, by theirs: {"law.kp": 5.0}.
-
-    Raises:
-        ScenarioError: The file breaks the schema, or its parts do not fit; the message names file, section and key.
-        FileError: It cannot be read.
-        UnknownNameError: There is no such scenario.
+    `own_laws` take the place of the scenario's, by the place they were loaded from. `values` replaces keys of the
+    file, {"run.duration": 2.0, "laws.PD.kp": 5.0}, and parameters of each law's loop from the start: {"law.kp": 5.0}.
+    Raises ScenarioError, whose message names file, section and key, FileError or UnknownNameError.
     """
     path = scenario_file(name)
     keys = (*OF_A_CASE, *OF_ALL_CASES, "cases", "spread")
@@ -291,11 +275,7 @@ def _require_one(table: Table, known: Mapping[str, list[str]]) -> None:
 
 
 def _cases_of(root: Table) -> dict[str, Table]:
-    """The root table of each case, by its name: the scenario with some of its keys replaced.
-
-    Raises:
-        ScenarioError: A case that replaces what belongs to all of them, or has a law of its own.
-    """
+    """The root table of each case, by its name: the scenario with some of its keys replaced. Raises ScenarioError."""
     if "cases" not in root:
         return {}
     table = root.table("cases")
@@ -318,16 +298,8 @@ def _cases_of(root: Table) -> dict[str, Table]:
     return cases
 
 
-# -------------------------------------------------------------------- one experiment
-
-
 def read_control_side_and_plant(root: Table) -> dict[str, Any]:
-    """arm, plant, rate, sensing and limits of a file with [arm], [plant] and [control].
-
-    Raises:
-        ScenarioError: A section breaks the schema.
-        FileError: The file cannot be read.
-    """
+    """arm, plant, rate, sensing and limits of a file with [arm], [plant] and [control]. Raises ScenarioError."""
     arm = read_arm(root.table("arm", required=True))
     rate, sensing, limits = read_control(root.table("control"), arm)
     plant = read_plant(root.table("plant", required=True), arm, rate)
@@ -337,16 +309,7 @@ def read_control_side_and_plant(root: Table) -> dict[str, Any]:
 def read_experiment(
     root: Table, own_laws: Mapping[str, Law] | None, text: str
 ) -> tuple[dict[str, Law | Task], Experiment]:
-    """The laws of a scenario, or of one of its cases, and the experiment that they are run in, checked together.
-
-    Args:
-        root: The scenario, or one of its cases.
-        own_laws: Laws that take the place of its own, by the place that they were loaded from.
-        text: Of the file.
-
-    Raises:
-        ScenarioError: The message names file, section and key.
-    """
+    """The laws of a scenario or of one case, `own_laws` in their place, and their experiment, checked together."""
     out = read_control_side_and_plant(root)
     arm, plant, rate = out["arm"], out["plant"], out["rate"]
     laws, places = _laws(root, own_laws)

@@ -58,9 +58,6 @@ LIMITS: Final[Mapping[str, Mapping[str, bool]]] = {
 """The arm's own limits, in words: what they are to Limits.of."""
 
 
-# -------------------------------------------------------------------- laws
-
-
 @reads(Law)
 def _inner(table: Table, key: str) -> Law:
     return read_law(table.table(key, required=True))
@@ -81,7 +78,6 @@ def read_law(table: Table) -> Law:
 
 
 def _one_law(gains: Table, table: Table, name: str) -> Law:
-    """The law of that name, which a table gives."""
     if name == "SideBySide":
         return _side_by_side(gains)
     known = {word: kind for word, kind in law_classes(all_laws).items() if word != "Sum"}
@@ -122,9 +118,6 @@ def read_constraint(table: Table, key: str = "constraint") -> Constraint:
     return sum(constraints[1:], start=constraints[0])
 
 
-# -------------------------------------------------------------------- [control]
-
-
 def read_control(table: Table, arm: Arm) -> tuple[float, Sensing, Limits | None]:
     """Rate [Hz], sensing and limits."""
     with table.blamed():
@@ -156,22 +149,16 @@ def _limits(table: Table, arm: Arm, rate: float) -> Limits | None:
     return made
 
 
-# -------------------------------------------------------------------- laws as text
-
 EXAMPLE: Final = "PID(kp=100, kd=20)"
 MAX_TEXT: Final = 2000  # letters
 MAX_SHOWN: Final = 80  # of them in a message
 
 
 def law_of_text(text: str) -> tuple[str, Law]:
-    """A law and what it is called: the text itself, or the name that stands before it, "stiff: PID(kp=900)".
+    """A law and its name: the text, or what stands before it, "stiff: PID(kp=900)". Raises UsageError, ScenarioError.
 
     The names, gains and tables are those of [laws.LABEL] in a scenario: lists for arrays, dictionaries for tables,
-    laws within laws where a law holds one, and + for a sum.
-
-    Raises:
-        UsageError: No such form.
-        ScenarioError: No such law or gain; the message names what exists.
+    laws within laws for a wrapper, and + for a sum.
     """
     label, colon, rest = text.partition(":")
     named = bool(colon) and "(" not in label
@@ -191,11 +178,7 @@ def law_of_text(text: str) -> tuple[str, Law]:
 
 
 def _written(node: ast.expr) -> Any:
-    """A law as the table that [laws.LABEL] of a scenario would be; any other value as TOML has it.
-
-    Raises:
-        ValueError, TypeError, KeyError: Something else.
-    """
+    """A law as the table of [laws.LABEL], other values as TOML has them. Raises ValueError, TypeError or KeyError."""
     match node:
         case ast.Name(id=word):  # nan and inf are numbers, as in TOML, so that the law says which gain must be finite
             if word.lower() in ("nan", "inf"):
@@ -219,7 +202,6 @@ def _written(node: ast.expr) -> Any:
 
 
 def _as_sum(table: Mapping[str, Any]) -> dict[str, Any]:
-    """The table of a law as that of a sum with one part."""
     gains = dict(table)
     name = gains.pop("law")
     return dict(table) if isinstance(name, list) else {"law": [name], name: gains}
@@ -227,8 +209,6 @@ def _as_sum(table: Mapping[str, Any]) -> dict[str, Any]:
 
 Plant: TypeAlias = RigidPlant | PlantBase
 CHANGES: Final = ("bodies", "friction", "gears", "perturbed", "joint_values", "payload")
-
-# -------------------------------------------------------------------- [arm]
 
 
 def read_arm(table: Table) -> Arm:
@@ -285,7 +265,6 @@ def friction_word(table: Table, *words: str) -> str | None:
 
 
 def _changed(table: Table, arm: Arm) -> Arm:
-    """The arm with the changes that a table states."""
     bodies = table.table("bodies")
     for joint in bodies.values:
         arm = read(arm.with_body, bodies.table(joint), joint=joint)
@@ -303,8 +282,6 @@ def _changed(table: Table, arm: Arm) -> Arm:
         arm = joints_replaced(arm, values.values)
     return read(arm.with_payload, table.table("payload")) if "payload" in table else arm
 
-
-# -------------------------------------------------------------------- [plant]
 
 ENVIRONMENTS: Final[Mapping[str, Callable[..., Any]]] = {
     "spring": Spring,
@@ -334,13 +311,7 @@ def _motor(table: Table, key: str) -> Any:
 
 
 def read_plant(table: Table, assumed: Arm, rate: float) -> Plant:
-    """A rigid plant or one in MuJoCo.
-
-    Args:
-        table: [plant].
-        assumed: The controllers' arm, from which the true one is made.
-        rate: Commands per second [Hz].
-    """
+    """A rigid plant or one in MuJoCo, from [plant]; the true arm is made from the assumed one."""
     make: Callable[..., Plant] = RigidPlant
     if table.choice("kind", ("rigid", "mujoco"), "rigid") == "mujoco":
         from taut.runtime.robots.mujoco.plant import MujocoPlant
@@ -378,16 +349,14 @@ def _require_start(plant: Plant, table: Table, rate: float) -> None:
         plant.start(plant.arm.home, rest, plant.parameters, dt)
 
 
-# -------------------------------------------------------------------- [spread]
-
 MAX_TILT: Final = 0.5 * np.pi  # [rad]
 
 
 class Spread(Declared):
-    """[spread]: how far chance puts the scene away from where [plant] has it, in each of several runs.
+    """[spread]: random displacement of the scene from where [plant] has it, in each of several runs.
 
-    Shift and tilt are each spread evenly over a disc across the world's z axis: the shift along a vector in it, the
-    tilt about one, at the origin of the scene. The place of a run depends on the seed and its number alone.
+    Shift and tilt are uniform over a disc across the world's z axis: the shift along a vector in it, the tilt about
+    one, at the origin of the scene. The place of a run depends on the seed and its number alone.
     """
 
     at: Part[Pose] = Part(Pose)  # where the scene stands in the file
@@ -397,7 +366,6 @@ class Spread(Declared):
     tilt: Field = Field(0.0, unit="rad", minimum=0.0, maximum=MAX_TILT)  # the largest, about any axis across z
 
     def check(self) -> None:
-        """Something is spread."""
         if not self.shift and not self.tilt:
             self.refuse("", "needs shift [m], tilt [rad] or both above zero")
 
@@ -422,11 +390,7 @@ def _on_disc(rng: np.random.Generator) -> Float64Array:
 
 
 def read_spread(root: Table) -> Spread | None:
-    """The spread of a scenario; None if it has none.
-
-    Raises:
-        ScenarioError: No numbers for it, no scene that could be elsewhere, cases too.
-    """
+    """The spread of a scenario; None if it has none. Raises ScenarioError."""
     if "spread" not in root:
         return None
     table, plant = root.table("spread"), root.table("plant")

@@ -1,7 +1,6 @@
-"""Traced: NumPy arrays of symbols, so that law code reads as NumPy code and nothing wrong passes in silence.
+"""Traced: NumPy arrays of symbols, so that law code reads as NumPy code.
 
-An object array alone would answer NaN, broadcast a matrix gain or fail with a foreign text; here each ufunc
-and function either has a traced meaning or is refused in words.
+Each ufunc and function has a traced meaning or is refused; an object array alone would answer NaN, or broadcast.
 """
 
 from __future__ import annotations
@@ -66,9 +65,6 @@ def _wrap(x: Any) -> Any:
     if isinstance(x, (list, tuple)) and any(isinstance(item, np.ndarray) for item in x):
         return type(x)(_wrap(item) for item in x)
     return x
-
-
-# -------------------------------------------------------------------- one entry at a time
 
 
 def _graph_of(*values: Any) -> Any:
@@ -280,11 +276,7 @@ _OPTIONS: Final[Mapping[str, frozenset[str]]] = {
 
 
 def apply_ufunc(ufunc: np.ufunc, method: str, inputs: Sequence[Any], kwargs: dict[str, Any]) -> Any:
-    """A NumPy ufunc on symbols.
-
-    Raises:
-        TraceError: It has no traced meaning, or its result goes into an array of floats.
-    """
+    """A NumPy ufunc on symbols; TraceError where it has no traced meaning, or writes into floats."""
     for x in inputs:  # a type with rules of its own (a gain, named terms) answers itself
         if getattr(x, "answers_ufuncs", False):
             return NotImplemented
@@ -366,8 +358,6 @@ def _refused(what: str) -> TraceError:
     )
 
 
-# -------------------------------------------------------------------- functions
-
 # Functions that only move entries around, or that reach our operators by themselves.
 _PASS: Final = frozenset(
     {
@@ -427,11 +417,7 @@ _STACKING: Final = frozenset({np.stack, np.hstack, np.vstack, np.column_stack})
 
 
 def apply_function(func: Any, args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:
-    """A NumPy function on symbols.
-
-    Raises:
-        TraceError: It has no traced meaning.
-    """
+    """A NumPy function on symbols; TraceError where it has no traced meaning."""
     special = _functions().get(func)
     if special is not None:
         run, signature = special

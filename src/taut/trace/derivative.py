@@ -1,9 +1,6 @@
-"""Derivatives: a forward-mode transform of the graph, one rule for each operation.
+"""Derivatives: a forward-mode transform of the graph, one rule for each operation; they are nodes like any others.
 
-Derivatives are nodes like any others: shared, folded, and available to every target.
-
-References:
-    Griewank and Walther, Evaluating Derivatives (2008), chapter 3.
+Source: Griewank and Walther, Evaluating Derivatives (2008), chapter 3.
 """
 
 from __future__ import annotations
@@ -24,14 +21,9 @@ Tangent = int | None
 
 
 def tangents(graph: Graph, outputs: Sequence[int], seeds: Mapping[int, int], *, means: bool = False) -> list[int]:
-    """The nodes of the directional derivatives of `outputs`.
+    """Nodes of the directional derivatives of `outputs`; `seeds` has that of each independent node. The graph grows.
 
-    Args:
-        graph: The graph, which grows.
-        outputs: Nodes to differentiate.
-        seeds: Derivative of each independent node in the wanted direction.
-        means: Give a function of infinite slope, whose argument does not change, the derivative zero. So the length
-            of a vector that is zero has the mean of the slopes on both sides, in place of none.
+    With `means`, infinite slopes at a constant argument count as 0: |x| at x = 0 has the mean of both sides' slopes.
     """
     known: dict[int, Tangent] = dict(seeds)
     for i in graph.live(outputs):
@@ -121,9 +113,6 @@ _CHAIN: Final[dict[Op, Callable[[Graph, int, int], int]]] = {
 }
 
 _STEEP: Final = frozenset({int(Op.SQRT), int(Op.ASIN), int(Op.ACOS)})  # infinite slopes at the ends of what they take
-
-
-# -------------------------------------------------------------------- of a function
 
 
 def jacobian(function: Callable[[Array], Any], x: Any) -> Matrix:

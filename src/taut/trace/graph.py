@@ -1,9 +1,8 @@
-"""Graph: the straight-line program that tracing yields.
+"""Graph: the straight-line program that tracing yields, of operations on earlier nodes.
 
-A node is an operation on earlier nodes. Equal nodes are one node (hash-consing), and what is known while
-tracing is folded: constants, zeros, ones, signs. Folding keeps every value to the last bit but for three rules
-that make sparse arms cheap: 0 x = 0, 0 / x = 0 and x - x = 0 also where x is infinite, NaN or a divisor of zero.
-Zero has no sign. Nodes that nothing needs are dropped when a target reads the graph.
+Equal nodes are one (hash-consing); constants, zeros, ones and signs are folded, exact to the last bit but for three
+rules that make sparse arms cheap: 0 x = 0, 0 / x = 0 and x - x = 0 also where x is infinite, NaN or a divisor of
+zero. Zero has no sign. Nodes that nothing needs are dropped when a target reads the graph.
 """
 
 from __future__ import annotations
@@ -99,8 +98,6 @@ class Graph:
     def __len__(self) -> int:
         return len(self.ops)
 
-    # ---------------------------------------------------------------- nodes
-
     def _append(self, op: int, a: int, b: int, c: int, value: float | None) -> int:
         i = len(self.ops)
         self.ops.append(op)
@@ -119,11 +116,7 @@ class Graph:
         return i
 
     def const(self, value: float) -> int:
-        """The node of a constant.
-
-        Raises:
-            TraceError: The constant is NaN.
-        """
+        """The node of a constant."""
         i = self.table.get(value)
         if i is None:
             value = float(value) + 0.0  # -0.0 and 0.0 are one constant
@@ -148,8 +141,6 @@ class Graph:
         """A node that stands for a number to be put in later, when a derivative is taken."""
         self.n_placeholders += 1
         return self._append(INPUT, -self.n_placeholders, NONE, NONE, None)
-
-    # ---------------------------------------------------------------- arithmetic, folded
 
     def add(self, a: int, b: int) -> int:
         va, vb = self.value[a], self.value[b]
@@ -327,8 +318,6 @@ class Graph:
         assert op == SELECT, op
         return self.select(a, b, c)
 
-    # ---------------------------------------------------------------- reading
-
     def operands(self, i: int) -> tuple[int, ...]:
         """The nodes that node i computes with."""
         if self.ops[i] in (CONST, INPUT):
@@ -354,10 +343,7 @@ class Graph:
         return [i for i, flag in enumerate(needed) if flag]
 
     def evaluate(self, outputs: Sequence[int], inputs: Sequence[float]) -> Float64Array:
-        """The numbers that `outputs` have at these inputs, one node at a time in Python.
-
-        Slow; for derivatives at a point and for tests.
-        """
+        """The numbers that `outputs` have at these inputs, node by node in Python: slow, for points and tests."""
         values: dict[int, float] = {}
         live = self.live(outputs)
         self.check_closed(live)
@@ -367,11 +353,7 @@ class Graph:
         return np.array([values[i] for i in outputs], dtype=np.float64)
 
     def check_closed(self, nodes: Iterable[int], before: int = 0) -> None:
-        """Refuse nodes that depend on a placeholder made after the first `before`: no number will be put in.
-
-        Raises:
-            TraceError: A value was carried out of a function while it was differentiated.
-        """
+        """Refuse nodes that depend on a placeholder made after the first `before`: a value left its function."""
         if self.n_placeholders > before and any(self.ops[i] == INPUT and self.a[i] < -before for i in nodes):
             raise TraceError(
                 "a value from inside a function that jacobian differentiates is used outside of it; "

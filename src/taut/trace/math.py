@@ -65,9 +65,6 @@ def _numbers(x: Any) -> Any:
     return x
 
 
-# -------------------------------------------------------------------- making arrays
-
-
 def array(x: Any) -> Array:
     """An array of numbers, some of which may be traced: use it where NumPy code has np.array([a, b])."""
     if not has_symbols(x):
@@ -125,9 +122,6 @@ def stack(arrays: Sequence[Any]) -> Array:
     return array([np.asarray(a).tolist() if np.ndim(a) else a for a in arrays])
 
 
-# -------------------------------------------------------------------- branches
-
-
 def where(condition: Any, a: Any, b: Any) -> Any:
     """a where the condition holds, else b. Both are computed: keep 1/0 and sqrt(-1) out of both."""
     if any(has_symbols(x) for x in (condition, a, b)):
@@ -138,9 +132,6 @@ def where(condition: Any, a: Any, b: Any) -> Any:
 def clip(x: Any, low: Any, high: Any) -> Any:
     """x held between low and high; NaN stays NaN."""
     return minimum(high, maximum(low, x))
-
-
-# -------------------------------------------------------------------- functions, entry by entry
 
 
 def _entrywise(ufunc: np.ufunc, doc: str) -> Callable[..., Any]:
@@ -168,9 +159,6 @@ sqrt = _entrywise(np.sqrt, "Square root.")
 exp = _entrywise(np.exp, "e to the power x.")
 log = _entrywise(np.log, "Natural logarithm.")
 tanh = _entrywise(np.tanh, "Hyperbolic tangent.")
-
-
-# -------------------------------------------------------------------- vectors and matrices
 
 
 def norm(x: Any, axis: int | None = None) -> Any:

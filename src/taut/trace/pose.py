@@ -87,10 +87,7 @@ class Pose:
 
     @classmethod
     def of(cls, R: Rotation, p: Vector3) -> Pose:
-        """A pose from a rotation and a position that are known to be valid; symbols too.
-
-        They are not copied, and cannot be written to through the pose.
-        """
+        """A pose from a valid rotation and position, symbols too; not copied, and read-only through the pose."""
         pose = object.__new__(cls)
         pose._set(_view(p), _view(R))
         return pose
@@ -196,8 +193,7 @@ def axis_angle(axis: Array, angle: float) -> Float64Array:
 def snapped(R: Float64Array) -> Float64Array:
     """R with entries that are 0 but for rounding set exactly, and +-1 where an axis lies along another.
 
-    Products with exact zeros and ones vanish from a traced law: on the Panda a fifth of its operations. An entry of
-    1 - 1e-11 alone is no rounding: it belongs to an angle of 4e-6 rad, which its neighbours still show.
+    Exact zeros vanish from a traced law (a fifth of it on the Panda). 1 - 1e-11 alone is 4e-6 rad, not rounding.
     """
     out: Float64Array = np.where(np.abs(R) < SNAP, 0.0, R)
     along = np.count_nonzero(out, axis=1) == 1

@@ -184,8 +184,6 @@ class Condition(Symbol):
 
     __hash__ = Symbol.__hash__
 
-    # ---------------------------------------------------------------- as a number, as in NumPy
-
     def number(self) -> Any:
         """1.0 where it holds, else 0.0."""
         g = self.graph
@@ -364,8 +362,6 @@ class Scalar(Symbol):
     def __rmod__(self, other: Any) -> Any:
         return NotImplemented if _foreign(other) else other - self * _floored(other / self)
 
-    # ---------------------------------------------------------------- comparisons
-
     def _compare(self, op: int, a: Any, b: Any) -> Any:
         g = self.graph
         return to_symbol(g, g.compare(op, _operand(g, a), _operand(g, b)), truth=True)
@@ -392,7 +388,6 @@ class Scalar(Symbol):
 
     __hash__ = Symbol.__hash__
 
-    # ---------------------------------------------------------------- functions
     # NumPy calls these by name on the entries of an object array.
 
     def _unary(self, op: int) -> Any:

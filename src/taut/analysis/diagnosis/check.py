@@ -66,8 +66,8 @@ class Finding:
     A check's test makes it by `run.finding(...)`; the check adds its name and its sentences.
 
     Args:
-        term: The term of the command that is responsible, as in `run.terms`; "delay" for what is between command
-            and torque, "friction" and "transmission" for the joint, "contact", "constraint", "period".
+        term: The responsible term of the command, as in `run.terms`; or "delay" (between command and torque),
+            "friction", "transmission", "contact", "constraint", "period".
         joint: The joint where it is worst; None where it concerns the whole arm.
         fraction: 0 to 1: the part of the feedback effort that it explains, or of what `of` names.
         evidence: The numbers that it was found by.
@@ -136,8 +136,7 @@ class Check:
         needs: What it needs to know of a run; where a run lacks it, the check is left out and a note says so.
         thresholds: The numbers that the test compares with.
         cause: What happened, in a sentence. {joint}, {term} and the names of the evidence are replaced.
-        remedy: What to do about it, likewise; a mapping from the term to the sentence where it depends on that, with
-            "" for all other terms.
+        remedy: What to do about it, likewise; or by term, with "" for all other terms.
         follows: Names of findings that bring this one about: it then stands behind them.
 
     Example:
@@ -173,11 +172,7 @@ class Check:
     follows: tuple[str, ...] = ()
 
     def examine(self, run: ExaminedRun) -> Finding | None:
-        """The finding of a run that has what the check needs, with its sentences; None where there is no fault.
-
-        Raises:
-            UsageError: A sentence names a number that the finding does not have.
-        """
+        """The finding of a run that has what the check needs, with its sentences; None where there is no fault."""
         found = self.test(run)
         if found is None:
             return None
@@ -242,8 +237,6 @@ class ExaminedRun:
         """(k, n) whether a joint is at rest."""
         return np.asarray(np.abs(self.run.v) < RESTING)
 
-    # ---------------------------------------------------------------- errors
-
     @cached_property
     def length(self) -> float:
         """[m] of the stretched arm, from the first joint to the tool: 1 rad of a joint moves the tool as far."""
@@ -266,9 +259,8 @@ class ExaminedRun:
     def error(self) -> Float64Array | None:
         """(k, n) error of the joints [rad | m], desired minus actual; of a task J^+ X_e.
 
-        Of a law that promises an impedance: against the pose that the measured wrench should have moved the tool to.
-        None of a law that controls a force, whose error of motion is only
-        known along its constraint.
+        Of an impedance: against the pose to which the measured wrench should have moved the tool. None of a law that
+        controls a force, whose error of motion is only known along its constraint.
         """
         if self.run.error is not None or self.presses or not self.of_task:
             return None if self.presses else self.run.error
@@ -319,7 +311,7 @@ class ExaminedRun:
         """(n,) whether a joint has settled: its reference rests, and its error changes by less than a tenth.
 
         The change is the difference of the means of the last two tenths of the run, relative to the larger of the
-        error that is left and the tolerance.
+        remaining error and the tolerance.
         """
         ends = self._tail(2)
         if self.error is None or ends.start < 0 or np.any(self.reference_speed[ends.start :]):
@@ -335,8 +327,6 @@ class ExaminedRun:
         if self.error is None:
             return np.zeros(self.n)
         return np.where(self.settled, self.error[self.end].mean(axis=0), 0.0)
-
-    # ---------------------------------------------------------------- torques
 
     @cached_property
     def feedback_terms(self) -> dict[str, Float64Array]:
@@ -439,11 +429,10 @@ class ExaminedRun:
         """A finding of this run, to which its check adds the name and the sentences.
 
         Args:
-            term: The term of the command that is responsible, as in `run.terms`.
+            term: As of `Finding`.
             joint: Index of the joint where it is worst; None where it concerns the whole arm.
-            fraction: 0 to 1: the part of the feedback effort that it explains, or of what `of` names.
-            evidence: The numbers that it was found by: value and unit, by name; "joint" and "torque" stand for the
-                unit of the joint and of its torque.
+            fraction: As of `Finding`.
+            evidence: Value and unit by name; "joint" and "torque" stand for the unit of the joint and of its torque.
             signals: (k,) by name with unit: its figure; error, feedback and command of the joint if left out.
             marked: (k,) ticks that are shaded in it.
             window: The ticks that it shows; all if left out.

@@ -23,8 +23,7 @@ LOADS: Final = ("gravity compensated twice", "gravity not compensated", "wrong p
 def wrong_sign(run: ExaminedRun) -> Finding | None:
     """P or D does negative work on its error while that grows, or a joint moves against its torque.
 
-    Positive definite gains do positive work on the errors of all joints together. A joint that moves against its
-    torque has tau - (M a + h) = 2 tau, and so have the changes of both.
+    Positive definite gains do positive work on all errors together; against its torque tau - (M a + h) = 2 tau.
     """
     e, limit = run.error, run.threshold
     assert e is not None
@@ -56,9 +55,6 @@ def _multiple(y: Array, x: Float64Array) -> tuple[Float64Array, Float64Array]:
     """(n,) k of each column by least squares of y = k x, and the part of y in squares that it leaves."""
     k = np.sum(x * y, axis=0) / np.maximum(np.sum(x**2, axis=0), TINY)
     return k, np.sum((y - k * x) ** 2, axis=0) / np.maximum(np.sum(y**2, axis=0), TINY)
-
-
-# -------------------------------------------------------------------- gravity, payload, friction
 
 
 def _load(run: ExaminedRun) -> tuple[str, Float64Array, float]:
@@ -132,8 +128,7 @@ def _unmodelled(run: ExaminedRun) -> tuple[Float64Array, Float64Array]:
 def _held_by_friction(run: ExaminedRun) -> Array:
     """(n,) joints that end off their target and are held there by dry friction.
 
-    What is beyond model and load is within the dry friction that the motion of the joint showed; or the joint rests,
-    and it never moved by what is tolerated, or not enough to show its friction.
+    The torque beyond model and load is within the dry friction shown in motion; or the joint rests and hardly moved.
     """
     record, limit, end = run.run, run.threshold, run.end
     assert run.error is not None
@@ -179,8 +174,7 @@ def stiction(run: ExaminedRun) -> Finding | None:
 def steady_state_error(run: ExaminedRun) -> Finding | None:
     """A joint settles off its target, held by the feedback against a constant load that nothing else explains.
 
-    What the environment pushes with is no load: an impedance yields to it by design. A command that is cut holds
-    nothing, and what friction holds is stiction.
+    Not a load are a push by the environment (an impedance yields to it), a cut command, and stiction.
     """
     end, limit = run.end, run.threshold
     held, pushed = run.feedback[end].mean(axis=0), run.external[end].mean(axis=0)
@@ -204,9 +198,6 @@ def steady_state_error(run: ExaminedRun) -> Finding | None:
         "stiffness": (abs(held[i] / run.steady_error[i]), stiffness),
     }
     return run.finding("P", i, run.fraction_of(np.zeros_like(run.run.q) + np.where(bad, held, 0.0)), evidence)
-
-
-# -------------------------------------------------------------------- limits
 
 
 def saturation(run: ExaminedRun) -> Finding | None:
@@ -267,6 +258,22 @@ def wind_up(run: ExaminedRun) -> Finding | None:
     return run.finding("I", i, fraction, evidence, signals=signals, marked=cut[:, i] != 0.0)
 
 
+def effort_exceeded(run: ExaminedRun) -> Finding | None:
+    """Joint torques above the effort limit of the arm, which only a simulation without limits gives."""
+    ratio = np.abs(run.run.tau) / run.arm_effort
+    over = ratio > 1.0 + 1e-9
+    if (over.sum(axis=0) < 3).all():  # a drive may give a peak
+        return None
+    i = int(np.argmax(ratio.max(axis=0)))
+    evidence = {
+        "largest torque": (np.abs(run.run.tau[:, i]).max(), "torque"),
+        "effort limit": (run.arm_effort[i], "torque"),
+        "time above it": (100.0 * over[:, i].mean(), "% of the run"),
+    }
+    fraction = np.sum(np.where(over, ratio - 1.0, 0.0) ** 2) / run.effort
+    return run.finding("command", i, fraction, evidence)
+
+
 def torque_jump(run: ExaminedRun) -> Finding | None:
     """The feedback starts with a quarter of the effort limit, and half of all that it ever gives."""
     record, feedback = run.run, np.abs(run.feedback) / run.scale
@@ -287,10 +294,7 @@ def torque_jump(run: ExaminedRun) -> Finding | None:
 
 
 def singularity(run: ExaminedRun) -> Finding | None:
-    """The smallest singular value of J falls below the limit of the laws, and the arm shows it.
-
-    The law gives a part of the task up there, or a joint exceeds its speed limit there alone.
-    """
+    """The smallest singular value of J falls below the laws' limit, and the law or a joint's speed shows it."""
     if not run.of_task:
         return None
     record, sigma = run.run, run.run.task.min_singular_value
@@ -322,14 +326,8 @@ def singularity(run: ExaminedRun) -> Finding | None:
     return run.finding(term, i, fraction, evidence, signals={"smallest singular value of J": sigma}, marked=near)
 
 
-# -------------------------------------------------------------------- contact and timing
-
-
 def wrong_surface(run: ExaminedRun) -> Finding | None:
-    """In contact, phi of a hybrid law's constraint is not zero: the surface is elsewhere, or it yields.
-
-    A law that estimates the normal of the surface is left out: it was given an approximate one.
-    """
+    """In contact, phi of a hybrid law's constraint is not zero, unless the law estimates the surface's normal."""
     record, limit = run.run, run.threshold
     laws = [name.removesuffix(".phi") for name, phi in record.extra.items() if name.endswith(".phi")]
     laws = [law for law in laws if not np.isnan(record.extra[f"{law}.phi"]).any()]
@@ -400,9 +398,6 @@ def late_periods(run: ExaminedRun) -> Finding | None:
     }
     signals = {"period [ms]": 1e3 * periods / rate}
     return run.finding("period", None, late.mean(), evidence, of="the periods", signals=signals, marked=late)
-
-
-# -------------------------------------------------------------------- the table
 
 
 SHARED: Final = (
@@ -572,6 +567,17 @@ CHECKS: Final = (
             "torque": "give the controller the limits of the drives, limits=taut.Limits(tau=...), and demand less",
         },
         follows=(*MOTION_FAULTS, *("late periods", "singularity", "oscillation", "backlash", "wind-up", "chatter")),
+    ),
+    Check(
+        name="effort limit exceeded",
+        test=effort_exceeded,
+        needs=("torque",),
+        cause="'{joint}' receives up to {largest torque}, beyond the arm's effort limit of {effort limit}",
+        remedy="compile with limits=taut.Limits.of(arm), and demand less until they do not cut",
+        follows=(
+            *(*MOTION_FAULTS, *LOADS, *OSCILLATIONS, "stiction", "steady-state error"),
+            *("saturation", "wind-up", "torque jump at the start", "singularity"),
+        ),
     ),
     Check(
         name="torque jump at the start",

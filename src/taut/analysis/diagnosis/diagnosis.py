@@ -87,18 +87,14 @@ def doctor(run: Run, *, arm: Arm | None = None, checks: Sequence[Check] = CHECKS
     """Find what went wrong in a recorded run: wrong signs, oscillation, wrong payload, saturation, friction, ...
 
     Each check is a test of physical quantities of the record against thresholds that stand in one table with unit and
-    reason, see the page on the doctor. Of the parameters of the run only those of the controller are read, never
-    those of the plant, so that the record of a real arm is judged alike. A task is examined phase by phase, and laws
-    side by side each by itself.
+    reason, see the page on the doctor. The plant's parameters are never read, so that the record of a real arm is
+    judged alike. A task is examined phase by phase, and laws side by side each by itself.
 
     Args:
         run: From `taut.run` or `taut.load_run`.
-        arm: The arm that the controller was compiled for; by default the one that the run holds, in memory and in its
-            log. Without one, checks that need a model are left out.
+        arm: The controller's arm; by default the run's own. Without one, checks that need a model are left out.
         checks: The checks to make; `[*taut.analysis.CHECKS, mine]` adds one of your own.
 
-    Returns:
-        The diagnosis; `str()` of it is a report.
 
     Raises:
         UsageError: No run, no arm, no checks.
@@ -196,10 +192,7 @@ def _once(group: Sequence[Finding]) -> Finding:
 
 
 def _ordered(found: Sequence[Finding]) -> tuple[Finding, ...]:
-    """Causes before their consequences, those first that explain most.
-
-    Where two would each follow from the other, the one that explains more is the cause.
-    """
+    """Causes before their consequences, those first that explain most; of two that follow each other likewise."""
     by_size = sorted(found, key=lambda each: -each.fraction)
     first, then = [], []
     for i, each in enumerate(by_size):
@@ -215,14 +208,10 @@ def _ordered(found: Sequence[Finding]) -> tuple[Finding, ...]:
     return (*first, *then)
 
 
-# -------------------------------------------------------------------- runs that are not whole
-
-
 def _longest_complete(run: Run, min_ticks: int) -> tuple[Run | None, list[str]]:
-    """The longest part of a run without missing ticks and values that are not numbers, and what is missing.
+    """The longest part of a run without missing ticks and NaN, and what is missing.
 
-    A tick is missing where the time jumps by whole periods and the number of the last tick shows that there were
-    more. A run that diverged ends without numbers, which is another matter.
+    A tick is missing where the time jumps by whole periods and the ticks' numbers do too; divergence is not meant.
     """
     problems = []
     known, starts = np.ones(len(run), dtype=bool), np.zeros(len(run), dtype=bool)
@@ -246,10 +235,9 @@ def _longest_complete(run: Run, min_ticks: int) -> tuple[Run | None, list[str]]:
 
 
 def _before_running_away(run: Run, min_ticks: int) -> Run:
-    """The ticks before the loop ran away: what comes after says nothing of the arm.
+    """The ticks before the loop ran away, where a command is NaN or a joint faster than any arm.
 
-    It did where a command is not a number or a joint is faster than any arm; of a run that ended so or in a fault,
-    what follows ten times the limits of torque or speed is left out too.
+    Of a run that ended so or in a fault, what follows ten times the limits of torque or speed is left out too.
     """
     speed, effort = (
         np.array([run.info.limits.get(kind, {}).get(joint, np.inf) for joint in run.joint_names])

@@ -32,12 +32,7 @@ CENTRE_WEIGHT: Final = 0.01  # of the prior, which only keeps an unobservable ce
 
 
 def model_of_run(run: Run, arm: Arm | None) -> tuple[ArmModel | None, str]:
-    """The model that the controller of a run had, and where it comes from.
-
-    Args:
-        run: The run.
-        arm: The arm, where the caller knows it; else the one that the run holds.
-    """
+    """The model that the controller of a run had, of a known arm or of the run's own, and where it comes from."""
     known = run.info.controller_arm if arm is None else arm
     if known is None or known.joint_names != run.joint_names:  # of laws side by side, one part has fewer
         return None, "none: give the arm of the controller, arm= or --arm, to have gravity and payload checked"
@@ -65,10 +60,7 @@ class ArmModel:
 
     @cached_property
     def payloads(self) -> Float64Array:
-        """(k, 10) mass [kg], centre [m] and inertia [kg m^2] declared to the law, at every tick.
-
-        The log has the declared payload at the start, and when it was changed.
-        """
+        """(k, 10) mass [kg], centre [m] and inertia [kg m^2] declared to the law at every tick, by the log."""
         out = np.zeros((len(self.run), 10))
         sets: list[tuple[float, Mapping[str, Any]]] = [(-np.inf, self.run.info.parameters)]
         sets += [(event.t, event.set) for event in self.run.info.events]
@@ -149,38 +141,21 @@ class ArmModel:
         return Chain.of(model_of(self.arm), None)
 
 
-# -------------------------------------------------------------------- the fit
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fit:
-    """The torque beyond the model, explained by friction and at most one load.
+    """The torque beyond the model, explained by friction and at most one load."""
 
-    Args:
-        kind: The load: "gravity" that something else compensates too, another "payload", or "none".
-        load: (ticks, n) its torque [N m | N].
-        explained: 0 to 1: of what friction alone leaves, in squares.
-        unexplained: 0 to 1: of the torque beyond the model, in squares.
-        gravity: The fraction of gravity that something else compensates.
-        mass: [kg] of the whole payload, never negative.
-        centre: (3,) [m] centre of mass of the whole payload in the tool frame.
-        covariance: (4, 4) of mass [kg] and centre of mass [m].
-        viscous: (n,) viscous friction [N m s/rad | N s/m].
-        coulomb: (n,) dry friction [N m | N]; 0 of joints without motion.
-        moved: (n,) joints that moved enough to show their friction.
-    """
-
-    kind: Literal["none", "gravity", "payload"]
-    load: Float64Array
-    explained: float
-    unexplained: float
-    gravity: float
-    mass: float
-    centre: Float64Array
-    covariance: Float64Array
-    viscous: Float64Array
-    coulomb: Float64Array
-    moved: Array
+    kind: Literal["none", "gravity", "payload"]  # the load
+    load: Float64Array  # (ticks, n) its torque [N m | N]
+    explained: float  # 0 to 1: of what friction alone leaves, in squares
+    unexplained: float  # 0 to 1: of the torque beyond the model, in squares
+    gravity: float  # fraction that something else compensates
+    mass: float  # [kg] of the whole payload, never negative
+    centre: Float64Array  # (3,) [m] its centre of mass in the tool frame
+    covariance: Float64Array  # (4, 4) of mass [kg] and centre of mass [m]
+    viscous: Float64Array  # (n,) [N m s/rad | N s/m]
+    coulomb: Float64Array  # (n,) [N m | N]; 0 of joints without motion
+    moved: Array  # (n,) joints that moved enough to show their friction
 
 
 def fit_residual(model: ArmModel, scale: Float64Array, threshold: Mapping[str, float]) -> Fit:
@@ -189,14 +164,9 @@ def fit_residual(model: ArmModel, scale: Float64Array, threshold: Mapping[str, f
     Law:  residual = b v + c sign(v) + load,  load = -alpha g  or  Y(q, v, a) (pi(m, r) - pi_declared)
 
     with b, c >= 0 for each joint, and the inertial parameters pi of a point mass m >= 0 at r in the tool frame.
-    Gravity is tried first: it has one parameter. Where joints move, only they are looked at, because dry friction at
-    rest may take any value up to its limit; where next to nothing moves, or too little for the mass of a payload, all
-    are, without dry friction. A payload whose centre of mass is far from the tool is none: another link is heavier.
-
-    Args:
-        model: The model that the controller had.
-        scale: (n,) what the torques of each joint are compared with.
-        threshold: Thresholds by name.
+    Gravity is tried first: it has one parameter. Only moving joints count, because dry friction at rest may take any
+    value up to its limit; if too little moves, all do, without dry friction. A payload whose centre of mass is far
+    from the tool is none: another link is heavier. `scale` (n,) is what each joint's torques are compared with.
     """
     v, v_next = model.run.v[model.ticks], model.run.v[model.ticks + 1]
     moving = (np.minimum(np.abs(v), np.abs(v_next)) > MOVING) & (v * v_next > 0.0)  # throughout the period
@@ -262,8 +232,8 @@ def _payload(
 ) -> tuple[Float64Array, Float64Array]:
     """(4 + 2 n,) mass, centre of mass and friction that explain d best, and the covariance (4, 4) of the first four.
 
-    A centre of mass that the run does not show stays at the tool: a weak prior holds it there, with the reach as its
-    standard deviation. Standard errors are those of a model that is as accurate as its threshold says.
+    A weak prior, the reach its standard deviation, keeps a centre of mass that the run does not show at the tool.
+    Standard errors are those of a model that is as accurate as its threshold says.
     """
     Q, R = np.linalg.qr(np.concatenate([Y, friction], axis=1))  # the same problem in as many rows as parameters
     y, (mass, centre, _) = Q.T @ d, model.payload()

@@ -26,21 +26,13 @@ TWO_PI: Final = 2.0 * math.pi
 
 @dataclass(frozen=True, kw_only=True)
 class Sinusoid:
-    """y = exp(growth t) (a cos(omega t) + b sin(omega t)) + c + d t over a window.
+    """y = exp(growth t) (a cos(omega t) + b sin(omega t)) + c + d t over a window."""
 
-    Args:
-        omega: Angular frequency [rad/s].
-        growth: [1/s].
-        amplitude: In the middle of the window, in the unit of the signal.
-        last: Amplitude at its end.
-        fraction: 0 to 1: of the variance of the signal about its trend.
-    """
-
-    omega: float
-    growth: float
-    amplitude: float
-    last: float
-    fraction: float
+    omega: float  # [rad/s]
+    growth: float  # [1/s]
+    amplitude: float  # in the middle of the window, in the unit of the signal
+    last: float  # amplitude at its end
+    fraction: float  # 0 to 1: of the variance of the signal about its trend
 
     @property
     def zeta(self) -> float:
@@ -49,19 +41,10 @@ class Sinusoid:
 
 
 def fit_sinusoid(y: Float64Array, dt: float, above: float = 0.0, fraction: float = 0.0) -> Sinusoid | None:
-    """The strongest damped sinusoid of a signal, of at least four periods in the window.
+    """The strongest damped sinusoid of a signal, of at least four periods; None of a short or constant window.
 
-    The peak of the Hann-windowed spectrum is where a fit by least squares in growth and frequency starts; the linear
-    parameters are solved for in each step (variable projection).
-
-    Args:
-        y: (k,) the signal.
-        dt: Period [s].
-        above: [rad/s] only frequencies above this.
-        fraction: A signal with less than half of this part of its variance above that is left out.
-
-    Returns:
-        The sinusoid; None of a window that is too short or constant.
+    From the peak of the Hann-windowed spectrum, least squares in growth and frequency; the linear parameters are
+    solved for in each step (variable projection). Half of the variance `fraction` must be at omega > above [rad/s].
     """
     k = len(y)
     if k < MIN_TICKS or not np.isfinite(y).all():
@@ -106,39 +89,25 @@ def without_trend(x: Float64Array) -> Float64Array:
     return np.asarray(x - basis @ np.linalg.lstsq(basis, x, rcond=None)[0])
 
 
-# -------------------------------------------------------------------- oscillation
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Oscillation:
-    """An oscillation of the feedback of a joint.
+    """An oscillation of the feedback of a joint."""
 
-    Args:
-        joint: The joint where it is strongest.
-        window: The ticks in which it is.
-        fraction: 0 to 1: of the feedback effort in the run.
-        sinusoid: Its frequency and damping; None of a loop that is judged unstable and left its limits too fast.
-        kind: The finding: "oscillation", "stick-slip" or "backlash".
-        term: The term that feeds it; "D" where it lacks damping.
-        evidence: What shows its kind.
-    """
-
-    joint: int
-    window: slice
-    fraction: float
-    sinusoid: Sinusoid | None
-    kind: str = "oscillation"
-    term: str = ""
-    evidence: Mapping[str, tuple[float, str]] = field(default_factory=dict)
+    joint: int  # where it is strongest
+    window: slice  # its ticks
+    fraction: float  # 0 to 1: of the feedback effort in the run
+    sinusoid: Sinusoid | None  # None of an unstable loop that left its limits too fast
+    kind: str = "oscillation"  # or "stick-slip", "backlash"
+    term: str = ""  # that feeds it; "D" where it lacks damping
+    evidence: Mapping[str, tuple[float, str]] = field(default_factory=dict)  # of its kind
 
 
 def find_oscillation(run: ExaminedRun) -> Oscillation | None:
     """The oscillation of a run, by kind and by the term that feeds it.
 
-    It is fed by the term that does positive work on it, sum tau_term dq over whole ticks, so that the zero-order hold
-    is in it. It is stick-slip where the joint comes to rest again and again; backlash, or a flexible joint, where the
-    torque of the drives takes work out of it and it is sustained all the same; none where the environment or a term
-    that acts on no error excites the arm.
+    It is fed by the term that does positive work on it, sum tau_term dq over whole ticks, with the zero-order hold.
+    It is stick-slip where the joint comes to rest again and again; backlash, or a flexible joint, where the drives'
+    torque takes work out of a sustained one; none where the environment or a term without error excites the arm.
     """
     found = _strongest(run) or _unstable(run)
     if found is None:
@@ -225,7 +194,7 @@ def _reference_frequency(run: ExaminedRun, window: slice) -> float:
 
 
 def _work(run: ExaminedRun, window: slice) -> tuple[dict[str, float], float]:
-    """Work on the oscillation by term, and the work that the drives and the environment take out of it together.
+    """Work on the oscillation by term, and what drives and environment together take out of it.
 
     "delay" is what the drives make of the command, "torque" what is beyond their limit, "environment" J^T F_ext.
     """
@@ -302,9 +271,6 @@ def oscillation(run: ExaminedRun, kind: str) -> Finding | None:
         remedy=f"raise the damping (kd, B or zeta){factor}" if lacks else "",
         note=stability,
     )
-
-
-# -------------------------------------------------------------------- chatter
 
 
 def chatter(run: ExaminedRun) -> Finding | None:

@@ -1,8 +1,4 @@
-"""Arms that are in memory: the textbook's lists of screw axes, and Pinocchio models, which is not imported here.
-
-The angular part comes first in the textbook's twists and inertias; `arm_from_screws` is the only place where that
-order is read.
-"""
+"""Arms from the textbook's screw axes, which have the angular part first, and from Pinocchio models."""
 
 from __future__ import annotations
 
@@ -33,11 +29,9 @@ SCREW_WORDS: Final = Words(no_mass="fix its entry of Glist", wrong_inertia="fix 
 def arm_from_screws(
     arm_class: type[Arm], Mlist: ArrayLike, Glist: ArrayLike, Slist: ArrayLike, gravity: ArrayLike, name: str
 ) -> Arm:
-    """The arm of the textbook's lists; see `Arm.from_screws`.
+    """The arm of `Arm.from_screws`. Frames `link1` ... `linkn` are the textbook's; joint i has the axes of link i.
 
-    Frames:
-        Joint i has the axes of link frame i; it stands where its axis passes that frame's origin most closely,
-        or at the origin itself if it is prismatic. The frames `link1` ... `linkn` are the textbook's.
+    Its origin is the point of its axis nearest to that frame's origin, or the origin itself if it is prismatic.
     """
     S = finite_array("Slist", Slist)
     if S.ndim != 2 or S.shape[0] != 6 or S.shape[1] == 0:
@@ -99,10 +93,7 @@ def _problem(tree: Tree, i: int, text: str) -> None:
 
 
 def _inertia(name: str, G: Float64Array) -> Body:
-    """Mass properties from a spatial inertia, angular first, in the link's frame.
-
-    G = [[I_com - m [c][c], m [c]], [-m [c], m 1]] with the centre of mass at c; most often c = 0.
-    """
+    """Body of G = [[I_com - m [c][c], m [c]], [-m [c], m 1]], angular part first, link frame, com at c."""
     scale = max(float(np.abs(G).max()), np.finfo(float).tiny)
     m = float(np.trace(G[3:, 3:])) / 3.0
     mc = np.array([G[2, 4], G[0, 5], G[1, 3]])
@@ -122,9 +113,6 @@ def _inertia(name: str, G: Float64Array) -> Body:
     S = tm.skew(c)
     I = G[:3, :3] + m * S @ S
     return Body(mass=m, com=c, inertia=0.5 * (I + I.T))
-
-
-# -------------------------------------------------------------------- Pinocchio
 
 
 WORDS: Final = Words(
@@ -148,11 +136,7 @@ KINDS: Final[dict[str, JointKind]] = {
 
 
 def pinocchio_tree(model: PinocchioModel) -> Tree:
-    """A Pinocchio model as links and joints.
-
-    Rotor inertia is `armature`, which is what Pinocchio's own algorithms add to the mass matrix, or, where that
-    is zero, rotorInertia times rotorGearRatio squared.
-    """
+    """A Pinocchio model; rotor inertia is `armature`, or rotorInertia rotorGearRatio^2 where that is zero."""
     tree = Tree(name=model.name or "arm", source="a Pinocchio model", words=WORDS)
     tree.gravity = np.array(model.gravity.linear)
     links = [str(name) for name in model.names]

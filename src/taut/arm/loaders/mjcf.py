@@ -1,7 +1,6 @@
-"""MJCF to links and joints, through MuJoCo's own compiler: defaults, angles and frames are its business.
+"""MJCF to links and joints, through MuJoCo's own compiler; no mesh, texture or other file is opened.
 
-No mesh, texture or other file is ever opened. The root link is MuJoCo's world; a link's frame is MuJoCo's body
-frame. A joint whose anchor is not the body's origin has a frame of its own, under the joint's name.
+A link's frame is MuJoCo's body frame; a joint whose anchor is not its origin has a frame of its own, by its name.
 """
 
 from __future__ import annotations
@@ -32,11 +31,7 @@ WORDS: Final = Words(
 
 
 def mjcf_tree(root: Element, path: Path) -> Tree:
-    """The links and joints of an MJCF document whose root element has been read already.
-
-    Raises:
-        ModelError: What is wrong with its text, or what MuJoCo refuses; the rest is raised by `assemble`.
-    """
+    """The links and joints of an MJCF document whose root element has been read already."""
     source = prepare(root, path)
     if source.problems:
         raise ModelError(str(path), source.problems)

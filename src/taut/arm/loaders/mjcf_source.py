@@ -1,8 +1,7 @@
-"""An MJCF document made safe for MuJoCo, and compiled by it: includes resolved, files and extensions taken out.
+"""An MJCF document made safe for MuJoCo and compiled by it: includes resolved, files and extensions removed.
 
-MuJoCo gets one text in which nothing names a file, with one element on each line, so that the lines in its
-messages can be traced back to the user's files. What makes no sense of an arm is MuJoCo's to say; here is what it
-would take in silence: numbers that are not finite or huge, ranges the wrong way round, names that are there twice.
+One element a line traces MuJoCo's messages to the user's files. Checked here is what MuJoCo accepts in silence:
+numbers not finite or huge, reversed ranges, duplicate names.
 """
 
 from __future__ import annotations
@@ -83,6 +82,7 @@ NUMBERED: Final = frozenset(
     | {"general", "motor", "position", "velocity", "intvelocity", "damper"}
 )
 RANGES: Final = ("range", "actuatorfrcrange", "forcerange", "ctrlrange")
+NOT_NEGATIVE: Final = {"joint": ("stiffness",), "option": ("timestep", "density", "viscosity")}
 PLACEHOLDER: Final = 0.01  # [m] radius of the sphere that stands for a mesh
 _LINE = re.compile(r"line (\d+)")
 ESCAPED: Final = str.maketrans(
@@ -109,11 +109,7 @@ class MjcfSource:
 
 
 def prepare(root: Element, path: Path) -> MjcfSource:
-    """The safe text of a document whose root element has been read already.
-
-    Raises:
-        ModelError: It is too deep or large.
-    """
+    """The safe text of a document whose root element has been read already."""
     source = MjcfSource(text="", lines=[], meshes={})
     whole = _Includes(path, source.problems).resolved(root)
     source.problems.extend(_problems(whole, str(path)))
@@ -189,9 +185,6 @@ class _Includes:
         self._problems.append(Problem(object="include", attribute="file", message=message, line=include.line))
 
 
-# -------------------------------------------------------------------- what can be wrong
-
-
 def _owners(root: Element) -> Iterator[tuple[str, Element]]:
     """Each element with how it is called in a message: its own name, or that of what holds it."""
     stack = [("model", root)]
@@ -252,9 +245,8 @@ def _number_problems(element: Element) -> Iterator[tuple[str, str]]:
             if attribute in RANGES and len(values) == 2 and any(values) and values[0] >= values[1]:
                 low, high = values  # MuJoCo would take it for "no limit"
                 yield attribute, f"{where} must go from low to high; got {low:g} to {high:g}; swap them"
-
-
-# -------------------------------------------------------------------- the safe text
+            if attribute in NOT_NEGATIVE.get(element.tag, ()) and values[0] < 0.0:
+                yield attribute, f"{where} must be >= 0; got {values[0]:g}"
 
 
 def _mesh_files(root: Element) -> Iterator[tuple[str, str]]:
@@ -303,9 +295,6 @@ def _write(element: Element, text: list[str], lines: list[Element]) -> None:
     lines.append(element)
 
 
-# -------------------------------------------------------------------- MuJoCo's compiler
-
-
 @dataclass(kw_only=True)
 class Compiled:
     """What MuJoCo made of the text, and the elements that it came from."""
@@ -318,11 +307,7 @@ class Compiled:
 
 
 def compiled(source: MjcfSource, path: Path) -> Compiled:
-    """Parse and compile.
-
-    Raises:
-        ModelError: What MuJoCo refuses, traced back to the element; a mass that only a mesh would give.
-    """
+    """Parse and compile."""
     import mujoco
 
     with warnings.catch_warnings():

@@ -28,14 +28,7 @@ Meshes: TypeAlias = dict[tuple[str, tuple[float, ...]], str]
 def add_links(
     arm: Arm, base: mujoco.MjsBody, T_base: Pose, names: Sequence[tuple[str, str]]
 ) -> list[tuple[mujoco.MjsBody, mujoco.MjsJoint]]:
-    """One body and its joint for each of the arm's, in the arm's order.
-
-    Args:
-        arm: The arm.
-        base: The MuJoCo body that the arm stands on.
-        T_base: Pose of the arm's base in it.
-        names: Of body and joint.
-    """
+    """One body and its joint for each of the arm's, named (body, joint), on `base` with T_base in its frame."""
     import mujoco
 
     made: list[tuple[mujoco.MjsBody, mujoco.MjsJoint]] = []
@@ -49,11 +42,7 @@ def add_links(
 
 
 def add_shape(spec: mujoco.MjSpec, body: mujoco.MjsBody, T: Pose, visual: Visual, meshes: Meshes) -> mujoco.MjsGeom:
-    """A visual as a geom that touches nothing, standing at T in a MuJoCo body.
-
-    Raises:
-        FileError: The file of its mesh is not there, empty, or cannot be read.
-    """
+    """A visual as a geom that touches nothing, standing at T in a MuJoCo body."""
     import mujoco
 
     kinds, size = mujoco.mjtGeom, visual.size

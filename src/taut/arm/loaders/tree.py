@@ -1,7 +1,6 @@
-"""From links and joints as a file gives them to an Arm: one way for URDF, MJCF, screws and Pinocchio.
+"""From links and joints, as URDF, MJCF, screws or Pinocchio give them, to an Arm.
 
-A loader fills a Tree and reports what it cannot read; `assemble` checks what is there, locks joints, lumps
-the links that hang on each other, and either gives an Arm or raises with every problem at once.
+A loader fills a Tree; `assemble` checks it, locks joints, lumps fixed links, and raises every problem at once.
 """
 
 from __future__ import annotations
@@ -119,19 +118,9 @@ def assemble(
     gravity: ArrayLike | None = None,
     home: Mapping[str, float] | ArrayLike | None = None,
 ) -> Arm:
-    """The Arm of a tree of links and joints.
+    """The Arm of a tree of links and joints, with T_WB, gravity in the world and home (by name, or (n,)) if given.
 
-    Args:
-        arm_class: The class of what is made, `Arm`, which stands above its loaders.
-        tree: What a loader read.
-        T_WB: Where the base stands in the world.
-        gravity: (3,) [m/s^2] in the world; the tree's if left out.
-        home: Joint positions by name, or (n,); the tree's, else zero, or mid-range where zero is out of limits.
-
-    Raises:
-        ModelError: Everything that is wrong with the model.
-        UnknownNameError: A locked joint or a tool that does not exist.
-        UsageError: More than one leaf and no tool named.
+    Home is otherwise the tree's, else zero, or mid-range where zero is out of limits. ModelError has every problem.
     """
     locked = _checked_locks(tree)
     problems = [*tree.problems, *structure_problems(tree)]
@@ -201,11 +190,7 @@ def _checked_locks(tree: Tree) -> dict[str, float]:
 
 
 def require_within_limits(at: str, value: float, joint: Joint) -> None:
-    """A position that the joint can have.
-
-    Raises:
-        RangeError: It is out of the joint's limits; the message calls it `at`.
-    """
+    """Refuse a position out of the joint's limits, called `at` in the message."""
     slack = 1e-9 * max(1.0, abs(value))
     if joint.lower < joint.upper and not joint.lower - slack <= value <= joint.upper + slack:
         limits = f"[{joint.lower:g}, {joint.upper:g}]"
@@ -280,14 +265,8 @@ def _limit_notes(joints: list[Joint]) -> Iterator[str]:
             yield f"no {words} limit on {quoted_list(free)}"
 
 
-# -------------------------------------------------------------------- links that hang on each other
-
-
 class _Lumps:
-    """Bodies, joints, frames and visuals of a tree, some of whose joints are locked.
-
-    Joints stand in the order of a walk from the root: parents before children, each chain in one piece.
-    """
+    """Bodies, joints, frames and visuals of a partly locked tree; parents before children, each chain contiguous."""
 
     def __init__(self, tree: Tree, locked: Mapping[str, float]) -> None:
         self._tree = tree

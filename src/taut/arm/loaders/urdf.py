@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import itertools
 import math
 from collections.abc import Container, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink, Words
-from taut.arm.loaders.visuals import MeshPaths, colours_of, urdf_visuals
+from taut.arm.loaders.visuals import SIZES, MeshPaths, colours_of, urdf_visuals
 from taut.arm.loaders.xml import BadNumberError, Element, numbers
 from taut.arm.parts import Body, Joint, JointKind, inertia_matrix
 from taut.arm.rules import MAX_LINKS
@@ -50,15 +52,9 @@ LIKE: Final = 0.75  # difflib's ratio from which a word is taken for another
 
 
 def urdf_tree(robot: Element, path: Path, packages: Mapping[str, Path] | None = None) -> Tree:
-    """The links and joints of a URDF document; its problems are kept in the tree, and `assemble` raises them.
+    """The links and joints of a URDF document, and its problems, which `assemble` raises.
 
-    Args:
-        robot: Its root element.
-        path: The file.
-        packages: Folders that stand for `package://NAME` in the names of meshes.
-
-    Raises:
-        ModelError: It has more links or joints than an arm.
+    `packages` has the folders that stand for `package://NAME` in mesh names.
     """
     name = robot.get("name") or path.stem
     tree = Tree(name=name, source=str(path), line=robot.line, words=WORDS)
@@ -100,12 +96,11 @@ class _Reader:
             text = "continuous, so the position limits in the file are left out"
             self._tree.notes.append(f"{quoted_list(self._wrapping)}: {text}")
 
-    # ---------------------------------------------------------------- links
-
     def _link(self, element: Element) -> TreeLink:
         link = TreeLink(name=element.get("name") or "", line=element.line)
         owner = f"link '{link.name}'"
         self._check_words(owner, element)
+        self._check_sizes(owner, element)
         inertial = self._only(owner, element, "inertial")
         if inertial is None:
             return link
@@ -125,8 +120,6 @@ class _Reader:
         I = inertia_matrix(six)
         link.inertia = Body(mass=m, com=origin.p, inertia=origin.R @ I @ origin.R.T)
         return link
-
-    # ---------------------------------------------------------------- joints
 
     def _joint(self, element: Element) -> TreeJoint | None:
         name = element.get("name") or ""
@@ -198,8 +191,6 @@ class _Reader:
                 read["lower"], read["upper"] = -math.inf, math.inf
         return read
 
-    # ---------------------------------------------------------------- pieces
-
     def _problem(self, owner: str, attribute: str, text: str, line: int) -> None:
         name = owner.partition("'")[2].removesuffix("'") or owner.partition(" ")[0]
         self._tree.problem(name, attribute, f"{owner}: {text}", line)
@@ -214,6 +205,17 @@ class _Reader:
     def _check_words(self, owner: str, element: Element) -> None:
         for word, text, line in _slips(element):
             self._problem(owner, word, text, line)
+
+    def _check_sizes(self, owner: str, element: Element) -> None:
+        """Shapes are never needed to control an arm, but one of a negative size is a slip."""
+        shapes = (*element.all("visual"), *element.all("collision"))
+        bodies = [body for shape in shapes for geometry in shape.all("geometry") for body in geometry.children]
+        sizes = {(tag, name): count for tag, counts in SIZES.items() for name, count in counts.items()}
+        for body, ((tag, name), count) in itertools.product(bodies, sizes.items()):
+            with suppress(BadNumberError):  # which is left out of what is drawn
+                if body.tag == tag and min(numbers(body.get(name) or "", count)) < 0.0:
+                    text = f"{name} of <{tag}> must be >= 0 [m]; got {body.get(name)}"
+                    self._problem(owner, name, text, body.line)
 
     def _only(self, owner: str, element: Element, tag: str) -> Element | None:
         """The one child of that tag; a second one is a problem."""
@@ -263,15 +265,11 @@ class _Reader:
             return tuple(math.copysign(math.inf, d) if math.isnan(d) else d for d in default)
 
 
-# A vendor may put elements and attributes of its own into a URDF file, and those are fine. A misspelt known word is
-# not: left out, it would change the arm in silence.
+# A vendor's own elements and attributes are fine; a misspelt known word, left out, would change the arm in silence.
 
 
 def _slips(element: Element) -> Iterator[tuple[str, str, int]]:
-    """Words in an element that are most likely misspelt: (word, sentence, line).
-
-    Only where the known word itself is missing: `limits` beside a `limit` is a vendor's own.
-    """
+    """(word, sentence, line) of likely misspellings, only where the known word itself is missing."""
     tags = {child.tag: child.line for child in element.children}
     for tag, line in tags.items():
         like = _meant(tag, ELEMENTS.get(element.tag, ()), tags)
@@ -294,8 +292,7 @@ def _meant(word: str, known: tuple[str, ...], present: Container[str]) -> str | 
     return close[0] if close and close[0] not in present else None
 
 
-# <transmission> elements of ROS, and Drake's words for the rotor inertia. One that is not one joint and one actuator
-# is no gear of a joint; it is left out and said.
+# <transmission> of ROS, and Drake's rotor inertia; without one joint and one actuator it is left out with a note.
 
 
 def _read_transmissions(robot: Element, tree: Tree) -> None:

@@ -1,8 +1,6 @@
-"""What of a model can be drawn, and which mesh files may be shown. Never needed to control an arm.
+"""The drawable shapes of a model, and the mesh files that may be shown: those in its own or its catalogue's folder.
 
-Mesh files are those inside the model's own folder or its catalogue's. Nothing here opens one, and a path that leads
-anywhere else is dropped with a note. Of a MJCF the geoms are drawn that MuJoCo shows by default; of a URDF what is
-wrong is left out.
+No mesh is opened; other paths are dropped with a note. Of a MJCF, geoms that MuJoCo shows by default are drawn.
 """
 
 from __future__ import annotations
@@ -29,12 +27,7 @@ class OutsideError(ValueError):
 
 
 class MeshPaths:
-    """Resolves the mesh names of one model, and remembers those that cannot be shown.
-
-    Args:
-        folder: The folder of the model file; relative names start there.
-        packages: Folders that stand for `package://NAME`.
-    """
+    """Resolves mesh names, relative to `folder` or as `package://NAME`, and remembers those that cannot be shown."""
 
     def __init__(self, folder: Path, packages: Mapping[str, Path] | None = None) -> None:
         self._roots = {"": folder, **(packages or {})}
@@ -62,11 +55,7 @@ class MeshPaths:
 
 
 def file_inside(root: Path, name: str) -> Path:
-    """The path of a file below `root`, given by a plain relative name; it need not exist.
-
-    Raises:
-        OutsideError: An address, an absolute path, `..`, or a link that leads out; the text says which.
-    """
+    """The path below `root` of a plain relative name, existing or not; OutsideError if it leads out."""
     if not name.isprintable() or any(character in name for character in ":\\"):
         raise OutsideError("is an address or an odd name, not a plain relative path")
     parts = PurePosixPath(name)
@@ -83,13 +72,7 @@ LAST_SHOWN_GROUP: Final = 2  # collision shapes live in the groups above
 
 
 def mjcf_visuals(result: Compiled, files: Mapping[str, str], meshes: MeshPaths) -> Iterator[tuple[int, Visual]]:
-    """Shapes to draw, each with the id of its body.
-
-    Args:
-        result: The compiled model.
-        files: Mesh names with their files, relative to the model's folder.
-        meshes: Where mesh files may be.
-    """
+    """Shapes to draw, each with the id of its body; `files` are those of meshes, relative to the model's folder."""
     import mujoco
 
     m = result.model

@@ -1,7 +1,6 @@
 """A small, safe XML reader: elements with attributes, text and line numbers, and nothing else.
 
-Robot models come from anywhere. A document type, and with it every entity, is refused before it can expand or
-fetch anything; size, depth and number of elements are bounded, and the reader stops at the bound.
+A document type, and with it every entity, is refused before it can expand; size, depth and elements are bounded.
 """
 
 from __future__ import annotations
@@ -61,20 +60,7 @@ class Element:
 
 
 def numbers(text: str, count: int | None = None, *, bounded: bool = True) -> tuple[float, ...]:
-    """The numbers in an attribute, separated by blanks.
-
-    Args:
-        text: What the file says.
-        count: How many there must be; any number if None.
-        bounded: Refuse what is larger than any length, mass or inertia of an arm.
-
-    Raises:
-        BadNumberError: Not numbers, not finite, too many or too few.
-
-    Example:
-        >>> numbers("0 -1.5e-3 .5", 3)
-        (0.0, -0.0015, 0.5)
-    """
+    """The `count` numbers in an attribute, finite, and of a plausible size if `bounded`; raises BadNumberError."""
     if len(text) > MAX_WORDS:
         raise BadNumberError(f"must be {_amount(count)}; got {len(text)} characters")
     words = text.split()
@@ -112,17 +98,7 @@ def _shown(text: str) -> str:
 
 
 def read_xml(path: Path, kind: str = "model", shown: str | None = None) -> Element:
-    """The root element of a file.
-
-    Args:
-        path: The file.
-        kind: What the file is to the caller, for messages.
-        shown: The name of the file in messages; its path by default.
-
-    Raises:
-        FileError: Not there, a folder, empty or not readable.
-        ModelError: Not well-formed, or beyond a bound; the problem has a line.
-    """
+    """The root element of a file, which messages call a `kind` and `shown`. Raises FileError, ModelError."""
     file = readable_file(kind, path)
     with file.open("rb") as stream:
         data = stream.read(MAX_BYTES + 1)
@@ -130,11 +106,7 @@ def read_xml(path: Path, kind: str = "model", shown: str | None = None) -> Eleme
 
 
 def parse_xml(data: bytes, source: str) -> Element:
-    """The root element of a document.
-
-    Raises:
-        ModelError: Not well-formed, or beyond a bound; the problem has a line.
-    """
+    """The root element of a document. Raises ModelError with a line."""
     if len(data) > MAX_BYTES:
         raise _refused(source, "size", f"the file is larger than {MAX_BYTES // 2**20} MB, the most that is read")
     if not data.strip():

@@ -57,18 +57,15 @@ class Admittance(Law):
 
     With F_ext = 0 the energy of model="own" about a resting reference, V D V / 2 + X K X / 2, never grows, however
     long the tick; with it, by no more than F_ext does on the model. The measured wrench is a tick old, and
-    `taut.Sensing(F_ext=taut.sensors.LowPass(...))` filters it. Integrating the measured state over a tick, as the
-    chapter
-    does before eq. 10.31, would make the inner law see an error of its own making, and show D / (1 + kd dt) and the
-    damping B - kp dt D: model="measured" asks for the acceleration alone.
+    `taut.Sensing(F_ext=taut.sensors.LowPass(...))` filters it. Integrating the measured state over a tick, as before
+    eq. 10.31, would show D / (1 + kd dt) and B - kp dt D: model="measured" asks for the acceleration alone.
 
     Frames:
         frame= names the axes of D, B and K: "world", "task" (of the reference pose) or "tool". X is (p - p_ref, the
         rotation vector of R R_ref^T). F_ext is taken at the tool that is controlled.
 
     Args:
-        inner: What makes the arm follow a TaskMotion: `TaskComputedTorque` for torques, `TaskVelocity` and
-            `TaskPosition` for arms whose drives close these loops.
+        inner: Follows a TaskMotion: `TaskComputedTorque`, or for drives `TaskVelocity`, `TaskPosition`.
         D: Virtual inertia: (linear, angular), (6,) or (6, 6).
         K: Stiffness; none if left out: the tool stays where it is led.
         B: Damping; or zeta.
@@ -179,8 +176,6 @@ def _motion(body: Body, acceleration: Vector) -> TaskMotion:
     return TaskMotion.of({"p": body.p, "R": body.R, "twist": body.twist, "acceleration": acceleration})
 
 
-# -------------------------------------------------------------------- the virtual mass, spring and damper
-#
 # In the axes of one frame and about relative motion: X from the reference to the tool, (p - p_ref, log(R R_ref^T)),
 # and U the velocity that belongs to it.
 
@@ -213,10 +208,7 @@ class Body:
 
 
 def moved(body: Body, ref: TaskMotion, mean: Twist, after: Twist, dt: Any) -> Body:
-    """The body after a tick, from the mean of U over it and U at its end, beside a reference that moves on.
-
-    One Newton step keeps the rotation a rotation: what rounding adds in a tick is squared away in the next.
-    """
+    """The body after a tick, from mean and end of U, beside a moving reference; a Newton step keeps R a rotation."""
     turn = rotation_exp(dt * mean[3:])
     step = ref.twist + 0.5 * dt * ref.acceleration
     carried = rotation_exp(dt * body.carried(ref, step)[3:])
@@ -230,11 +222,7 @@ def moved(body: Body, ref: TaskMotion, mean: Twist, after: Twist, dt: Any) -> Bo
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Model:
-    """D U-dot + B U + K X = F, in the axes that D, B and K have.
-
-    The spring pulls down the gradient of X . K X / 2, A^T K X with X-dot = A U; with one stiffness for all directions
-    of a rotation, and axes that do not turn, that is K X itself.
-    """
+    """D U-dot + B U + A^T K X = F in the axes of D, B and K; A^T K X is the gradient of X . K X / 2, X-dot = A U."""
 
     D: Matrix  # (6, 6) [kg, kg m^2]
     B: Matrix  # (6, 6) [N s/m, N m s/rad]
@@ -269,9 +257,8 @@ class Model:
     def step(self, X: Twist, U: Twist, F: Wrench, dt: Any) -> Twist:
         """(6,) the mean of U over a tick, by the implicit midpoint rule; U after it is 2 mean - U.
 
-        D (U+ - U) / dt = F - B mean - grad(X + mean dt / 2): of the linear part the energy changes by exactly
-        dt (F . mean - mean . B mean), and of a rotation with one stiffness for all axes by no more, for half the
-        squared angle curves less than it does in the plane.
+        D (U+ - U) / dt = F - B mean - grad(X + mean dt / 2): the energy changes by at most dt (F . mean - mean . B
+        mean).
         """
         A = self._rates(X)
         S = (2.0 / dt) * self.D + self.B + (0.5 * dt) * (A.T @ self.K @ A)
@@ -310,19 +297,10 @@ def answered(model: Model, frame: GainFrame, body: Body, ref: TaskMotion, F: Wre
 
 
 def integrated(model: Model, frame: GainFrame, body: Body, ref: TaskMotion, F: Wrench, dt: Any) -> tuple[Twist, Body]:
-    """(6,) mean acceleration over a tick, world axes, and the body after it.
+    """(6,) mean acceleration over a tick under F (6,), world axes, and the body after it.
 
-    Where D or K differ between directions that turn, the midpoint rule is off by the third order of dt. What would be
-    energy out of nothing is taken from the velocity; if that is not enough, as it may be where a tick is longer than
-    the oscillation, the body stays where it is.
-
-    Args:
-        model: Mass, damper and spring.
-        frame: The axes of its numbers.
-        body: Where it is.
-        ref: What it is tied to, which goes on as it moves now.
-        F: (6,) on the body, world axes [N, N m].
-        dt: Length of the tick [s].
+    Where D or K differ by direction the midpoint rule is off by the third order of dt: energy that it would create is
+    taken from the velocity, or, where that is not enough, the body stays where it is.
     """
     R = _axes(frame, body, ref)
     X, U, F = (inwards(R, six) for six in (body.offset(ref), body.velocity(ref), F))
@@ -351,9 +329,6 @@ def _later(ref: TaskMotion, dt: Any) -> TaskMotion:
             "acceleration": ref.acceleration,
         }
     )
-
-
-# -------------------------------------------------------------------- checks
 
 
 def _check_own(D: Float64Array, B: Float64Array, K: Float64Array, rate: float) -> None:

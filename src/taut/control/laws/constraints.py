@@ -27,11 +27,7 @@ REFERENCE_INSTANTS: Final = 64  # at a motion before it is followed
 
 
 def check_constraint(constraint: Constraint, x: Snapshot) -> None:
-    """Its rows must be independent, and of joints that can move against them.
-
-    Raises:
-        RangeError: A gradient of zero or of NaN, rows that depend on each other, or on what the joints cannot do.
-    """
+    """Rows must be independent, with gradients, and of joints that can move against them. Raises RangeError."""
     rows = constraint.at(x)
     where = f"at the pose of '{x.arm.name}' there"
     sizes = np.linalg.norm(np.asarray(rows.A_q if rows.A is None else rows.A, dtype=np.float64), axis=1)
@@ -56,11 +52,7 @@ def check_constraint(constraint: Constraint, x: Snapshot) -> None:
 
 
 def check_place(constraint: Constraint, x: Snapshot, tolerance: float) -> None:
-    """A run starts on its constraint.
-
-    Raises:
-        RangeError: It is farther away than the tolerance.
-    """
+    """A run starts on its constraint, within the tolerance. Raises RangeError."""
     phi = np.asarray(constraint.at(x).phi, dtype=np.float64)
     advice = "start from taut.dynamics.onto(constraint, arm, q), or approach first"
     _check_on(phi, constraint.one_sided, tolerance, "q0", "a hybrid run must start on its constraint, and", advice)
@@ -69,22 +61,9 @@ def check_place(constraint: Constraint, x: Snapshot, tolerance: float) -> None:
 def check_reference(
     constraint: Constraint, x: Snapshot, ref: Reference, tool: str | None, tolerance: float, *, later: bool = False
 ) -> None:
-    """A reference that is known before it is followed asks for forces that the constraint admits, and keeps to it.
+    """A known reference must ask for admissible forces and keep to the constraint, within the tolerance.
 
-    Of a chunk its samples are looked at, of a trajectory 64 instants.
-
-    Args:
-        constraint: The constraint.
-        x: Where and when it is followed from.
-        ref: The reference.
-        tool: The frame that moves; None for the arm's tool.
-        tolerance: Largest phi [m, rad].
-        later: Whether it is followed from a later time on, elsewhere: then not what depends on either.
-
-    Raises:
-        UsageError: press where there is no surface; more or fewer multipliers than rows.
-        RangeError: A wrench outside the range of A^T, a pull at a contact, a motion that leaves the constraint or
-            goes into it.
+    Checked are samples of a chunk, 64 instants of a trajectory; if followed `later`, only what needs neither x nor t.
     """
     of_tool, here = of_one_body(constraint, x, tool), constraint.at(x).A
     for t, sample in _known(ref):
@@ -190,29 +169,18 @@ def of_one_body(constraint: Constraint, x: Snapshot, tool: str | None) -> bool:
 def along_constraint(
     x: Snapshot, rows: ConstraintRows, frame: str | None, ref: TaskMotion, tool: str | None
 ) -> TaskMotion:
-    """The same motion through where the tool is: what it asks for against the rows is taken out, and no more.
+    """The same motion of the tool along the constraint where the tool is: what it asks against the rows is taken out.
 
     Law:          A e' = 0, A (V_des' - V) = 0, A V_des-dot' + curvature = 0
                   (e', V_des', V_des-dot') the nearest to what was asked, a metre counting as much as a radian
-    Closed loop:  V-dot = a, the acceleration that the law of motion asks for: A a is what the constraint asks
-                    already, so that P changes nothing in it, whatever Lambda is
+    Closed loop:  V-dot = a, the acceleration of the law of motion: A a is what the constraint asks already, so that P
+                    changes nothing in it, whatever Lambda is
                   to first order where rotations are among the rows, and where gains are the same in all directions
                     that a row mixes
 
-    P is orthogonal in the product of Lambda^-1 only. Of an acceleration a it leaves a - Lambda^-1 A^T S (A a + ...):
-    what the reference asks against a surface, such as when it is on the stated one and the tool on the true one,
-    would move the tool along it and turn it. Of a force, such as the spring of an Impedance, P takes A^T c out
-    exactly; there it is a stiffness whose axes are not those of the surface that would.
-
-    Frames:
-        Errors are those of the frame that the constraint is of, in world axes.
-
-    Args:
-        x: The arm.
-        rows: The constraint there, with A.
-        frame: The frame that it is of.
-        ref: Of the tool.
-        tool: A frame of the same body.
+    P is orthogonal in the product of Lambda^-1 only: of an acceleration a it leaves a - Lambda^-1 A^T S (A a + ...),
+    so that what the reference asks against a surface would move the tool along it and turn it. Of a force P takes A^T
+    c out exactly. Errors are those of the constraint's frame, in world axes.
     """
     A, T = rows.A, x.T(frame)
     assert A is not None
@@ -236,15 +204,10 @@ def along_constraint(
 
 
 def felt_along(x: Snapshot, rows: ConstraintRows, frame: str | None) -> Snapshot:
-    """The same snapshot, whose F_ext is without the constraint's reaction: friction along it, and a hand that pushes.
+    """The snapshot with F_ext less the constraint's reaction: friction along it, and the push of a hand.
 
-    A law that answers F_ext with an acceleration, such as an `Impedance` with an inertia D, would answer the force of
-    the contact as well, and P would make of that a motion along the contact.
-
-    Args:
-        x: The arm, whose tool is on the link of the frame.
-        rows: The constraint there, with A.
-        frame: The frame that it is of.
+    A law that answers F_ext with an acceleration (`Impedance` with D) would make motion along it of the contact
+    force.
     """
     A = rows.A
     assert A is not None

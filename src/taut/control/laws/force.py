@@ -57,21 +57,17 @@ class ForceControl(Law):
                   with nothing to press on V tends to D^-1 ((I + kfp) F_des + kfi int(F_e)): what kdamp asks for and
                     dt Lambda^-1 on top, which is most of it in directions that are light for the rate; `speed_bound`
 
-    What F_app is, feedback="joint_torque": J_bar^T (tau_meas - C v - g) with J_bar = M^-1 J^T Lambda, the least
-    squares of the joints' residuals weighted with M^-1. For six joints it is J^-T of them; of more joints this is
-    the one pseudoinverse in which the free motion's own accelerations do not show as a force: J_bar^T M a is
-    Lambda J a. It is right at rest, a tick old, and as good as g: a payload that the model does not know is taken
-    for contact, and only a wrist sensor lets the integral take it out. Friction of gears does not show in it.
+    With feedback="joint_torque" F_app = J_bar^T (tau_meas - C v - g), J_bar = M^-1 J^T Lambda: J^-T for six joints,
+    for more the one pseudoinverse in which accelerations of the free motion do not show as a force. It is right at
+    rest, a tick old, and as good as g: an unknown payload is taken for contact, and only a wrist sensor lets the
+    integral take it out. Friction of gears does not show in it.
 
     `taut.laws.LossOfContact` around this law reports that contact is lost. The speed is bounded then. Proof: let w =
-    (I + kfp) F_des + kfi int(F_e), E = v . M v / 2, g exact, and a null law that feeds no energy in. A tick under the
-    wrench f = w - D V adds dt (V . f + f . dt Lambda^-1 f / 2) to E, which is at most dt (w . D^-1 w - V . D V) / 2,
-    as dt Lambda^-1 <= D^-1. So E falls whenever V . D V > w . D^-1 w, and over any time T the mean of V . D V is at
-    most max w . D^-1 w + 2 E(0) / T, for any arm and any motion.
-    Where Lambda hardly changes, as about a pose, y = D^1/2 V goes to (I - S) y + S y_w, with y_w = D^-1/2 w and S =
-    D^1/2 dt Lambda^-1 D^1/2 symmetric, its eigenvalues in [0, 1): a start from rest keeps V . D V <= max w . D^-1 w
-    at every instant, for w along one line. The part dt Lambda^-1 w is in the speed of any law that presses with w:
-    so fast is the tool a tick after contact is lost. The integral is cut at e_int_max, so that w is bounded.
+    (I + kfp) F_des + kfi int(F_e), bounded by e_int_max, E = v . M v / 2, g exact, and a passive null law. A tick
+    under f = w - D V adds dt (V . f + f . dt Lambda^-1 f / 2) <= dt (w . D^-1 w - V . D V) / 2 to E, as
+    dt Lambda^-1 <= D^-1: over any time T the mean of V . D V is at most max w . D^-1 w + 2 E(0) / T. About a pose
+    y = D^1/2 V goes to (I - S) y + S D^-1/2 w, with S = D^1/2 dt Lambda^-1 D^1/2 symmetric, its eigenvalues in
+    [0, 1): from rest V . D V <= max w . D^-1 w at every instant, for w along one line.
 
     With joint torques the law takes its own force, a tick old, for F_app, also where the tool is free. There it is
     stable where kfp + kfi dt / 2 + d / 2 < 1, d the largest eigenvalue of D dt Lambda^-1: 1/2 for what kfp and kfi
@@ -142,12 +138,7 @@ class ForceControl(Law):
             check_force_pole(self.kfp.matrix(6), self.kfi.matrix(6), rate)
 
     def force_loop_gain(self, dt: float, touch: RigidTouch | None) -> float:
-        """The largest eigenvalue of (kfp + kfi dt / 2) P: from 1 on, a force a tick old is unstable on it.
-
-        Args:
-            dt: Control period [s].
-            touch: The rigid contact, with P, the part of a wrench at the tool that presses on it, world axes.
-        """
+        """Largest eigenvalue of (kfp + kfi dt / 2) P on a rigid contact; unstable from 1 on (force a tick old)."""
         if touch is None or not self.measures:
             return 0.0
         x, pressing = touch.x, touch.pressing(self.tool)
@@ -164,12 +155,9 @@ class ForceControl(Law):
     def speed_bound(self, *, F_app: ArrayLike, x: Snapshot, rate: float) -> tuple[float, float]:
         """Bounds of the tool's speed and angular speed in the sampled loop when contact is lost [m/s, rad/s].
 
-        V . D V <= w . D^-1 w, of which each part has its share, with w = (I + kfp) F_des + kfi e_int_max, each part
-        of the integral along what it adds to most. It holds about the pose x at every instant, from rest; of a
-        motion through other poses in the mean square, with the D of each: see the law.
-
-        Infinite where kdamp damps less than all six directions, and for kfp of joint torques, for which no bound is
-        known.
+        V . D V <= w . D^-1 w part by part, with w = (I + kfp) F_des + kfi e_int_max: at every instant about the pose
+        x, from rest; through other poses in the mean square. Infinite where kdamp damps fewer than six directions,
+        and for kfp of joint torques, for which no bound is known.
 
         Args:
             F_app: (6,) the desired wrench in the axes of the gains [N, N m].
@@ -250,10 +238,7 @@ class ForceControl(Law):
 
 
 def wrench_of_torques(x: Snapshot, inertia: TaskInertia) -> Wrench:
-    """(6,) F_app at the tool from measured joint torques: J_bar^T (tau_meas - C v - g), world axes [N, N m].
-
-    The sensors have all that acts on the links, so that what a plant adds itself is in it, and friction is not.
-    """
+    """F_app (6,) at the tool, world axes, J_bar^T (tau_meas - C v - g): plant's gravity included, friction not."""
     return inertia.wrench(x.tau_meas - x.inverse_dynamics(np.zeros(x.n)))
 
 
@@ -267,32 +252,18 @@ def _numbers(gain: GainValue) -> Matrix:
     return np.asarray(gain.matrix(6), dtype=np.float64)
 
 
-# -------------------------------------------------------------------- what sampled force control needs
-
-
 def damping_force(kdamp: Matrix, mobility: Matrix, rate: Vector, dt: Any) -> Vector:
-    """(k,) D y of a damper kdamp on y, with D = (kdamp^-1 + dt mobility)^-1 = (I + kdamp mobility dt)^-1 kdamp.
+    """(k,) D rate, D = (kdamp^-1 + dt mobility)^-1: kdamp times the rate that this force alone leaves after the tick.
 
-    It is kdamp times the y that this force alone leaves when the tick ends. Held over a tick, kdamp y itself reverses
-    what is light, such as a last link about its own axis, and diverges where kdamp mobility dt > 2; the eigenvalues
-    of D mobility dt are in [0, 1) for any kdamp.
-
-    Args:
-        kdamp: (k, k) symmetric, positive semidefinite.
-        mobility: (k, k) by which a force accelerates y: J M^-1 J^T, symmetric, positive semidefinite.
-        rate: (k,) y.
-        dt: Control period [s].
+    mobility = J M^-1 J^T. kdamp itself diverges on light links where kdamp mobility dt > 2; D mobility dt is in [0,
+    1).
     """
     out: Vector = tm.solve(tm.eye(len(mobility)) + dt * (kdamp @ mobility), kdamp @ rate)
     return out
 
 
 def check_force_pole(kfp: Matrix, kfi: Matrix, rate: float) -> None:
-    """The slow mode of a force that is fed back, -kfi / (1 + kfp), must be slower than the rate [Hz] on any contact.
-
-    Raises:
-        RangeError: It is not.
-    """
+    """The slow mode of a fed-back force, -kfi / (1 + kfp), must be slower than the rate [Hz] on any contact."""
     gains = [np.asarray(gain, dtype=np.float64) for gain in (kfp, kfi)]
     fastest = np.linalg.solve(np.eye(len(gains[0])) + gains[0], gains[1])
     require_at_most(
@@ -304,17 +275,8 @@ def check_force_pole(kfp: Matrix, kfi: Matrix, rate: float) -> None:
     )
 
 
-# -------------------------------------------------------------------- multipliers, and whether they are there
-
-
 def misses(asked: Any, along: Any, least: Any) -> Any:
-    """1 where more than `least` is asked for and less is there along it, else 0.
-
-    Args:
-        asked: The size of what is asked for [N, N m].
-        along: What is there times what is asked for, as a dot product.
-        least: Threshold of contact.
-    """
+    """1 where more than `least` [N, N m] is asked for and less is measured along it (dot product), else 0."""
     return tm.where(asked > least, tm.where(along < least * asked, 1.0, 0.0), 0.0)
 
 

@@ -78,25 +78,22 @@ class HybridMotionForce(Law):
     as pressing. With feedback="joint_torque" it is eq. 10.42 with the measured torques, and what the model does not
     know, such as a payload, counts as a force. Without kfp and kfi no force is measured, and lam_des is fed forward,
     eq. 10.34. A one-sided row is never asked to pull. The integral rests where limits of the torque cut the force, or
-    a contact would be pulled at, and the error pushes further that way; it is cut at e_int_max.
+    a contact would be pulled at, and the error pushes further that way; it is cut at e_int_max. Of a desired wrench
+    what the constraint does not admit is left out. Where the normal is uncertain, use `taut.laws.NormalEstimate`.
 
-    With kdamp the speed y = A V + phi_t against the rows is bounded from rest where contact is lost, y . D y <= w .
-    D^-1 w with w = (1 + kfp) lam_des + kfi e_int_max, as that of `ForceControl`: one row moves at no more than (1 /
-    kdamp + dt A Lambda^-1 A^T) w. Of several rows that holds as long as they are pressed: damping does not pull at a
-    one-sided row either. With joint torques, which show the law's own force a tick late, kfp + kfi dt / 2 + d / 2 < 1
-    is needed off contact, d the largest eigenvalue of D dt A Lambda^-1 A^T: 1/2 for what kfp and kfi have serves any
-    kdamp. Without kdamp nothing bounds the speed; `taut.laws.LossOfContact` around this law lets the force go.
-
-    What is asked for against the constraint is left out: of a motion what goes against it, of a wrench what it does
-    not admit.
+    With kdamp the speed y = A V + phi_t against the rows is bounded from rest where contact is lost, as that of
+    `ForceControl`: y . D y <= w . D^-1 w, w = (1 + kfp) lam_des + kfi e_int_max; of several rows as long as they are
+    pressed, since damping does not pull at a one-sided row. With joint torques, which show the law's own force a tick
+    late, kfp + kfi dt / 2 + d / 2 < 1 is needed off contact, d the largest eigenvalue of D dt A Lambda^-1 A^T: 1/2
+    for what kfp and kfi have serves any kdamp. Without kdamp the speed is unbounded; `taut.laws.LossOfContact` around
+    this law lets the force go.
 
     Frames:
         The constraint is in world axes; what it says of the tool is said at the tool's origin.
 
     Args:
         constraint: `taut.Constraint`, or a function of the pose such as lambda T: T.p[2] - 0.1.
-        motion: The law of the motion, such as `TaskComputedTorque`, `Impedance`, or one of joints; the forces that
-            it would make against the constraints are taken out.
+        motion: The law of the motion, such as `TaskComputedTorque`, or one of joints, less its forces on the rows.
         kfp: Proportional gain of the force: a number or one per row.
         kfi: Integral gain.
         e_int_max: Largest integral of the force error; 20 N s, and 2 N m s for a moment, if left out.
@@ -104,9 +101,6 @@ class HybridMotionForce(Law):
         feedback: With kfp or kfi, what measures the force: "wrench" or "joint_torque".
         curvature: Whether the term of that name is in the law.
         tolerance: How far phi may be from zero where a run starts [m, rad].
-
-    Where it is not well known where the surface faces, `taut.laws.NormalEstimate(law=HybridMotionForce(...))` follows
-    the constraint rotated as force and motion show it.
 
     Raises:
         UsageError: No constraint, or no law of motion that gives torques.
@@ -175,10 +169,7 @@ class HybridMotionForce(Law):
         check_force_pole(*self._force_gains(), rate)
 
     def force_loop_gain(self, dt: float, touch: object) -> float:  # noqa: ARG002
-        """The largest eigenvalue of kfp + kfi dt / 2: from 1 on, a force a tick old is unstable on rigid contacts.
-
-        0 where no force is fed back.
-        """
+        """Largest eigenvalue of kfp + kfi dt / 2, 0 without force feedback: unstable on rigid contacts from 1 on."""
         kfp, kfi = self._force_gains()
         return float(np.max(np.abs(np.linalg.eigvals(kfp + 0.5 * dt * kfi))))
 
@@ -204,10 +195,7 @@ class HybridMotionForce(Law):
         check_reference(self.constraint, x, ref, self.motion.controlled_frame, self.tolerance, later=True)
 
     def touches(self, x: Snapshot) -> Any:
-        """Whether the arm keeps to the constraint: phi within the tolerance, and a force on it where one is measured.
-
-        Without a sensor, and for what holds both ways, phi alone tells.
-        """
+        """Whether phi is within the tolerance and, for one-sided rows with a sensor, a force is on it."""
         rows = self.constraint.at(x)
         near = [tm.abs(value) <= self.tolerance for value in rows.phi]
         if self.measures and self.feedback == "wrench" and any(rows.one_sided):
@@ -298,10 +286,7 @@ class HybridMotionForce(Law):
     def _integral(
         self, x: Snapshot, rows: ConstraintRows, held: Constrained, lam: Vector, e_int: Vector, e: Any, dt: Any
     ) -> Vector:
-        """(k,) the integral after this tick.
-
-        It rests where limits cut the force, or a contact would be pulled at, and the error pushes further that way.
-        """
+        """(k,) the integral after a tick; rests where limits cut, or a contact would be pulled at, if e pushes on."""
         cut = held.of_bias(held.Minv_AT.T @ x.tau_cut)
         pulls = tm.where(np.array(rows.one_sided), lam, 0.0)
         grown = tm.where((cut * e > 0.0) | ((pulls > 0.0) & (e > 0.0)), e_int, e_int + e * dt)

@@ -71,16 +71,14 @@ class Impedance(TaskLaw):
         frame= names the axes of K, B and D: "world", "task" (of the reference pose) or "tool".
 
     Args:
-        K: Stiffness: (linear, angular), (6,) or (6, 6). A new K acts at once, jump and energy included;
-            `taut.laws.EnergyTank` lets it in as far as energy is there, also a K that is a function of the pose.
+        K: Stiffness: (linear, angular), (6,) or (6, 6). A new K acts at once, energy included (see `EnergyTank`).
         B: Damping, likewise; or zeta.
         zeta: Damping ratio of every mode, in place of B.
         D: Apparent inertia, likewise; that of the arm if left out.
         feedback: With D, what makes the difference: "wrench", a wrist sensor, or "acceleration".
         error: "decoupled", "body", "space" or "coordinates": see `taut.laws.TaskComputedTorque`.
         coordinates: With error="coordinates": what is controlled.
-        error_max: (2,) largest error that the spring answers [m, rad], smoothly; what it takes is the term `bound`.
-            The bounded spring too is the gradient of an energy.
+        error_max: (2,) largest error of the spring [m, rad], which stays conservative; the term `bound`.
         coriolis: "cancel" or "keep".
         null: A law for the motion that the task leaves free; None to leave it free.
         tool: The frame that is controlled; the arm's tool if left out.

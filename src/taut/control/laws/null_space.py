@@ -126,9 +126,6 @@ class Manipulability(Law):
         return Torque(x.M @ Terms(P=self.gain @ bounded, D=-(self.kd @ x.v)))
 
 
-# -------------------------------------------------------------------- how a task law holds them
-
-
 def check_null(law: Law) -> None:
     """The field `null` of a law: what moves the free motion follows no reference. Raises TautError."""
     null = vars(law)["null"]
@@ -138,11 +135,7 @@ def check_null(law: Law) -> None:
 
 
 def check_free(law: Law, x: Snapshot, dimensions: int) -> None:
-    """A law that is given for the free motion needs one; that which is there by default does nothing without.
-
-    Raises:
-        MatchError: The task leaves nothing free.
-    """
+    """A given law for the free motion needs one; the default does nothing without. Raises MatchError."""
     null = vars(law)["null"]
     if "null" in law.specified and null is not None and x.n <= dimensions:
         raise MatchError(
@@ -163,19 +156,7 @@ def with_null_space(
     dimensions: int,
     weight: Any = 1.0,
 ) -> tuple[Terms, dict[str, Any]]:
-    """A torque with that of the law in `null`, where there is redundancy, and the new memory of that law.
-
-    Args:
-        law: The task law, with a field `null`.
-        tau: Its torque.
-        x: The arm.
-        ref: What it follows.
-        memory: Its memory.
-        dt: Period [s].
-        inertia: What projects a torque on the free motion, by the dynamically consistent projector.
-        dimensions: Directions of the task.
-        weight: Of the torque of `null`.
-    """
+    """tau plus `weight` times the torque of the law in `null`, projected by `inertia`, and that law's new memory."""
     null: Law | None = vars(law)["null"]
     if null is None or x.n <= dimensions:
         return tau, {} if null is None else {"null": memory["null"]}

@@ -47,11 +47,10 @@ class TaskComputedTorque(TaskLaw):
     The spring kp X_e may be bounded: error_max=(linear, angular) puts X_e / sqrt(1 + r^2) in the place of X_e,
     part by part, with r the length of the part over its error_max; what the bound takes is the term `bound`.
 
-    Near singularities, with singularity="robust", what the arm cannot do is given up along the direction that is
-    nearly lost, its joints are kept within their limits, and the motion that this leaves is damped at the rate kd:
-    the term `singularity`. So it is on the way to a target that is certainly out of reach, and without error_max one
-    that is out by a tenth of the reach and more pulls no harder than 0.05 of the reach, 0.3 rad would. Elsewhere
-    nothing is changed. With "plain" Lambda is (J M^-1 J^T + damping I)^-1.
+    Near singularities, with singularity="robust", the direction that is nearly lost is given up, joints are kept
+    within their limits, and the remaining motion is damped at the rate kd: the term `singularity`. So it is towards a
+    target that is certainly out of reach; without error_max one that is out by a tenth of the reach and more pulls no
+    harder than 0.05 of the reach, 0.3 rad would. With "plain" Lambda is (J M^-1 J^T + damping I)^-1.
 
     Frames:
         World axes at the tool for "decoupled", the tool's own for "body", the world's origin for "space".
@@ -60,8 +59,7 @@ class TaskComputedTorque(TaskLaw):
         error: "decoupled", "body", "space" or "coordinates".
         coordinates: With error="coordinates": what is controlled.
         error_max: (2,) largest error that the spring answers [m, rad]; no bound if left out.
-        null: A law for the motion that the task leaves free, `Posture()` if not said, None for none: its torque
-            goes through the dynamically consistent projector, I - J^T Lambda J M^-1, which the tool does not feel.
+        null: Law of the free motion, by default `Posture()`, through the consistent projector I - J^T Lambda J M^-1.
         tool: The frame that is controlled; the arm's tool if left out.
         integral: What keeps the integral from winding up.
         singularity: "robust" or "plain".
@@ -233,11 +231,7 @@ def _joint_speeds(J: Any, damping: GainValue, V: Terms) -> Terms:
 
 
 def check_feedback(kp: GainValue, rate: float) -> None:
-    """An error cannot be taken away faster than the rate [Hz].
-
-    Raises:
-        RangeError: It is asked to.
-    """
+    """Feedback must not correct an error faster than the rate [Hz]."""
     values = np.asarray(kp.as_array(), dtype=np.float64)
     largest = np.linalg.eigvalsh(values) if values.ndim == 2 else values
     require_at_most("kp", largest, rate, "1/s", "the rate, with which the error is gone in one tick")

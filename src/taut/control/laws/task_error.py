@@ -95,15 +95,9 @@ def outwards(R: Rotation | None, six: Array) -> Array:
 
 
 def pulled(X: Vector, force: Vector, *, turning: bool) -> Wrench:
-    """(6,) what pulls the tool where the potential X . force falls, with X the decoupled error, desired minus actual.
+    """(6,) A^T force, the wrench of the potential X . force, X the decoupled error, axes of the gains, X-dot = -A V.
 
-    -X-dot = A V of the tool at a resting reference, and the wrench is A^T force. For forces along X it is the force
-    itself; for a stiffness that differs by direction the rest is what makes the spring conservative.
-
-    Args:
-        X: (6,) in the axes of the gains.
-        force: (6,) likewise.
-        turning: Whether these axes are those of the tool, and turn with it.
+    It is the force itself along X; else the rest makes the spring conservative. `turning`: axes of the tool.
     """
     w = X[3:]
     moment = turned_back(w, curve(w), force[3:], -1.0 if turning else 1.0)
@@ -267,9 +261,6 @@ def _space(x: Snapshot, ref: TaskMotion, tool: str | None) -> TaskError:
         Jdot_v=_spatial_rate(T.p, V, x.Jdot_v(tool)),
         kind="space",
     )
-
-
-# -------------------------------------------------------------------- minimal coordinates
 
 
 def _in_coordinates(x: Snapshot, ref: TaskMotion, tool: str | None, coordinates: Coordinates) -> TaskError:

@@ -1,8 +1,7 @@
 """Task space of a law: the error of a pose, the axes of the gains, the spring and its bound, targets out of reach.
 
-Laws of the tool have the arguments `tool`, `error`, `coordinates`, `frame` and `error_max`; `TaskSpace.of(law)` is
-what these say, in one value. Everything is in the axes of the gains: those of the world, of the reference ("task") or
-of the tool; with another error than "decoupled", in the coordinates of that error.
+`TaskSpace.of(law)` has the arguments `tool`, `error`, `coordinates`, `frame` and `error_max` of a law in one value.
+Everything is in the axes of the gains, or, with another error than "decoupled", in the coordinates of that error.
 """
 
 from __future__ import annotations
@@ -136,13 +135,9 @@ class TaskLaw(Law, abstract=True):
 
 
 def modal_damping(inertia: LTDL, K: Matrix, zeta: Any, V: Vector) -> Vector:
-    """(k,) B V with the damping ratio zeta in each mode of inertia and stiffness.
+    """(k,) B V, damping ratio zeta in each mode: B = 2 zeta U (U^-1 K U^-T)^(1/2) U^T for inertia = U U^T.
 
-    With inertia = U U^T, B = 2 zeta U (U^-1 K U^-T)^(1/2) U^T:
-    each generalised eigenvector of K and the inertia has 2 zeta omega_n, exactly.
-
-    References:
-        Albu-Schaffer, Ott and Hirzinger (2003), IEEE ICRA, double diagonalisation.
+    Source: Albu-Schaffer, Ott and Hirzinger (2003), IEEE ICRA, double diagonalisation.
     """
     mapped = times_square_root(inertia.between_roots(K), inertia.times_root_transposed(V))
     out: Vector = 2.0 * zeta * inertia.times_root(mapped)
@@ -163,11 +158,7 @@ def wrench_moved(F: Wrench, r: Vector3) -> Wrench:
 
 
 def check_sensor(x: Snapshot, tool: str | None) -> None:
-    """A wrist sensor tells what acts on the link of the arm's tool, and nothing of other links.
-
-    Raises:
-        MatchError: The frame that is controlled is on another one.
-    """
+    """A wrist sensor measures wrenches on the link of the arm's tool, and on no other. Raises MatchError."""
     if x.model.placement(tool)[0] != x.model.placement(None)[0]:
         raise MatchError(
             f"the wrist sensor of '{x.arm.name}' is at its tool '{x.arm.tool}', and '{tool}' is on another link, of "
@@ -183,11 +174,7 @@ def bounded_inertia(x: Snapshot, J: Matrix) -> TaskInertia:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Bound:
-    """What bounds the linear and the angular part of an error: r^2 is its squared length times the part's curve.
-
-    Args:
-        curves: 1 / error_max^2 of each part [1/m^2, 1/rad^2]; 0 where there is no bound.
-    """
+    """Bounds of the linear and angular error; curves are 1 / error_max^2 [1/m^2, 1/rad^2], 0 for no bound."""
 
     curves: tuple[Any, Any]
 
@@ -229,29 +216,15 @@ def _by_parts(X: Vector, shares: list[Any]) -> Vector:
     return tm.array([entry for places, share in zip(_places(X), shares, strict=True) for entry in share * X[places]])
 
 
-# -------------------------------------------------------------------- targets out of reach
-
-
 def eased(away: Beyond, share: Any, X: Vector) -> Any:
-    """The factor, at most 1, of a spring with the error X to a target out of reach; 1 where share is 0.
-
-    In full, X counts for less than EASED: it is X / sqrt(1 + r^2), with r its length in parts of that.
-    """
+    """Factor <= 1 of a spring to a target out of reach: 1 / sqrt(1 + r^2), r = |X| / EASED; 1 if share is 0."""
     length = (X[:3] @ X[:3]) * (1.0 / (EASED[0] * away.reach) ** 2)
     turn = (X[3:] @ X[3:]) * (1.0 / EASED[1] ** 2) if len(X) == 6 else 0.0
     return 1.0 / tm.sqrt(1.0 + share * (length + turn))
 
 
 def within_speed(x: Snapshot, inertia: TaskInertia, F: Wrench) -> Wrench:
-    """(k,) a spring's wrench, made smaller until it brings no joint beyond its speed limit.
-
-    With tau = J^T F - RATE M v + h the joint speeds follow M^-1 J^T F / RATE at that rate.
-
-    Args:
-        x: The arm at its measured state.
-        inertia: That of the task.
-        F: (k,) in the coordinates of J.
-    """
+    """(k,) F, reduced until tau = J^T F - RATE M v + h settles at joint speeds M^-1 J^T F / RATE within limits."""
     most: Any = 1.0
     for speed, top in zip(inertia.joint_acceleration(F), x.arm.velocity, strict=True):
         if np.isfinite(top):
@@ -261,13 +234,7 @@ def within_speed(x: Snapshot, inertia: TaskInertia, F: Wrench) -> Wrench:
 
 
 def far_away(law: Law | Task, x: Snapshot, rows: dict[str, Float64Array]) -> Float64Array | None:
-    """(k,) how far at least the targets of a run are out of reach [m]; None where the law follows no pose.
-
-    Args:
-        law: The law of the run.
-        x: Any state of its arm.
-        rows: (k, ...) each field of what it followed.
-    """
+    """(k,) lower bounds of the distance of a run's targets from reach [m]; None where the law follows no pose."""
     if isinstance(law, SideBySide):
         seen = law.seen(x)
         parts = [
@@ -296,9 +263,6 @@ def _asked(law: Law) -> Asked | None:
     return _asked(inner[0]) if inner else "pose"
 
 
-# -------------------------------------------------------------------- checks
-
-
 def check_damping(law: Law, K: GainValue, B: GainValue | None, zeta: GainValue | None, D: GainValue | None) -> None:
     """Exactly one of B and zeta; zeta needs a stiffness to oscillate on; D is divided by. Raises TautError."""
     if (B is None) == (zeta is None):
@@ -316,11 +280,7 @@ def smallest(gain: GainValue) -> float:
 
 
 def check_directions(x: Snapshot, tool: str | None, J: Matrix) -> None:
-    """An arm may lack one direction of its tool, and those that a planar arm never has, but no more.
-
-    Raises:
-        MatchError: It lacks more.
-    """
+    """An arm may lack one direction of its tool, besides those of a planar arm. Raises MatchError."""
     rows = [i for i in range(len(J)) if np.any(J[i] != 0.0)]
     sizes = np.linalg.svd(np.asarray(J, dtype=np.float64)[rows], compute_uv=False)
     body = x.model.placement(tool)[0]
@@ -336,21 +296,12 @@ def check_directions(x: Snapshot, tool: str | None, J: Matrix) -> None:
         )
 
 
-# -------------------------------------------------------------------- its closed loop
-
 AXES: Final = ("x", "y", "z", "about x", "about y", "about z")
 UNITS: Final = ("m", "m", "m", "rad", "rad", "rad")
 
 
 def tool_loop(law: Law, x: Snapshot, gains: Callable[[PlacedGains], Law], **options: Any) -> ClosedLoop:
-    """That of a law with a `tool`, in the axes of its gains.
-
-    Args:
-        law: The law; `error`, `frame` and `coordinates` count where it has them.
-        x: The arm at rest.
-        gains: The law with other gains.
-        **options: Fields of `ClosedLoop`.
-    """
+    """Closed loop of a law with a `tool`, in the axes of its gains; `options` are fields of `ClosedLoop`."""
     error = TaskSpace.of(law).at(x)
     J = np.asarray(error.inwards(error.J), dtype=np.float64)
     six = len(J) == len(AXES)

@@ -56,16 +56,14 @@ class ViaJointSpace(Law):
     as a third of the reach). Redundant joints go to `posture`, where they started if it is left out, at 1/s: closed
     paths of the tool then end as closed paths of the joints.
 
-    Limits: a joint goes towards its limit no faster than the way that is left over 0.1 s; one that would is held to
-    that, with the v_des and a_des that it means, and the others make up for it as well as they can. Near a
-    singularity J J^T is damped, by at most 0.1^2 (without dimension), and not at all beyond twice that; v_des as a
-    whole never exceeds the arm's own speed limits.
+    A joint approaches its limit no faster than the remaining distance over 0.1 s; the others make up for it as well
+    as they can. Near a singularity J J^T is damped, by at most 0.1^2 (dimensionless), not at all beyond twice that;
+    v_des as a whole never exceeds the arm's own speed limits.
 
-    A target that jumps, or starts elsewhere, is approached at no more than `speed`, which is reached from rest in
-    0.1 s, and v_des says so; one that moves without a twist is followed with a lag. What is unreachable is approached
-    as far as it goes. In a run, `run.extra["law.ik_error"]` (k, 2) is what is left [m, rad] and
-    `run.extra["law.ik_outcome"]` how each tick ended, `taut.dynamics.IkOutcome.of(...)`; after a step `ctrl.memory`
-    has both.
+    A target that jumps, or starts elsewhere, is approached at no more than `speed`, reached from rest in 0.1 s, with
+    v_des in agreement; one that moves without a twist is followed with a lag, an unreachable one as far as possible.
+    A run's `run.extra["law.ik_error"]` (k, 2) is the remaining error [m, rad], `run.extra["law.ik_outcome"]` the
+    `taut.dynamics.IkOutcome.of(...)` of each tick; after a step `ctrl.memory` has both.
 
     Args:
         inner: A law of joint motion, or a sum of them.
@@ -175,10 +173,7 @@ class ViaJointSpace(Law):
         return _Seen(T=T, J=J, e=e, damping=damping, solved=solved, step=solved(e))
 
     def _paced(self, ahead: Vector, pace: Any, velocity: Vector, dt: Any) -> tuple[Any, Any]:
-        """The share of a way that is gone in this tick, and the share of full speed that this is.
-
-        Full speed is reached in the time RISE and left in the same, as if the way were straight.
-        """
+        """Fractions of the way and of full speed in this tick, on a straight way with ramps of the time RISE."""
         time = tm.maximum(
             MIN_DIVISOR, functools.reduce(tm.maximum, tm.abs(ahead) / tm.minimum(self.speed.as_array(), velocity))
         )

@@ -227,15 +227,7 @@ class NormalEstimate(Wrapper):
         return turned_rows(self.law.constraint, x, turn_between(self._stated(x)[0][:3], n))
 
     def updated(self, tilt: Vector3, n_0: Vector3, v: Vector3, F: Vector3, dt: Any) -> Vector3:
-        """(3,) the tilt after a tick.
-
-        Args:
-            tilt: (3,) the last one.
-            n_0: (3,) stated normal, away from the surface.
-            v: (3,) of the tool's origin over the surface [m/s].
-            F: (3,) of the environment on the tool [N].
-            dt: [s].
-        """
+        """Tilt (3,) after a tick, from the stated normal n_0, v over the surface [m/s], F on the tool [N]."""
         flat = _across(n_0, v)
         speed = tm.sqrt(flat @ flat + NEVER)
         g = F - v * ((v @ F) / (v @ v + NEVER))

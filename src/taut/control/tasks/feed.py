@@ -27,17 +27,7 @@ AHEAD: Final = 256  # ticks whose samples are made at once where ticks are taken
 
 
 def feed_of(side: LawSide, ref: Reference, q: Float64Array, parameters: Callable[[], Mapping[str, Any]]) -> Feed:
-    """What fills the reference of a run.
-
-    Args:
-        side: The law side.
-        ref: The reference of its law; of no meaning for a task, whose phases have their own.
-        q: (n,) where the run starts.
-        parameters: Gives the parameters of the law side by path.
-
-    Raises:
-        UsageError: The reference gives another kind of sample, or a stream has no source.
-    """
+    """What fills the reference of a run that starts at q; of a task, the references are those of its phases."""
     if side.task is not None:
         return TaskFeed(side, side.task, parameters)
     return ReferenceFeed(ref, side.law.reference, side.arm, side.dt, side.at_rest(q))
@@ -46,17 +36,9 @@ def feed_of(side: LawSide, ref: Reference, q: Float64Array, parameters: Callable
 class TaskFeed(Feed):
     """Fills the reference of a block of ticks in which one phase acts.
 
-    A phase without a reference holds where it began. So does what no phase follows at the moment, and what stands
-    in the record once the task has stopped.
-
-    Args:
-        side: The law side.
-        task: Its task.
-        parameters: Gives those of the law side by path, in a run: phases are checked there where they begin. Without,
-            ticks are taken one by one, and samples of a stream without a source come from the caller.
-
-    Raises:
-        UsageError: A stream without a source, in a run.
+    A phase without a reference holds where it began; so do fields that the phase does not follow, and a task that has
+    stopped. Without `parameters` (those of the law side, by path) ticks are taken one by one, and samples of a
+    stream without a source come from the caller; with them, in a run, phases are checked where they begin.
     """
 
     block = TASK_BLOCK
@@ -161,19 +143,10 @@ class TaskFeed(Feed):
     def fill(
         self, views: Mapping[str, Float64Array], first: int, state: Callable[[], Any], given: Sample | None = None
     ) -> int:
-        """Write the reference of the ticks from `first` on into views (k, ...) by field.
+        """Write the reference of the ticks from `first` on into views (k, ...) by field; the number of filled ticks.
 
-        Args:
-            views: Where to write: one array per field of the sample.
-            first: Number of the first tick.
-            state: Gives the snapshot at the first tick: what a function of it, a hold and a source are given.
-            given: The sample of a caller, where the phase `waits` for one.
-
-        Returns:
-            Number of ticks that were filled: if that is less than k, the reference fails in a later tick.
-
-        Raises:
-            TautError: There is nothing that can be followed in the first of the ticks.
+        Less than k are filled where the reference fails in a later tick; in the first it raises. `state` gives the
+        snapshot at the first tick; `given` is the sample of a caller, where the phase `waits` for one.
         """
         self.prepare(state)
         assert self._inner is not None
@@ -197,12 +170,6 @@ class TaskSteps:
 
     Samples are made ahead for a block of ticks, as a run does. A tick whose sample is there costs one row to copy. In
     the others, such as the first one of a phase, or one whose sample the caller gives, it is made in that tick.
-
-    Args:
-        side: The law side.
-        task: Its task.
-        memory: Memory of the law side by path, as compiled code changes it.
-        sample: Where compiled code reads the sample, flat: the fields of the task's kind, one behind the other.
     """
 
     def __init__(self, side: LawSide, task: Task, memory: Mapping[str, Float64Array], sample: Float64Array) -> None:
@@ -246,20 +213,9 @@ class TaskSteps:
     def place(
         self, tick: int, going: bool, given: Mapping[str, Any], ref: Any, parameters: Mapping[str, Any]
     ) -> None:
-        """Write what is followed in a tick where compiled code reads it.
+        """Write the sample of a tick where compiled code reads it; it begins the task unless `going`.
 
         Where the reference of the phase fails, the task stops: the tick after the one that raises holds the arm.
-
-        Args:
-            tick: Its number.
-            going: Whether the task is going on; else it begins with this tick.
-            given: What is measured, as the caller gave it.
-            ref: The sample that the caller gave; None for none.
-            parameters: Parameters of the law side by path.
-
-        Raises:
-            UsageError: A sample where the phase has a reference of its own, or none where it waits for one.
-            ShapeError: A sample of another size.
         """
         since, name = int(self._memory[TICKS]) if going else 0, self.name(going)
         if since == 0:

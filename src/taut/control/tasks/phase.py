@@ -68,12 +68,8 @@ def contact(x: Seen, force: float, direction: ArrayLike | None = None, frame: Ax
     Args:
         x: The snapshot of a guard; it must have F_ext.
         force: [N].
-        direction: (3,) where the force on the arm must point, of any length: its part in this direction counts. The
-            whole force, whatever its direction, if left out.
+        direction: (3,) of any length: only the force on the arm in this direction counts; its size if left out.
         frame: The axes of the direction.
-
-    Returns:
-        A condition.
 
     Example:
         >>> import taut
@@ -94,14 +90,7 @@ def contact(x: Seen, force: float, direction: ArrayLike | None = None, frame: Ax
 
 
 def no_contact(x: Seen, force: float, direction: ArrayLike | None = None, frame: Axes = "world") -> Any:
-    """Guard: whether nothing touches the tool with more than a force; the opposite of `contact`.
-
-    Args:
-        x: The snapshot of a guard, with F_ext.
-        force: The force [N].
-        direction: (3,) as of `contact`.
-        frame: The axes of the direction.
-    """
+    """Guard: whether nothing touches the tool with more than a force [N]; the opposite of `contact`."""
     return ~contact(x, force, direction, frame)
 
 
@@ -175,13 +164,7 @@ def settled(
 
 
 def moved(x: GuardView, distance: float, tool: str | None = None) -> Any:
-    """Guard: whether the tool's origin is at least a distance away from where it was when the phase began.
-
-    Args:
-        x: The snapshot of a guard.
-        distance: [m].
-        tool: The frame; that of the phase's law if left out.
-    """
+    """Guard: whether the origin of the tool, or of another frame, is a distance [m] from where the phase began."""
     distance = finite_scalar("distance", distance, unit="m", minimum=0.0)
     frame = x.tool if tool is None else tool
     return tm.norm(x.T(frame).p - x.begin.T(frame).p) >= distance
@@ -200,9 +183,6 @@ def _wanted(target: Any) -> tuple[Any, set[str]]:
     )
 
 
-# -------------------------------------------------------------------- guards that count
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Lasting:
     """A guard that has to hold for some ticks on end. Made by `taut.guards.lasting`."""
@@ -219,15 +199,14 @@ Guard: TypeAlias = Callable[[Any], Any] | Lasting
 
 
 def lasting(guard: Callable[[Any], Any], *, ticks: int) -> Lasting:
-    """A guard that has to hold in some ticks on end, so that a spike of a sensor does not end a phase.
+    """A guard that has to hold in consecutive ticks, so that a spike of a sensor does not end a phase.
 
     Args:
         guard: A function of the snapshot.
-        ticks: How many; the count begins anew with each phase.
+        ticks: Their number, from 1 on; the count begins anew with each phase.
 
     Raises:
-        UsageError: Not a function, or one that counts itself.
-        RangeError: A number of ticks that is no whole number from 1 on.
+        UsageError, RangeError: Not a function, or one that counts itself; a wrong number of ticks.
 
     Example:
         >>> touch = lasting(lambda x: contact(x, 2.0), ticks=5)
@@ -242,16 +221,7 @@ def lasting(guard: Callable[[Any], Any], *, ticks: int) -> Lasting:
 
 
 def condition(result: Any, who: str) -> Any:
-    """What a guard gave, as one condition.
-
-    Args:
-        result: What it gave.
-        who: What it is, for messages.
-
-    Raises:
-        UsageError: It is no condition.
-        ShapeError: It is more than one.
-    """
+    """The result of a guard as one condition; UsageError or ShapeError, which name `who`, where it is not."""
     if isinstance(result, (bool, np.bool_)):
         return np.bool_(result)
     if isinstance(result, Condition):
@@ -287,15 +257,13 @@ class KnowsContact(Protocol):
 class Phase:
     """One phase of a task: a law, what it follows, and when it ends. A task is a list of them.
 
-    A law starts in the tick in which its phase begins, with its integrators at zero and whatever else it remembers;
-    a phase that is entered again starts afresh. Guards are looked at in each tick, on what is measured then; what
-    they decide acts from the next tick on. Where several hold, `unless` comes before `until`, and both before
-    `timeout`.
+    A law starts in the tick in which its phase begins, with its integrators at zero and its memory afresh, also where
+    a phase is entered again. Guards are evaluated in each tick, on its measurements; what they decide acts from the
+    next tick on. Where several hold, `unless` comes before `until`, and both before `timeout`.
 
     A guard is a function of the snapshot that gives one condition: `lambda x: taut.guards.contact(x, 2.0)`. Besides
-    what
-    a law sees it may ask for `x.elapsed`, the time in the phase [s], `x.ref`, the sample that its law follows, and
-    `x.begin`, the arm where the phase began. It is traced like a law: combine conditions with & | ~.
+    what a law sees it may ask for `x.elapsed`, the time in the phase [s], `x.ref`, the sample that its law follows,
+    and `x.begin`, the arm where the phase began. It is traced like a law: combine conditions with & | ~.
 
     A law that controls forces never starts without contact: where there is none when its phase begins, the arm is
     held for that tick and the task goes on as `otherwise` says.
@@ -303,8 +271,7 @@ class Phase:
     Args:
         law: What controls the arm.
         reference: A sample, hold, trajectory, stream or chunk, whose time counts from the begin of the phase; or a
-            function of the snapshot at its begin that gives one of these: `lambda x:
-            taut.trajectories.Line(T0=x.T(), ...)`. A
+            function of the snapshot at its begin that gives one: `lambda x: taut.trajectories.Line(T0=x.T(), ...)`. A
             hold of the state at the begin if left out.
         until: Guard that ends the phase well.
         unless: Guard that says that something is wrong.
@@ -391,12 +358,7 @@ class Phase:
 
 
 def named_phases(task: Sequence[Phase]) -> dict[str, Phase]:
-    """The phases of a task by name.
-
-    Raises:
-        UsageError: No phase, something else than a phase, two of one name.
-        UnknownNameError: `otherwise` or `then` is a phase that is not there.
-    """
+    """The phases of a task by name."""
     if not task:
         raise UsageError("a task needs one phase at least; got an empty list", name="task")
     named: dict[str, Phase] = {}

@@ -70,11 +70,9 @@ class Task(Declared):
 
     All laws are evaluated in every tick and one is selected: a number of a law that does not act, finite or not,
     reaches neither the command nor a memory. The guards of the phase that acts decide, from what is measured in a
-    tick, which phase acts from the next one on. A law starts in the first tick of its phase. A change of phases
-    comes in by `Limits(blend=)`, from the command of the tick before, and within `Limits(tau_dot=)`. Where the task
-    has stopped, `Halt` holds the arm.
-
-    The path of a gain is law.approach.kp, by the name of the phase; law.stop.kp and law.stop.kd are those of `Halt`.
+    tick, which phase acts from the next one on. A change of phases comes in by `Limits(blend=)`, from the command of
+    the tick before, and within `Limits(tau_dot=)`. Where the task has stopped, `Halt` holds the arm. The path of a
+    gain is law.approach.kp, by the name of the phase; those of `Halt` are law.stop.kp and law.stop.kd.
 
     Args:
         phases: By name, in their order.
@@ -89,15 +87,9 @@ class Task(Declared):
 
     @classmethod
     def of(cls, phases: Sequence[Phase]) -> Task:
-        """The task of a list of phases.
-
-        Raises:
-            UsageError, UnknownNameError: A list that is no task.
-        """
+        """The task of a list of phases."""
         named = named_phases(phases)
         return cls(phases=named, laws={**{name: phase.law for name, phase in named.items()}, STOP: Halt()})
-
-    # ---------------------------------------------------------------- its parts
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -151,16 +143,12 @@ class Task(Declared):
             return own[kind] if own else JointMotion.at_rest(x, None)
         return kind({part.name: own[part.kind] for part in kind.parts})
 
-    # ---------------------------------------------------------------- its gains
-
     def declared_parts(self) -> dict[str, Declared]:
         """The laws by name, whose gains are below these."""
         return dict(self.laws)
 
     def _with_parts(self, parts: Mapping[str, Any]) -> Self:
         return self._replaced({"laws": {**self.laws, **parts}})
-
-    # ---------------------------------------------------------------- checks
 
     def check_rates(self, rate: float) -> None:
         """Every law must fit the rate [Hz]."""
@@ -182,13 +170,7 @@ class Task(Declared):
                     self.laws[name].check_references(x, reference, rate, later=i > 0)
 
     def check_begin(self, name: str, x: Snapshot, ref: Reference, rate: float) -> None:
-        """A phase that begins must have a meaning there, with its gains and what it is to follow.
-
-        Not one that is refused, since there is no contact.
-
-        Raises:
-            RangeError, UsageError: It has none; the message names the phase.
-        """
+        """RangeError or UsageError for a phase that has no meaning at x, unless refused there without contact."""
         phase = self.phases[name]
         if phase.needs_contact and not condition(phase.in_contact(x), f"contact of phase '{name}'"):
             return
@@ -196,14 +178,8 @@ class Task(Declared):
             self.laws[name].check_states(x, rate)
             self.laws[name].check_references(x, ref, rate)
 
-    # ---------------------------------------------------------------- a tick
-
     def initial_memory(self, x: Snapshot, ref: Sample) -> dict[str, Any]:
-        """Memory at the first tick.
-
-        That of the laws is zeros: each law starts when its phase begins, and what it would start with now may not be
-        finite.
-        """
+        """Memory at the first tick: zeros for the laws, which start with their phases and may not be finite at x."""
         counters = sum(isinstance(guard, Lasting) for p in self.phases.values() for guard in (p.unless, p.until))
         out: dict[str, Any] = {"phase": 0.0, "next": 0.0, "ticks": 0.0, "ended": 0.0, "begin": tm.array(x.q)}
         out |= {"lasted": np.zeros(counters)} if counters else {}
@@ -299,8 +275,6 @@ class Task(Declared):
             return i + 1
         return target if isinstance(target, int) else self.names.index(target)
 
-    # ---------------------------------------------------------------- in words
-
     def plan(self) -> list[str]:
         """What ends each phase, and what follows then, a line each."""
         lines = []
@@ -349,10 +323,10 @@ def _known_false(which: Any) -> bool:
 
 
 def _beside_singular(evaluated: Callable[[Snapshot], T], x: Snapshot, *, idle: bool) -> T:
-    """What a law gives in a tick, or what a function makes of it.
+    """The result of a law in a tick, or of a function of it.
 
-    Compiled code gives numbers that are not finite where a law is singular. Plain Python refuses to, and an idle law
-    is asked beside that state: of what it gives only names and shapes are used.
+    Where a law is singular compiled code gives numbers that are not finite, but plain Python raises: then an idle law
+    is evaluated beside that state, for names and shapes only.
     """
     try:
         return evaluated(x)
@@ -392,11 +366,7 @@ def _chosen(which: Any, a: Any, b: Any) -> Any:
 
 
 def _kind(commands: Mapping[str, Command]) -> str:
-    """The kind of command that all phases give.
-
-    Raises:
-        MatchError: They give several.
-    """
+    """The kind of command that all phases give; MatchError where they give several."""
     kinds = {command.kind for command in commands.values()}
     if len(kinds) > 1:
         words = ", ".join(f"'{name}' a {command.kind}" for name, command in commands.items())

@@ -75,9 +75,6 @@ def _made(base: type[Compound], name: str, parts: tuple[Part, ...]) -> type[Any]
     return type(name, (base,), {"parts": parts, "__slots__": (*(part.name for part in parts), *slots)})
 
 
-# -------------------------------------------------------------------- laws side by side
-
-
 class SampleTogether(Compound):
     """One sample for each of several laws at once; subclasses are made by what they hold."""
 
@@ -89,11 +86,7 @@ class SampleTogether(Compound):
 
 
 def require_part_name(who: str, name: str) -> None:
-    """A name that a sample can have as an attribute, beside those that every sample has.
-
-    Raises:
-        UsageError: It is another one.
-    """
+    """UsageError for a name that a sample cannot have as an attribute, beside those that every sample has."""
     if not name.isidentifier() or hasattr(SampleTogether, name):
         raise UsageError(f"{who}: a law is named by a word such as left, and not by one that samples have: {name!r}")
 
@@ -130,13 +123,10 @@ class Together:
 
 
 def together(**references: Sample | Hold | Trajectory) -> Sample | Together:
-    """What laws side by side follow: a sample or a trajectory for each, by the name of the law.
+    """The reference of laws side by side: a sample or a trajectory for each, by the name of the law.
 
     Returns:
-        A sample, where all of them are samples; else a trajectory.
-
-    Raises:
-        UsageError: A reference that is neither.
+        A sample, where all of them are samples; else a trajectory. Other references are a UsageError.
 
     Example:
         >>> both = together(left=JointMotion(q=[0.5]), right=JointMotion(q=[0.1, 0.2]))
@@ -158,9 +148,6 @@ def together(**references: Sample | Hold | Trajectory) -> Sample | Together:
         raise UsageError("together needs references by the names of laws: together(left=..., right=...)")
     samples = {name: ref for name, ref in taken.items() if isinstance(ref, Sample)}
     return joined(samples) if len(samples) == len(taken) else Together(taken)
-
-
-# -------------------------------------------------------------------- phases of a task
 
 
 class PhaseSample(Compound):

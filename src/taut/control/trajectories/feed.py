@@ -45,18 +45,7 @@ class Feed(ABC):
 
 
 class ReferenceFeed(Feed):
-    """Fills the reference of a block of ticks.
-
-    Args:
-        ref: The reference.
-        kind: The kind of sample that the law follows.
-        arm: The arm that follows it.
-        dt: Control period [s].
-        at_rest: The sample to hold where the reference names none: the first state.
-
-    Raises:
-        UsageError: The reference gives another kind of sample, or a stream has no source.
-    """
+    """Fills the reference of a block of ticks; `at_rest` is the sample to hold where the reference names none."""
 
     def __init__(self, ref: Reference, kind: type[Sample], arm: Arm, dt: float, at_rest: Sample) -> None:
         self._kind, self._arm, self._dt = kind, arm, dt
@@ -79,8 +68,7 @@ class ReferenceFeed(Feed):
     def next_question(self, tick: int) -> int | None:
         """The first tick after `tick` at which the source of a stream is asked; None if never.
 
-        Question j is asked in the first tick at or after j periods, so that a period that is no whole number of
-        ticks is kept on average.
+        Question j is asked in the first tick at or after j periods, so that any period is kept on average.
         """
         if not isinstance(self._ref, Stream):
             return None
@@ -91,19 +79,10 @@ class ReferenceFeed(Feed):
     def fill(
         self, views: Mapping[str, Float64Array], first: int, state: Callable[[], Any], *, ahead: bool = True
     ) -> int:
-        """Write the reference of the ticks from `first` on into views (k, ...) by field.
+        """Write the reference of the ticks from `first` on into views (k, ...) by field; the number of filled ticks.
 
-        Args:
-            views: Where to write: one array per field of the sample.
-            first: Number of the first tick.
-            state: Gives the snapshot at the first tick, for the source of a stream.
-            ahead: Whether a later sample that does not fit is refused before tick 0, when nothing can be lost.
-
-        Returns:
-            Number of ticks that were filled: if that is less than k, the reference fails in a later tick.
-
-        Raises:
-            TautError: The first of the ticks has no sample; what a function of the caller's raises comes through.
+        Less than k are filled where the reference fails in a later tick; in the first it raises. `state` gives the
+        snapshot at the first tick, for a source; `ahead` refuses a later sample that does not fit before tick 0.
         """
         count = len(next(iter(views.values())))
         if isinstance(self._ref, Stream):
@@ -159,9 +138,6 @@ class ReferenceFeed(Feed):
         return answer
 
 
-# -------------------------------------------------------------------- from one motion to another
-
-
 def can_fade(kind: type[Sample]) -> bool:
     """Whether samples of this kind are motions, with rates."""
     return kind in (JointMotion, TaskMotion)
@@ -178,16 +154,7 @@ class Fade:
 
     @classmethod
     def of(cls, kind: type[Sample], old: Rows, new: Rows, since: float, duration: float, arm: Arm) -> Fade:
-        """The fade from one motion to another.
-
-        Args:
-            kind: Kind of sample of both.
-            old: Its fields at `since`, one row each.
-            new: The same of what takes its place.
-            since: [s].
-            duration: [s].
-            arm: Whose continuous joints go the short way round.
-        """
+        """The fade from one motion to another, of rows at `since` [s]; continuous joints take the shorter way."""
         if kind is TaskMotion:
             return cls(kind=kind, since=since, duration=duration, start=offset(old, new))
         q = short_way(old["q"] - new["q"], arm.continuous)

@@ -26,7 +26,7 @@ UNIT: Final = "N, N m"
 class TaskForce(Sample):
     """Desired wrench of the arm on the environment, at the tool's origin.
 
-    Between two samples of a chunk each number goes straight. One in the axes of the tool turns with the tool.
+    It is linear between two samples of a chunk. One in the axes of the tool rotates with the tool.
 
     Frames:
         frame="world" is the axes of the world, "tool" those of the frame that the law controls. Either way the force
@@ -38,9 +38,8 @@ class TaskForce(Sample):
         frame: "world" or "tool".
 
     Raises:
-        UsageError: Both F_app and F_ext, or neither; axes that are neither.
-        ShapeError: Not six numbers.
-        RangeError: NaN or infinite numbers.
+        UsageError: Both F_app and F_ext, or neither; other axes.
+        ShapeError, RangeError: Not six numbers, or not finite ones.
 
     Example:
         >>> press = TaskForce(F_app=[0, 0, 10.0, 0, 0, 0], frame="tool")
@@ -220,9 +219,9 @@ def pressing(
     """A motion along a constraint, and forces against it: what `taut.laws.HybridMotionForce` follows.
 
     Args:
-        motion: Where the tool, or the joints, are to be: a sample, or a trajectory such as `taut.trajectories.Line`.
-        press: Force into the surface of the first row [N], at least 0; a number, or a function of time [s]. That row
-            must be one-sided.
+        motion: Of tool or joints: a sample, or a trajectory such as `taut.trajectories.Line`.
+        press: Force >= 0 into the surface of the first row [N], which is one-sided; a number or a function of time
+            [s].
         lam: (k,) multipliers of eq. 10.40, F_app = A^T lam, in place of press, one for each row of the constraint;
             pressing on a contact they are < 0.
         F_app: (6,) wrench of the arm on the environment [N, N m], at the tool in world axes, in place of press. It
@@ -233,8 +232,7 @@ def pressing(
 
     Raises:
         UsageError: No motion; more than one of press, lam, F_app.
-        RangeError: A negative press, numbers that are not finite.
-        ShapeError: Another size.
+        ShapeError, RangeError: Another size; a negative press, numbers that are not finite.
 
     Example:
         >>> import taut

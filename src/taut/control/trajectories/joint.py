@@ -58,9 +58,6 @@ class Sine(JointTrajectory):
         return JointMotion.of({"q": q, "v": v, "a": -self.amplitude * omega**2 * np.sin(angle)})
 
 
-# -------------------------------------------------------------------- point to point
-
-
 class PointToPoint(JointTrajectory):
     """Base of the motions from rest to rest in which all joints start and stop together: q0 + s (q1 - q0)."""
 

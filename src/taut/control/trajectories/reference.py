@@ -1,7 +1,4 @@
-"""References: what a law is asked to follow. The law sees one sample a tick.
-
-A reference is one of four: a hold, a trajectory with `at(t)`, a stream of samples, or a chunk of them.
-"""
+"""References: a hold, a trajectory with `at(t)`, a stream or a chunk of samples; a law sees one sample a tick."""
 
 from __future__ import annotations
 
@@ -66,24 +63,13 @@ class Sample(ABC):
 
     @classmethod
     def between(cls, times: Float64Array, knots: Float64Array, rows: Rows) -> dict[str, Float64Array]:
-        """Each field (k, ...) at many times, from rows at the knots: linear in each number unless overridden.
-
-        Args:
-            times: (k,) [s].
-            knots: (m,) [s], increasing.
-            rows: Each field at the knots, (m, ...).
-        """
+        """Each field (k, ...) at times (k,) [s], from rows (m, ...) at knots (m,) [s]: linear by default."""
         return {name: _interpolated(times, knots, table) for name, table in rows.items()}
 
     @classmethod
     @abstractmethod
     def at_rest(cls, x: Snapshot, tool: str | None) -> Self:
-        """The sample that asks to stay as in the snapshot.
-
-        Args:
-            x: The arm at the state to stay at.
-            tool: The frame that the law controls; None for the arm's tool.
-        """
+        """The sample that asks to stay as in the snapshot; `tool` is the frame that the law controls."""
 
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)
@@ -96,8 +82,7 @@ class JointMotion(Sample):
         a: (n,) accelerations [rad/s^2 | m/s^2]; zero if left out.
 
     Raises:
-        ShapeError: The three have different lengths.
-        RangeError: An entry is NaN or infinite.
+        ShapeError, RangeError: Different lengths; NaN or infinite entries.
 
     Example:
         >>> JointMotion(q=[0.1, 0.2]).v.tolist()
@@ -150,15 +135,11 @@ def _zeros(n: int) -> Float64Array:
     return zero
 
 
-# -------------------------------------------------------------------- the four kinds
-
-
 @runtime_checkable
 class Trajectory(Protocol):
     """A function of time. `at` takes one time [s] and gives a sample.
 
-    A trajectory may have `rows(times)` that gives a sample of arrays (k, n) for many times at once; then a
-    simulation asks for thousands at a time.
+    With `rows(times)`, a sample of arrays (k, n) for many times, a simulation asks for thousands at once.
     """
 
     def at(self, t: float) -> Sample:
@@ -191,11 +172,10 @@ def hold(sample: Sample | None = None) -> Hold:
 def stream(*, period: float, source: Callable[[Any], Any] | None = None, blend: float | None = None) -> Stream:
     """Samples that come one a period, from a policy, a planner or a person.
 
-    With `blend` the reference passes smoothly from what it was to each new sample or chunk: what leads from the new
-    one to the old one at that instant, in position, velocity and acceleration, fades to nothing in that time, as a
-    quintic. So neither of the three jumps, whatever the policy emits; without, the new one holds at once. The first
-    answer holds as it is. A difference d is made up with speeds up to 1.9 d / blend and accelerations up to
-    5.8 d / blend^2, which laws with feedforward ask for.
+    With `blend` the reference passes smoothly to each new sample or chunk but the first: its difference from the old
+    one at that instant, in position, velocity and acceleration, fades to nothing as a quintic, so that none of the
+    three jumps. A difference d is made up with speeds up to 1.9 d / blend and accelerations up to 5.8 d / blend^2,
+    which laws with feedforward ask for. Without `blend` the new one holds at once.
 
     Args:
         period: Time between samples [s].
@@ -205,15 +185,8 @@ def stream(*, period: float, source: Callable[[Any], Any] | None = None, blend: 
     return Stream(period=period, source=source, blend=blend)
 
 
-# -------------------------------------------------------------------- reading one
-
-
 def as_reference(ref: object) -> Reference:
-    """What a caller hands in as one of the four kinds.
-
-    Raises:
-        UsageError: It is none of them.
-    """
+    """A caller's reference as one of the four kinds."""
     if isinstance(ref, (Sample, Hold, Stream, Trajectory)):
         return ref
     hint = "; a pose to go to is taut.TaskMotion(pose=...)" if isinstance(ref, Pose) else ""
@@ -225,12 +198,7 @@ def as_reference(ref: object) -> Reference:
 
 
 def rows_of(motion: Sample | Trajectory, times: Float64Array, kind: type[Sample] = Sample) -> Sample:
-    """Samples of a kind at many times, as arrays (k, ...); one by one where a trajectory does not give them at once.
-
-    Raises:
-        UsageError: It gives another kind of sample.
-        ShapeError: Its samples differ in size.
-    """
+    """Samples of a kind at many times, as arrays (k, ...); one by one where a trajectory has no `rows`."""
     at_once = getattr(motion, "rows", None)
     samples = [motion if isinstance(motion, Sample) else motion.at(float(t)) for t in times] if not at_once else []
     for sample in [at_once(times)] if at_once else samples:
@@ -243,11 +211,7 @@ def rows_of(motion: Sample | Trajectory, times: Float64Array, kind: type[Sample]
 
 
 def stacked(samples: Sequence[Sample]) -> Sample:
-    """Several samples as one of arrays (k, ...).
-
-    Raises:
-        ShapeError: They are not of one kind and size.
-    """
+    """Several samples as one of arrays (k, ...)."""
     kind = type(samples[0])
     try:
         return kind.of({name: np.stack([getattr(sample, name) for sample in samples]) for name in kind.fields(1)})
@@ -258,13 +222,7 @@ def stacked(samples: Sequence[Sample]) -> Sample:
 def sample_rows(
     motion: Sample | Trajectory, times: Float64Array, kind: type[Sample], n: int
 ) -> dict[str, Float64Array]:
-    """A reference at many times: each field as an array (k, size), checked.
-
-    Raises:
-        UsageError: It gives another kind of sample than the law follows.
-        ShapeError: It is for another number of joints.
-        RangeError: It gives NaN or infinite numbers; the message names time and field.
-    """
+    """A reference at many times: each field as an array (k, size), checked; errors name time and field."""
     rows, table = rows_of(motion, times, kind), {}
     for name, shape in kind.fields(n).items():
         table[name] = values = np.asarray(getattr(rows, name), dtype=np.float64)

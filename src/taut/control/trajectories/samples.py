@@ -24,12 +24,7 @@ MAX_QUOTED: Final = 300  # letters of what a message quotes
 
 
 def sample_times(times: ArrayLike) -> Float64Array:
-    """(k,) times [s], one at least, increasing.
-
-    Raises:
-        ShapeError: No vector, or an empty one.
-        RangeError: They do not increase, or are beyond what floats can work with.
-    """
+    """(k,) times [s], one at least, increasing."""
     t = finite_array("times", times, unit="s")
     if t.ndim != 1 or not t.size:
         raise ShapeError(f"times must be a vector (k,); got shape {t.shape}", name="times")
@@ -124,9 +119,6 @@ def _joint_columns(header: Sequence[str]) -> list[str]:
     return ["t", *(f"{letter}{i + 1}" for letter in letters for i in range(n))]
 
 
-# -------------------------------------------------------------------- poses
-
-
 ROTATION_COLUMNS: Final = {  # in a file
     "xyzw": ("qx", "qy", "qz", "qw"),
     "wxyz": ("qw", "qx", "qy", "qz"),
@@ -136,19 +128,18 @@ EASE: Final = np.polynomial.Polynomial((0.0, 0.0, 3.0, -3.0, 1.0))  # from rest 
 
 
 class TaskSamples(Sampled[TaskMotion]):
-    """Poses at stated times. Before the first it rests there, after the last there.
+    """Poses at stated times. Before the first and after the last it rests.
 
     Positions are a cubic spline and orientations a rotation spline with continuous acceleration (SciPy's
-    `RotationSpline`); both start and end at rest. Twists and accelerations are the rates of that motion. Of a
-    rotation by exactly pi from one sample to the next either way may be gone.
+    `RotationSpline`); both start and end at rest. A rotation by exactly pi between samples may go in either
+    direction.
 
     Args:
         times: (k,) [s], increasing, k >= 2.
         poses: k poses.
 
     Raises:
-        ShapeError: Not as many poses as times, or only one.
-        RangeError: Times that do not increase.
+        ShapeError, RangeError: Not as many poses as times, or only one; times that do not increase.
         UsageError: Something that is no pose.
     """
 
@@ -227,9 +218,6 @@ def _task_columns(header: Sequence[str]) -> list[str]:
     return ["t", "x", "y", "z", *next((names for names in orders if names[:1] == tuple(header[4:5])), (*orders,)[0])]
 
 
-# -------------------------------------------------------------------- chunks
-
-
 class Chunk(Sampled[Sample]):
     """A few future samples with their times, as a learned policy emits them; made by `taut.chunk`.
 
@@ -256,16 +244,15 @@ def chunk(times: ArrayLike, targets: Sequence[Sample] | Sequence[Pose] | ArrayLi
     """A few future samples with their times.
 
     From one `taut.TaskMotion` to the next the tool moves smoothly, as a quintic of its position and of its rotation
-    vector that has their twists and accelerations; a task motion without a twist is one at rest. From poses alone
-    twists and accelerations follow by differences, so that two of them make a straight line with slerp.
+    vector that has their twists and accelerations, zero by default. From poses alone twists and accelerations follow
+    by differences, so that two of them make a straight line with slerp.
 
     Args:
         times: (k,) [s] from the moment the chunk starts, increasing.
         targets: k samples, or k poses, or joint positions (k, n), whose velocities then follow from the differences.
 
     Raises:
-        ShapeError: Not as many targets as times.
-        RangeError: Times that do not increase.
+        ShapeError, RangeError: Not as many targets as times, or times that do not increase.
 
     Example:
         >>> chunk([0.0, 0.1], [[0.0], [1.0]]).at(0.05).q.tolist()
@@ -295,21 +282,10 @@ def _through_poses(t: Float64Array, poses: Sequence[Pose]) -> list[TaskMotion]:
     return [TaskMotion(pose=pose, twist=V, acceleration=rate) for pose, V, rate in rows]
 
 
-# -------------------------------------------------------------------- CSV files
-
-
 def read_rows(
     path: str | os.PathLike[str], columns: Callable[[Sequence[str]], Sequence[str]]
 ) -> tuple[list[str], Float64Array]:
-    """Header and numbers (rows, columns) of a CSV file whose first column is t.
-
-    Args:
-        path: The file.
-        columns: From the header, what it should be.
-
-    Raises:
-        FileError: No such file, no header, a column or a number that does not fit.
-    """
+    """Header and numbers (rows, columns) of a CSV file with first column t; `columns` gives the expected header."""
     file = readable_file("CSV file", path)
     name = str(file)
     if file.stat().st_size > MAX_CSV_BYTES:

@@ -1,7 +1,4 @@
-"""Trajectories of the tool: line, circle, and a motion at a constant velocity.
-
-Twists and accelerations are the exact rates of the pose, in world axes.
-"""
+"""Trajectories of the tool, with the exact rates of the pose in world axes."""
 
 from __future__ import annotations
 
@@ -66,12 +63,12 @@ class TaskPath(Motion[TaskMotion]):
 
 
 class Line(TaskPath):
-    """A straight line of the tool's origin, while the orientation turns about one axis (slerp).
+    """A straight line of the tool's origin, while the orientation rotates about one axis (slerp).
 
     p = p_0 + s (p_1 - p_0) and R = R_0 exp(s log(R_0^T R_1)), with s(t) from 0 to 1.
 
-    A rotation by exactly pi has two ways. The one is taken whose axis, in the axes of T0, has a positive x; where it
-    has none, a positive y; else a positive z. To go the other way, go by a pose in between.
+    For a rotation by exactly pi the axis, in the axes of T0, is that of a positive x; where x is zero, of a positive
+    y; else of a positive z. For the other direction go by a pose in between.
 
     Args:
         T0: First pose.
@@ -80,8 +77,7 @@ class Line(TaskPath):
         velocity: (linear, angular) largest speeds [m/s, rad/s].
         acceleration: (linear, angular) largest accelerations [m/s^2, rad/s^2].
         scaling: "quintic", which is minimum jerk; "cubic", whose acceleration jumps at both ends; or "trapezoidal",
-            the fastest under limits, with a third of the time each for ramp, cruise and ramp where only a duration is
-            given.
+            the fastest under limits; of a duration alone, ramps and cruise take a third each.
 
     Raises:
         UsageError: No Pose, not a duration or both limits, another scaling.
@@ -113,7 +109,7 @@ class Circle(TaskPath):
         T0: First pose; its origin is on the circle.
         centre: (3,) [m].
         axis: (3,) normal of the circle's plane, of any length; the tool goes about it by the right-hand rule.
-        angle: [rad] how far; a whole turn by default, negative for the other way round, more for more turns.
+        angle: [rad]; a whole turn by default, negative for the other direction, more for several turns.
         orientation: "keep" the first orientation, or "turn" with the circle.
         duration: [s], in place of the limits. Afterwards: how long it takes.
         velocity: (linear, angular) largest speeds [m/s, rad/s].
@@ -122,8 +118,7 @@ class Circle(TaskPath):
 
     Raises:
         UsageError: No Pose, not a duration or both limits, another word.
-        ShapeError: A wrong number of entries.
-        RangeError: No axis, a centre that is T0 itself or off the plane.
+        ShapeError, RangeError: A wrong number of entries; no axis, a centre that is T0 itself or off the plane.
 
     Example:
         >>> ring = Circle(T0=Pose([0.5, 0.0, 0.3]), centre=[0.4, 0.0, 0.3], axis=[0, 0, 1], duration=4.0)
@@ -190,8 +185,7 @@ class Steady(Motion[TaskMotion]):
 
     Raises:
         UsageError: No Pose.
-        ShapeError: A wrong number of entries.
-        RangeError: No velocity at all, a ramp that is not above zero.
+        ShapeError, RangeError: A wrong number of entries; no velocity at all, a ramp that is not above zero.
 
     Example:
         >>> down = Steady(T0=Pose([0.4, 0.0, 0.3]), velocity=[0.0, 0.0, -0.02], ramp=0.1)

@@ -35,9 +35,8 @@ class TaskMotion(Sample):
         frame: The axes of twist and acceleration, "world" or "tool".
 
     Raises:
-        UsageError: No Pose, or a frame that is neither.
-        ShapeError: Not six numbers.
-        RangeError: NaN or infinite numbers.
+        UsageError: No Pose, or another frame.
+        ShapeError, RangeError: Not six numbers, or not finite ones.
 
     Example:
         >>> pose = Pose([0.4, 0.0, 0.3], rpy=[0.0, np.pi, 0.0])
@@ -99,9 +98,6 @@ class TaskMotion(Sample):
         )
 
 
-# -------------------------------------------------------------------- between samples
-
-
 Offset = tuple[Float64Array, Float64Array, Float64Array]
 """A vector and its two rates, a row for each time."""
 
@@ -109,9 +105,8 @@ Offset = tuple[Float64Array, Float64Array, Float64Array]
 def between(times: Float64Array, knots: Float64Array, rows: Rows) -> dict[str, Float64Array]:
     """Each field at many times, from rows at the knots; at rest before the first and after the last.
 
-    From one knot to the next the position is the quintic with the given velocities and accelerations at both ends; so
-    is the rotation vector from the orientation at the one to that at the other, which is slerp where both turn at the
-    mean rate. Twist and acceleration are the rates of that motion.
+    Between knots position and rotation vector are quintics with the given velocities and accelerations at both ends:
+    slerp where both rotate at the mean rate. Twist and acceleration are the rates of that motion.
     """
     if len(knots) == 1:
         zero = np.zeros((len(times), 6))
@@ -134,14 +129,7 @@ def between(times: Float64Array, knots: Float64Array, rows: Rows) -> dict[str, F
 
 
 def quintic_between(x: Float64Array, h: Float64Array | float, start: Offset, end: Offset) -> Offset:
-    """The quintic with the given values, rates and accelerations at both ends, and its two rates.
-
-    Args:
-        x: (k,) where between the ends, 0 to 1.
-        h: (k,) or one number: time from end to end [s].
-        start: Value, rate and acceleration at x = 0, (k, m) each, or (m,).
-        end: The same at x = 1.
-    """
+    """The quintic, and its two rates, with value, rate, acceleration (k, m) at x = 0 and 1; h [s] between them."""
     x, h = x[:, np.newaxis], np.asarray(h, dtype=np.float64).reshape(-1, 1)
     (y0, v0, a0), (y1, v1, a1) = start, end
     v0, v1, a0, a1 = v0 * h, v1 * h, a0 * h**2, a1 * h**2
@@ -178,16 +166,8 @@ def differences(times: Float64Array, p: Float64Array, R: Float64Array) -> tuple[
     return twist, np.gradient(twist, times, axis=0)
 
 
-# -------------------------------------------------------------------- from one motion to another
-
-
 def offset(old: Rows, new: Rows) -> tuple[Offset, Offset]:
-    """What leads from a new motion to an old one at one instant: of the position, and of the rotation as exp(r).
-
-    Args:
-        old: One row of each field.
-        new: One row of each field.
-    """
+    """The offset of an old motion from a new one at one instant: of the position, and of the rotation as exp(r)."""
     linear = tuple(a - b for a, b in zip(_linear(old), _linear(new), strict=True))
     back = new["R"].transpose(0, 2, 1) @ old["R"]
     omega, alpha = (_rotated_back(old["R"], old[name][:, 3:]) for name in ("twist", "acceleration"))
@@ -200,14 +180,7 @@ def offset(old: Rows, new: Rows) -> tuple[Offset, Offset]:
 
 
 def faded(rows: Rows, x: Float64Array, duration: float, start: tuple[Offset, Offset]) -> dict[str, Float64Array]:
-    """A motion with an offset that fades: all of it at x = 0, none from x = 1 on.
-
-    Args:
-        rows: The motion, (k, ...) by field.
-        x: (k,) share of the fade that has passed, 0 to 1.
-        duration: [s] of the fade.
-        start: The offset at x = 0, as `offset` gives it.
-    """
+    """A motion (k, ...) by field with an `offset` that fades in `duration` [s]: full at x = 0, none from x = 1 on."""
     none = (np.zeros((1, 3)),) * 3
     p, v, a = quintic_between(x, duration, start[0], none)
     r = quintic_between(x, duration, start[1], none)

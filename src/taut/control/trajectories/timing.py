@@ -32,10 +32,7 @@ MAX_ACROSS: Final = math.sqrt(0.5)  # of the acceleration that a trapezoid on a 
 
 
 class Motion(Declared, Generic[S]):
-    """Base of the trajectories of this package: declared fields, and samples at many times by `rows`.
-
-    Before its start a motion rests at its first point, after its end at its last.
-    """
+    """Base of trajectories: declared fields, and samples at many times by `rows`; at rest outside its duration."""
 
     def rows(self, times: Float64Array) -> S:
         """Samples at many times, as arrays (k, ...)."""
@@ -58,11 +55,7 @@ class Size:
 
 @dataclass(frozen=True, kw_only=True)
 class Timing:
-    """s over time: a polynomial, or a trapezoid with a largest rate and acceleration. It rests outside 0 to duration.
-
-    Raises:
-        RangeError: A duration with which speed or acceleration are beyond what floats can work with.
-    """
+    """s over time: a polynomial, or a trapezoid of limited rate and acceleration; at rest outside [0, duration]."""
 
     kind: ScalingKind
     duration: float  # [s]

@@ -1,7 +1,4 @@
-"""Constraint: what a contact, a hinge or a closed chain lets an arm do, from a function of the pose: section 10.4.1.
-
-A and its rate come from differentiation of phi(T).
-"""
+"""Constraint: what a contact, a hinge or a closed chain lets an arm do, from a function phi(T): section 10.4.1."""
 
 from __future__ import annotations
 

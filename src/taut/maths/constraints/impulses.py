@@ -147,7 +147,6 @@ class _Block:
             p[i] = choose(on, value, 0.0)
 
     def _rubbing(self, r_h: Vector, r_t: Vector, y: Vector, p_h: list[Any], mu: Any) -> list[Any]:
-        """Impulses with friction."""
         assert self.all is not None
         assert self.across is not None
         assert self.plane is not None
@@ -205,11 +204,7 @@ def _turn(W: Matrix, r: Vector, touch: Touch, p: list[Any], limit: Any) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class _Mode:
-    """Behaviour of a contact at some impulses, and what Newton's method needs of it.
-
-    With z = p_t - step u_t its friction is z within the cone, else shortened to its border: p_t = fraction z = limit
-    d.
-    """
+    """Behaviour of a contact for Newton's method: friction is z = p_t - step u_t within the cone, else limit d."""
 
     on: Any  # whether it touches
     sticks: Any
@@ -324,7 +319,6 @@ def _part(W: Matrix, rows: Sequence[int], columns: Sequence[int]) -> Matrix:
 
 
 def _regularised(W: Matrix) -> Matrix:
-    """W with its `_diagonal`."""
     for i, value in enumerate([_diagonal(W, i) for i in range(len(W))]):
         W[i, i] = value
     return W

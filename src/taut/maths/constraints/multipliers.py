@@ -63,8 +63,7 @@ class Constrained:
     def brought_along(self, x: Snapshot, tool: str | None, tau: Vector) -> Vector:
         """(n,) torques with which a tool that is part of a closed chain moves as it would without the other part.
 
-        The projection of the tool's own torques accelerates what moves along only in the measure of the inertias.
-        Where the chain does not let the tool move so, by least squares.
+        They make up for the acceleration that the chain takes; by least squares where the tool cannot move so.
         """
         J = x.J(tool)
         lost = J @ (self.Minv_AT @ self.lam(tau - x.h))

@@ -44,7 +44,6 @@ class ConstraintRows:
 
     @property
     def count(self) -> int:
-        """Number of rows."""
         return len(self.one_sided)
 
     @property
@@ -127,7 +126,6 @@ class Piece:
         return out
 
     def at(self, x: Snapshot) -> ConstraintRows:
-        """Its rows at a state."""
         t = x.t
         place: list[Any] = [x.T(frame) for frame in self.frames] or [x.q]
         motion = tm.array([entry for frame in self.frames for entry in x.twist(frame)]) if self.frames else x.v
@@ -232,7 +230,6 @@ def of_joints(
 
 
 def _shape(function: Callable[..., Any], arguments: Sequence[Any]) -> tuple[int, ...]:
-    """The shape of what a user's function gives."""
     try:
         value = function(*arguments)
     except TautError:

@@ -49,7 +49,7 @@ class Environment(Declared):
         raise NotImplementedError
 
     def rates(self, mobility: Float64Array, parameters: Values) -> tuple[float, float]:
-        """How fast the tool oscillates in it [rad/s], and how fast its damping brakes the tool [1/s]: not at all.
+        """How fast the tool oscillates in it [rad/s], and how fast its damping brakes the tool [1/s]; by default 0.
 
         Args:
             mobility: (6, 6) acceleration of the tool per wrench, Lambda^-1; zero for a tool that nothing moves.
@@ -124,11 +124,7 @@ class Environments(Environment):
 
 
 def require_environment(name: str, what: object) -> None:
-    """Refuse what is no environment.
-
-    Raises:
-        UsageError: It is none, or has no wrench.
-    """
+    """Refuse what is no environment."""
     if not isinstance(what, Environment):
         got = what.__name__ if isinstance(what, type) else type(what).__name__
         raise UsageError(
@@ -141,22 +137,7 @@ def require_environment(name: str, what: object) -> None:
 def touch(
     environment: Environment, model: Model, q: Vector, v: Vector, memory: Values, parameters: Values, t: Any, dt: Any
 ) -> tuple[Array, dict[str, Any]]:
-    """(6,) F_ext at a state of an arm, and the environment's memory after it, by name.
-
-    Args:
-        environment: What touches the tool.
-        model: The constants of the arm.
-        q: (n,) positions.
-        v: (n,) velocities.
-        memory: The environment's, by name.
-        parameters: Its parameters by name.
-        t: Time [s].
-        dt: Length of the step that begins [s].
-
-    Raises:
-        ShapeError: A wrench of another shape.
-        UsageError: Memory under other names than before.
-    """
+    """(6,) F_ext at a state of an arm, and the environment's memory after a step of dt, by name."""
     given = environment.wrench(dyn.pose(model, q), dyn.twist(model, q, v), t, memory, parameters, dt)
     return _sound(environment, given, memory)
 
@@ -197,8 +178,7 @@ def fastest(mobility: Float64Array, gain: ArrayLike) -> float:
     return float(np.max(np.linalg.eigvals(mobility @ matrix).real, initial=0.0))
 
 
-# -------------------------------------------------------------------- disturbances
-# What acts on a loop from outside, beside its environment, in a study of it: inputs of a tick, held until the next,
+# Disturbances act on a loop from outside, beside its environment, in a study of it: inputs of a tick, held constant,
 # that a loop takes where it is given them; a run has none.
 
 COMMAND: Final = "disturbance.command"  # (n,) added to what the law commands, before the drives

@@ -44,9 +44,8 @@ class Spring(Environment):
     """A spring between the tool and a place in the world.
 
     Law:          F_ext = -dU/dx of U = 1/2 e^T stiffness e, with e = (p, phi) the position of the tool's origin and
-                  the rotation vector of its axes, seen from the place and in its axes; so that it gives back what it
-                  got, for any stiffness and any way
-    Closed loop:  of mass Lambda at the tool, and nothing else: omega^2 = eig(Lambda^-1 stiffness)
+                  the rotation vector of its axes, from the place and in its axes: conservative for any stiffness
+    Closed loop:  of mass Lambda at the tool alone: omega^2 = eig(Lambda^-1 stiffness)
 
     In semi-implicit steps it neither loses nor gains in the long run, but its energy oscillates by the fraction
     omega dt / 2; it is stable while omega^2 dt^2 < 4, and steps with more than 2 are refused.
@@ -55,7 +54,7 @@ class Spring(Environment):
         stiffness: One number of the position alone [N/m], (linear, angular) [N/m, N m/rad], six, or a matrix (6, 6),
             in the axes of `at`.
         at: Where it is at rest: a Pose, or a point [m] for the axes of the world; where the tool starts if left out.
-        slack: Free length [m] of a cord: one that pulls beyond it and never pushes. For one number of stiffness.
+        slack: Free length [m] of a cord, which pulls beyond it and never pushes. For one number of stiffness.
 
     Raises:
         ShapeError, RangeError: Numbers of another shape, negative, not finite, a matrix that is not symmetric.
@@ -147,18 +146,18 @@ class StiffWall(Environment):
     Closed loop:  of mass Lambda pressed in deeper than onset, and nothing else:
                   d_ddot + (damping / Lambda) d_dot + (stiffness / Lambda) d = 0
 
-    Coulomb friction is one that creeps: below the speed friction N / sliding_damping it is viscous.
+    Coulomb friction creeps: below the speed friction N / sliding_damping it is viscous.
 
-    Stable while (stiffness dt^2 + 2 damping dt) / Lambda < 4; steps with more than 2 are refused. A wall that takes
-    the state at the beginning of each step may give back more than it got, at most stiffness (v dt)^2 / 2 in a
-    contact; with damping >= stiffness dt / 2, as for Colgate's sampled wall, it does not.
+    Stable while (stiffness dt^2 + 2 damping dt) / Lambda < 4; steps with more than 2 are refused. A wall evaluated at
+    the beginning of each step may add energy, at most stiffness (v dt)^2 / 2 in a contact; with damping >= stiffness
+    dt / 2, as for Colgate's sampled wall, it does not.
 
     Args:
         point: (3,) [m] any point of its surface, in world axes.
         normal: (3,) its direction towards free space, of any length, in world axes.
         stiffness: [N/m].
         damping: [N s/m].
-        onset: Depth [m] at which damping and friction are all there.
+        onset: Depth [m] from which damping and friction act fully.
         friction: Coefficient of Coulomb friction; none if left out.
         sliding_damping: How steeply friction rises with speed [N s/m].
 
@@ -219,7 +218,7 @@ class StiffWall(Environment):
 
 
 class Oscillation(Declared):
-    """What a hand wants over time, at one frequency.
+    """Reference of a hand over time, at one frequency.
 
     Law:          wanted = amplitude sin(2 pi frequency t + phase)
 
@@ -245,10 +244,9 @@ class Hand(Environment):
                   (p - at) (stiffness - (mass + Lambda) omega^2 + j omega damping) = stiffness motion + force
                   without motion and force: (mass + Lambda) a + damping v + stiffness (p - at) = 0
 
-    The mass has a motion of its own, p_h and v_h, and the grip is a stiff spring and damper: a mass that answered
-    to the tool's acceleration in the same instant would be an algebraic loop in every engine but one's own. What is
-    measured differs from a rigid grip by (omega / grip)^2, 0.4 % at 20 rad/s. It has inertia, and no weight:
-    give that to the arm's payload.
+    The mass has a motion of its own, p_h and v_h, and the grip is a stiff spring and damper: a rigid grip would be an
+    algebraic loop in other engines. Measurements differ from those of a rigid grip by (omega / grip)^2, 0.4 % at
+    20 rad/s. The hand has inertia, but no weight: give that to the arm's payload.
 
     Stable while omega^2 dt^2 + 2 dt delta < 4, with omega^2 = grip^2 (1 + mass / Lambda) + stiffness / mass and
     delta = grip (1 + mass / Lambda); steps with more than 2 are refused.
@@ -326,9 +324,8 @@ class Push(Environment):
     Closed loop:  of mass Lambda at the tool, and nothing else: V = Lambda^-1 peak duration 2 / pi after a half sine,
                   Lambda^-1 peak duration after a rectangular one
 
-    In each step acts the mean of the pulse over that step, so that its impulse is exact however long the steps are.
-    (In the smooth integrator rk4 it comes half a step early.) A push that comes again, or at a time that is not known
-    yet, gets another t by an event: see `taut.Event.push`.
+    Each step has the mean of the pulse over it, so that the impulse is exact for any dt (in the smooth integrator rk4
+    half a step early). For another push, or one at a time not known yet, see `taut.Event.push`.
 
     Args:
         peak: (6,) the wrench at its peak, force first, in world axes [N, N m]; three numbers are a force.

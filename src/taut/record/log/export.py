@@ -1,8 +1,4 @@
-"""A run as a table (CSV).
-
-One number is one column, called after its array and its joint: q.elbow, v.elbow, tau.elbow, command.elbow,
-terms.P.elbow, reference.q.elbow. Entries that belong to no joint are numbered: extra.F_ext.0.
-"""
+"""A run as a table (CSV): one column per number, such as q.elbow, terms.P.elbow, or extra.F_ext.0 without a joint."""
 
 from __future__ import annotations
 

@@ -12,17 +12,7 @@ from taut.base.errors import FileError, UsageError
 
 
 def checked_target(kind: str, path: str | os.PathLike[str], suffixes: tuple[str, ...]) -> Path:
-    """A path that a file can be written to, with one of the suffixes.
-
-    Args:
-        kind: What is written, for the message: "log", "video", ...
-        path: Where to.
-        suffixes: The allowed endings, with their dots.
-
-    Raises:
-        UsageError: No path.
-        FileError: Another suffix; a folder; a folder that does not exist or takes no files.
-    """
+    """A path to write a file of a kind to, with one of the suffixes (with their dots), in a folder that exists."""
     if not isinstance(path, (str, os.PathLike)):
         raise UsageError(f"the {kind} needs the path of a file; got {type(path).__name__}", name="path", value=path)
     file = Path(path)
@@ -53,11 +43,7 @@ def cannot_write(kind: str, path: Path, cause: OSError) -> FileError:
 
 @contextmanager
 def written_aside(kind: str, path: Path) -> Iterator[Path]:
-    """A file beside `path` to write to, which takes its place if all went well, and is removed if not.
-
-    Raises:
-        FileError: The system refuses a write.
-    """
+    """A file beside `path` to write to, which takes its place if all went well, and is removed if not."""
     aside = path.with_name(f".{path.stem}.{secrets.token_hex(6)}{path.suffix}")
     try:
         yield aside

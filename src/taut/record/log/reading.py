@@ -46,15 +46,13 @@ MAX_VALUES: Final = 1_000_000  # of a JSON text
 def load_run(path: str | os.PathLike[str]) -> Run:
     """Read a log that `run.save` or `taut.run(..., log=)` wrote.
 
-    Every array, the outcome and the info are exactly what was recorded, the arms (`run.arms`) among it; only what is
-    drawn of an arm is not in the file. Of a file that was cut off or damaged, the ticks before that are returned, and
-    the outcome says so.
+    Every array, the outcome and the info are exactly what was recorded, `run.arms` among it; only what is drawn of an
+    arm is not in the file (`run.arm` is None). Of a file that was cut off or damaged, the ticks before that are
+    returned, and the outcome says so.
 
     Args:
         path: A .mcap file.
 
-    Returns:
-        The run, with `run.arm` None.
 
     Raises:
         FileError: No such file, a folder, an empty file, no log, or one without a whole description of the run.
@@ -124,11 +122,7 @@ def _read(file: IO[bytes], size: int) -> Run:
 
 
 def _check_columns(run: Run) -> None:
-    """Require that the columns that an info is about are there, in their shapes.
-
-    Raises:
-        ValueError: One is not.
-    """
+    """Require (ValueError) that the columns that an info is about are there, in their shapes."""
     shapes: dict[str, Shape] = {"F_ext": (6,)}
     if run.info.phases:
         shapes |= {"phase": (), "phase_ended": ()}
@@ -140,9 +134,6 @@ def _check_columns(run: Run) -> None:
             raise ValueError(f"its column '{name}' is not what taut.run records")
     if run.info.phases:
         _ = run.phases
-
-
-# -------------------------------------------------------------------- the container
 
 
 @dataclass
@@ -220,9 +211,6 @@ def _unpacked(chunk: Chunk) -> bytes:
     return data
 
 
-# -------------------------------------------------------------------- the ticks
-
-
 def _blocks(file: IO[bytes], found: Contents, layout: TickLayout) -> Iterator[Array]:
     """The ticks of each chunk, up to the first that is damaged or that misses one."""
     ticks = 0
@@ -254,9 +242,6 @@ def _ticks_in(data: bytes, found: Contents, size: int, first: int) -> list[bytes
         if others < 0 or (opcode == Opcode.CHANNEL and not _take(opcode, data[start:at], found)):
             return None
     return out
-
-
-# -------------------------------------------------------------------- what it is
 
 
 def _unsealed(record: Mapping[str, str]) -> Any:

@@ -1,9 +1,8 @@
 """Logs: runs as MCAP files, written while they go on, read back exactly.
 
-A file has a record `taut.run` at the start and a record `taut.outcome` at the end, each a JSON text with its
-checksum, and between them one ROS 2 message of constant size per tick: taut/msg/Tick on the topic /run has t and all
-columns: q, v, tau, command, terms_P, reference_q, extra_F_ext, ... These are numbers of fixed count alone, so that
-thousands are written and read at a time by NumPy.
+A file has a record `taut.run` at the start and `taut.outcome` at the end, each a JSON text with its checksum, and
+between them one ROS 2 message taut/msg/Tick per tick on the topic /run: t and all columns (q, v, tau, command,
+terms_P, extra_F_ext, ...), numbers of fixed count, so that NumPy writes and reads thousands at a time.
 
 References:
     OMG, DDS-XTypes 1.3, section 7.4 (plain CDR, version 1).
@@ -103,14 +102,7 @@ class Header:
         )
 
     def check(self, max_numbers: int) -> None:
-        """Require of a header that was read that its parts fit each other.
-
-        Args:
-            max_numbers: In one tick: the file has no room for more.
-
-        Raises:
-            ValueError: They do not.
-        """
+        """Require (ValueError) that the parts of a header that was read fit each other and the file."""
         n = len(self.joint_names)
         shapes = (*self.fields.values(), *self.extra.values())
         few = len(self.terms) + len(shapes) <= MAX_COLUMNS and len(self.parts) <= MAX_PARTS
@@ -132,11 +124,7 @@ class Header:
 
 
 class TickLayout:
-    """One tick as the message taut/msg/Tick: doubles, one behind the other.
-
-    Args:
-        header: Of the log.
-    """
+    """One tick as the message taut/msg/Tick: doubles, one behind the other."""
 
     def __init__(self, header: Header) -> None:
         self.shapes = header.shapes()
@@ -193,9 +181,6 @@ def columns_of(run: Run) -> dict[str, Float64Array]:
     return out | {f"extra.{name}": value for name, value in run.extra.items()}
 
 
-# -------------------------------------------------------------------- the file
-
-
 @dataclass(frozen=True, kw_only=True)
 class Ending:
     """How a run ended, and how many ticks were written."""
@@ -236,13 +221,8 @@ class _Stream:
 class Log:
     """A log that takes pieces of a run, one after the other. A context manager.
 
-    The file appears with the first piece. If the run breaks off with an error, the log is closed properly, with
-    that error as outcome.
-
-    Args:
-        path: The file; one that is there is replaced.
-        to: Where to write, if not to the path itself.
-        strict: Whether a write that the system refuses is an error; else the log ends there, and `finish` reports it.
+    The file, `to` or `path`, appears with the first piece; an error of the run becomes the outcome. A refused write
+    is an error if strict; else the log ends there, and `finish` reports it.
     """
 
     def __init__(self, path: Path, to: Path | None = None, *, strict: bool = True) -> None:
@@ -256,15 +236,7 @@ class Log:
         """Ticks that are on the disk."""
 
     def write(self, rows: Run, advance: Callable[[int], None] | None = None) -> None:
-        """Append the ticks of a piece of the run.
-
-        Args:
-            rows: The piece.
-            advance: Called with how many more ticks are written, block by block.
-
-        Raises:
-            FileError: The system refuses a write, or the log is closed.
-        """
+        """Append the ticks of a piece of the run; `advance` gets the number of ticks written, block by block."""
         if self._refusal is not None:
             return
         if self._stream is not None and self._writer is None:
@@ -315,11 +287,7 @@ class Log:
                 before, self.safe_ticks = self._stream.position, self.ticks
 
     def finish(self, outcome: Outcome) -> Outcome:
-        """Write how the run ended, and what readers need; the same outcome, with how many ticks the log lacks.
-
-        Raises:
-            FileError: The system refuses a write.
-        """
+        """Write how the run ended, and what readers need; the same outcome, with how many ticks the log lacks."""
         writer, self._writer = self._writer, None
         if writer is not None:
             try:
@@ -352,11 +320,7 @@ class Log:
 
 
 def open_log(path: str | os.PathLike[str]) -> Log:
-    """A log file (.mcap) to write pieces of a run to while it goes on; where it cannot be written, it ends there.
-
-    Raises:
-        FileError: Another suffix, a folder, a folder that does not exist.
-    """
+    """A log file (.mcap) to write pieces of a run to while it goes on; where it cannot be written, it ends there."""
     return Log(checked_target("log", path, SUFFIXES), strict=False)
 
 

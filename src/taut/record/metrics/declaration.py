@@ -44,8 +44,7 @@ class Metric:
         title: What it is called in tables and plots; the name in words if left out.
         doc: What it is, in a sentence; the first sentence of the function's docstring if left out.
         per_joint: Whether the function gives (n,) numbers, one for each joint; else it gives one, of the arm or tool.
-        together: How those of several joints become one: their sum, the largest with its sign, their norm, or a
-            function of the run and their indices.
+        together: Of several joints: their sum, the largest with its sign, their norm, or a function.
         needs: What the reference has to ask for, so that a scenario can refuse it elsewhere.
         compute: The function; given by decorating it.
 
@@ -103,11 +102,7 @@ class Metric:
         return tuple(text.replace("(N)^2", "N^2") for text in texts)
 
     def of(self, run: Run) -> Numbers:
-        """The number of a run, or (n,) those of its joints.
-
-        Raises:
-            ShapeError: The function gives something else.
-        """
+        """The number of a run, or (n,) those of its joints; ShapeError if the function gives something else."""
         shape = (run.n,) if self.per_joint else ()
         with np.errstate(over="ignore", invalid="ignore"):  # a run that diverged may hold huge numbers
             found = self.compute(run) if len(run) else None
@@ -243,12 +238,7 @@ class Metrics(Mapping[str, "Float64Array | float"], Result):
         return " | ".join(dict.fromkeys(unit for of, unit in places if group in (None, of)))
 
     def by_unit(self, name: str, joint: str | None = None) -> dict[str, float]:
-        """A metric by its unit: of one joint; or the overall number, or one for each group where there is none.
-
-        Args:
-            name: The metric.
-            joint: The joint; it makes no difference to a number of the whole arm.
-        """
+        """A metric by its unit: of one joint; or the overall number, or one for each group where there is none."""
         one, values = _declared(name), self[name]
         if joint is not None and isinstance(values, np.ndarray):
             i = self.joint_names.index(joint)

@@ -35,18 +35,11 @@ def _period(run: Run) -> Float64Array:
     return np.asarray(np.diff(run.t)[:, np.newaxis])
 
 
-# -------------------------------------------------------------------- response to a set-point
-
-
 def step_response(t: Float64Array, error: Float64Array) -> tuple[float, float, float]:
     """Overshoot [%], settling time [s], steady-state error [%] of one joint; NaN where it had no step to answer.
 
     The error starts at e0 and tends to e_ss. With y = (e - e_ss) / (e0 - e_ss), which starts at 1 and tends to 0, the
     overshoot is -min(y), the settling time the last time at which |y| = 0.02, and the steady-state error e_ss / e0.
-
-    Args:
-        t: (k,) [s].
-        error: (k,) wanted minus true [rad | m], for a constant reference.
     """
     if abs(error[0]) < MIN_STEP or not np.isfinite(error).all():
         return np.nan, np.nan, np.nan
@@ -109,9 +102,6 @@ for _entry, (_name, _unit, _doc) in enumerate(_STEP):
     Metric(name=_name, title=_title, unit=_unit, doc=_doc, per_joint=True, needs="set-point")(
         partial(_of_step, entry=_entry)
     )
-
-
-# -------------------------------------------------------------------- tracking
 
 
 @Metric(title="RMS error", unit="{q}", per_joint=True, together="norm", needs="joint motion")
@@ -188,9 +178,6 @@ def reversal_error(run: Run) -> Float64Array | None:
         windows = zip(reversals, [*halfway, len(error) - 1], strict=False)
         out[i] = max((np.abs(error[k : end + 1, i]).max() for k, end in windows), default=np.nan)
     return out
-
-
-# -------------------------------------------------------------------- torque
 
 
 @Metric(unit="({tau})^2 s", per_joint=True, together="sum")

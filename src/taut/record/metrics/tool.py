@@ -48,9 +48,6 @@ def _declare_error(name: str, title: str, unit: str, what: str, series: Series, 
     _declare(f"{name}_peak", f"{title} peak", unit, f"Peak of {what}", series, _peak, needs)
 
 
-# -------------------------------------------------------------------- motion
-
-
 def _final(run: Run, axis: int) -> float | None:
     return float(run.task.p[-1, axis]) if run.info.tool is not None else None
 
@@ -108,9 +105,6 @@ def min_singular_value(run: Run) -> float | None:
     return float(run.task.min_singular_value.min()) if _is_of_task(run) else None
 
 
-# -------------------------------------------------------------------- force
-
-
 def _sizes(rows: Float64Array | None, part: slice) -> Float64Array | None:
     """(k,) norms of the force or the moment of a wrench (k, 6)."""
     return None if rows is None else np.asarray(np.linalg.norm(rows[:, part], axis=1))
@@ -154,9 +148,6 @@ def contact_lost_time(run: Run) -> float | None:
         return None
     any_lost = np.any([column > 0.0 for column in lost], axis=0)  # NaN where the law's phase does not act
     return float(np.sum(any_lost[:-1] * np.diff(run.t)))
-
-
-# -------------------------------------------------------------------- pressing, against the true normals of contacts
 
 
 def _normal_force_error(run: Run) -> Float64Array | None:
@@ -208,9 +199,6 @@ def normal_error(run: Run) -> float | None:
     last = int(known[-1])
     sine, cosine = np.linalg.norm(np.cross(estimate[last], n[last])), estimate[last] @ n[last]
     return float(np.rad2deg(np.arctan2(sine, cosine)))
-
-
-# -------------------------------------------------------------------- impedance
 
 
 @Metric(title="against eq. 10.48", unit="%", needs="task motion")

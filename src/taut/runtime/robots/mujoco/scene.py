@@ -148,6 +148,12 @@ class _Reader:
                 gone = ("meshdir", "texturedir", "assetdir", "strippath", "usethread", "discardvisual")
                 self.renamed[id(section)] = {k: v for k, v in section.attributes.items() if k not in gone}
         for element in root.walk():
+            if element.text:  # as a text of any other kind has
+                words = " ".join("".join(element.text).split())[:40]
+                text = (
+                    f"a scene is made of MJCF elements, such as <geom .../>; got the text {words!r} outside of them"
+                )
+                self._problem(element, element.tag, text)
             if element.tag in REFUSED:
                 self._problem(element, element.tag, f"a scene has no <{element.tag}>: {REFUSED[element.tag]}")
             if element.tag == "mesh" and element.get("builtin") is not None:
@@ -280,10 +286,7 @@ def refused(text: str, scene: Scene | None, source: str = "") -> ModelError:
 
 
 class SceneView:
-    """Everything of a model but the links of its arm.
-
-    The shapes of the tool's body, hidden or not, are those that touch, where `tool` says that it is the plant's own.
-    """
+    """Everything of a model but the links of its arm; `tool` says that the tool's body is the plant's own."""
 
     def __init__(self, rig: Rig, *, tool: bool = True) -> None:
         import mujoco
