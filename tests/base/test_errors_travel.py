@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 import taut
-from taut.base import errors
 from taut.base.errors import ModelError, Problem, TautError, missing_extra, unknown_name
 
 ARM = taut.load_arm("planar2")
@@ -101,7 +100,7 @@ def test_every_class_has_a_code_of_its_own_that_stands_in_the_docs() -> None:
     page = (Path(__file__).parents[2] / "docs" / "errors.md").read_text(encoding="utf-8")
     rows = dict(re.findall(r"^\| `(\w+)` \| `\w+` \| `([A-Z-]+)` \|", page, flags=re.MULTILINE))
     assert rows == {name: code for name, code in codes.items() if name != "TautError"}
-    assert set(rows) == {name for name in errors.__all__ if name.endswith("Error") and name != "TautError"}
+    assert set(rows) == {name for name in taut.errors.__all__ if name.endswith("Error") and name != "TautError"}
 
 
 # -------------------------------------------------------------------- what can be copied, and what cannot

@@ -71,7 +71,7 @@ def test_samples_of_force_go_straight_from_one_to_the_next(tmp_path: Path) -> No
 times = [0, 1]
 frame = "tool"
 F_app = [[0, 0, 0, 0, 0, 0], [0, 0, 4, 0, 0, 0.5]]"""
-    reference = load(tmp_path, ('kind = "force"\nF_app = [0, 0, -10, 0, 0, 0]', samples)).reference
+    reference = load(tmp_path, ('kind = "force"\nF_app = [0, 0, -10, 0, 0, 0]', samples)).experiment.reference
     assert isinstance(reference, Chunk)
     np.testing.assert_allclose(reference.at(0.5).F_tool, [0, 0, 2, 0, 0, 0.25])  # type: ignore[attr-defined]
 

@@ -77,7 +77,7 @@ def test_a_hybrid_phase_goes_from_where_it_begins_and_presses(tmp_path: Path) ->
     [
         (False, "press = 5", "phases 2.reference.press"),
         (True, "press = -5", "phases 2.reference.press"),
-        (True, "press = 5, lam = [3]", "phases 2.reference.lam"),
+        (True, "press = 5, lam = [3]", "phases 2.reference.press"),
     ],
 )
 def test_forces_of_a_phase_that_are_none_are_refused(hybrid: bool, more: str, path: str, tmp_path: Path) -> None:

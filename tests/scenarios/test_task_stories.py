@@ -115,7 +115,7 @@ def test_deflections_are_as_one_to_the_stiffness(told: Any) -> None:
 def test_the_real_door_is_open_by_60_degrees_and_a_motion_alone_would_jam_it(told: Any) -> None:
     plant = told("cabinet_door").scenario.experiment.plant
     assert np.rad2deg(abs(plant.data.joint("door").qpos[0])) > 60.0
-    story = load_scenario("cabinet_door")
+    story = load_scenario("cabinet_door").experiment
     ctrl = taut.compile(taut.laws.TaskComputedTorque(kp=900.0, kd=60.0), story.arm, rate=250.0)
     way: Any = story.reference
     out = taut.run(ctrl, story.plant, way.motion, duration=6.0)

@@ -75,7 +75,7 @@ def test_a_spring_tip_takes_the_impact_and_gives_way_by_the_force_over_its_stiff
 
 def test_the_tips_of_a_scenario_and_its_press_are_read() -> None:
     cases = load_scenario(TITLE).cases
-    plant = cases["compliant tool"].plant
+    plant = cases["compliant tool"].experiment.plant
     assert isinstance(plant, taut.MujocoPlant)
     joint = plant.model.joint("tip")
     assert joint.stiffness == [1000.0]
@@ -83,7 +83,7 @@ def test_the_tips_of_a_scenario_and_its_press_are_read() -> None:
     law = cases["estimate of the normal"].laws["hybrid"]
     assert isinstance(law, taut.laws.NormalEstimate)
     assert isinstance(law.law, taut.laws.HybridMotionForce)
-    sample = cases["low gains"].reference.at(1.0)  # type: ignore[union-attr]
+    sample = cases["low gains"].experiment.reference.at(1.0)  # type: ignore[union-attr]
     assert isinstance(sample, taut.trajectories.HybridMotion)
     assert sample.press.tolist() == [10.0]
 
@@ -91,7 +91,7 @@ def test_the_tips_of_a_scenario_and_its_press_are_read() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "text"),
     [
-        ("press = 10.0", "press = -1.0", "press must be >= 0 [N], the force into the surface; got -1"),
+        ("press = 10.0", "press = -1.0", "press must be >= 0 [N]; got -1"),
         ("press = 10.0", "", "the law follows HybridMotion of a TaskMotion"),
         (
             "stiffness = 1000",
