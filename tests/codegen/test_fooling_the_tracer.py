@@ -447,7 +447,7 @@ def test_memory_that_is_no_number_is_told() -> None:
     law = with_memory(lambda self, x, ref, memory, dt: (Torque(P=x.q), {"mode": "free"}), mode=Memory(0.0))
     with pytest.raises(TautError) as caught:
         taut.compile(law, ARM)
-    assert str(caught.value) == "mode must be numbers in a rectangular array; got 'free'"
+    assert str(caught.value) == "law.mode must be numbers in a rectangular array; got 'free'"
 
 
 # -------------------------------------------------------------------- the class, and its gains
