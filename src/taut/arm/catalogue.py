@@ -124,8 +124,7 @@ ENTRIES: Final = (
         home={f"panda_joint{i}": q for i, q in enumerate(FRANKA_HOME, start=1)},
         locked={"panda_finger_joint1": 0.0, "panda_finger_joint2": 0.0},  # closed
     ),
-    # franky-sim ships two files. fr3.urdf is the whole robot with its hand; fr3_clean.urdf is what its simulator
-    # computes with: no hand, no meshes, and joints that lost their prefix.
+    # fr3.urdf is the whole robot; fr3_clean.urdf, for franky-sim's simulator, lacks hand, meshes, joint prefixes.
     Entry(
         name="fr3",
         package="franky-sim",

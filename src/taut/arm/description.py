@@ -268,13 +268,7 @@ class Arm:
         return joints_replaced(self, values)
 
     def with_friction(self, friction: Friction) -> Arm:
-        """A copy with another friction, in all its parts.
-
-        Example:
-            >>> from taut import Friction, load_arm
-            >>> load_arm("planar2").with_friction(Friction(viscous=0.1, coulomb=[0.5, 0.2])).coulomb.tolist()
-            [0.5, 0.2]
-        """
+        """A copy with another friction, in all its parts: `arm.with_friction(Friction(viscous=0.1))`."""
         if not isinstance(friction, Friction):
             raise UsageError(f"with_friction takes a taut.Friction; got {type(friction).__name__}", name="friction")
         return self.with_joints(**{name: getattr(friction, name) for name in FRICTION_FIELDS})

@@ -40,11 +40,9 @@ class Friction:
                   with s(v); tau_motor is the motor's torque at the joint, tau_load what weight, motion and
                   contact put on it, which at rest is -tau_motor
 
-    The laws of figure 10.14 by what is given: (a) viscous; (b) coulomb; (c) viscous and coulomb, which at rest is as
-    much; (d) coulomb and a larger static; (e) these and viscous; (f) these and stribeck.
-    `taut.analysis.plot_friction` draws them.
-
-    Friction that is known is friction of the joint's own axis: of gears it is seen at their output.
+    The laws of figure 10.14 by their parameters: (a) viscous; (b) coulomb; (c) viscous and coulomb; (d) coulomb and a
+    larger static; (e) these and viscous; (f) these and stribeck. `taut.analysis.plot_friction` draws them. Friction
+    is that of the joint's own axis, at the output of gears.
 
     Args:
         viscous: Friction per speed [N m s/rad | N s/m].

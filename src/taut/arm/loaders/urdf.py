@@ -265,8 +265,7 @@ class _Reader:
             return tuple(math.copysign(math.inf, d) if math.isnan(d) else d for d in default)
 
 
-# A vendor may put elements and attributes of its own into a URDF file, and those are fine. A misspelt known word is
-# not: left out, it would change the arm in silence.
+# A vendor's own elements and attributes are fine; a misspelt known word, left out, would change the arm in silence.
 
 
 def _slips(element: Element) -> Iterator[tuple[str, str, int]]:
@@ -293,8 +292,7 @@ def _meant(word: str, known: tuple[str, ...], present: Container[str]) -> str | 
     return close[0] if close and close[0] not in present else None
 
 
-# <transmission> elements of ROS, and Drake's words for the rotor inertia. One that is not one joint and one actuator
-# is no gear of a joint; it is left out and said.
+# <transmission> of ROS, and Drake's rotor inertia; without one joint and one actuator it is left out with a note.
 
 
 def _read_transmissions(robot: Element, tree: Tree) -> None:

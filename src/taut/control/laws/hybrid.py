@@ -79,14 +79,14 @@ class HybridMotionForce(Law):
     know, such as a payload, counts as a force. Without kfp and kfi no force is measured, and lam_des is fed forward,
     eq. 10.34. A one-sided row is never asked to pull. The integral rests where limits of the torque cut the force, or
     a contact would be pulled at, and the error pushes further that way; it is cut at e_int_max. Of a desired wrench
-    what the constraint does not admit is left out.
+    what the constraint does not admit is left out. Where the normal is uncertain, use `taut.laws.NormalEstimate`.
 
-    With kdamp the speed y = A V + phi_t against the rows is bounded from rest where contact is lost, y . D y <= w .
-    D^-1 w with w = (1 + kfp) lam_des + kfi e_int_max, as that of `ForceControl`: one row moves at no more than (1 /
-    kdamp + dt A Lambda^-1 A^T) w. Of several rows that holds as long as they are pressed: damping does not pull at a
-    one-sided row either. With joint torques, which show the law's own force a tick late, kfp + kfi dt / 2 + d / 2 < 1
-    is needed off contact, d the largest eigenvalue of D dt A Lambda^-1 A^T: 1/2 for what kfp and kfi have serves any
-    kdamp. Without kdamp nothing bounds the speed; `taut.laws.LossOfContact` around this law lets the force go.
+    With kdamp the speed y = A V + phi_t against the rows is bounded from rest where contact is lost, as that of
+    `ForceControl`: y . D y <= w . D^-1 w, w = (1 + kfp) lam_des + kfi e_int_max; of several rows as long as they are
+    pressed, since damping does not pull at a one-sided row. With joint torques, which show the law's own force a tick
+    late, kfp + kfi dt / 2 + d / 2 < 1 is needed off contact, d the largest eigenvalue of D dt A Lambda^-1 A^T: 1/2
+    for what kfp and kfi have serves any kdamp. Without kdamp the speed is unbounded; `taut.laws.LossOfContact` around
+    this law lets the force go.
 
     Frames:
         The constraint is in world axes; what it says of the tool is said at the tool's origin.
@@ -101,8 +101,6 @@ class HybridMotionForce(Law):
         feedback: With kfp or kfi, what measures the force: "wrench" or "joint_torque".
         curvature: Whether the term of that name is in the law.
         tolerance: How far phi may be from zero where a run starts [m, rad].
-
-    For a surface of uncertain normal there is `taut.laws.NormalEstimate(law=HybridMotionForce(...))`.
 
     Raises:
         UsageError: No constraint, or no law of motion that gives torques.

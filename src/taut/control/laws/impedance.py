@@ -71,7 +71,7 @@ class Impedance(TaskLaw):
         frame= names the axes of K, B and D: "world", "task" (of the reference pose) or "tool".
 
     Args:
-        K: Stiffness: (linear, angular), (6,) or (6, 6). A new K acts at once, energy included; or `EnergyTank`.
+        K: Stiffness: (linear, angular), (6,) or (6, 6). A new K acts at once, energy included (see `EnergyTank`).
         B: Damping, likewise; or zeta.
         zeta: Damping ratio of every mode, in place of B.
         D: Apparent inertia, likewise; that of the arm if left out.
