@@ -288,8 +288,7 @@ class Wrist(Declared):
 
     Frames:
         bias, com and range are of the sensor's own axes and origin, those of `frame`, force first. Wrenches before
-            and
-        after are in world axes at the tool's origin.
+        and after are in world axes at the tool's origin.
 
     Args:
         bias: (6,) or (force, moment), the reading without load [N, N m].
