@@ -54,9 +54,9 @@ class RigidContact(Declared):
     Columns of a run:
         contact.lam (k,), the multipliers at the tick, at the same state and torque, without correction of drift; of a
         gap that closes in the step, impulse / dt. contact.on (k,), 1.0 for rows that act after the step.
-        contact.drift, the largest absolute phi of touching rows at the tick. contact.correction, the difference of the
-        step's impulses / dt and lam. contact.slip (c, 3) [m/s], sliding velocities of points with friction at the
-        tick.
+        contact.drift, the largest absolute phi of touching rows at the tick. contact.correction, the difference of
+        the step's impulses / dt and lam. contact.slip (c, 3) [m/s], sliding velocities of points with friction at
+        the tick.
 
     Args:
         constraint: What holds: a taut.Constraint.
