@@ -59,27 +59,28 @@ class HybridMotionForce(Law):
                   D = (kdamp^-1 + dt A Lambda^-1 A^T)^-1, the damping kdamp when the tick ends, as of `ForceControl`
                   F_curved = A^T S (A-dot V + ...), the term `curvature`, which the chapter leaves out
                   P = I - A^T S A Lambda^-1, S = (A Lambda^-1 A^T)^-1                                     eq. 10.44
-                  with A X_e = 0, A V_e = 0, A a_des = -(A-dot V + ...): what a reference of the tool asks against a
-                    constraint of the tool is taken out of it, where the tool is, before `motion` sees it
-    Closed loop:  along the constraints that of `motion`: V-dot is what it asks for along them, whatever Lambda is,
-                    and wherever the surface really is. A reference that keeps to the constraint is not changed, and
-                    on a flat one eq. 10.45 is as it stands; on a curved one it differs by what the reference asks
-                    against the tangent at the tool, in the measure of the error along it
-                    an inertia D of `motion` feels what is along the constraint of F_ext, and not the contact's force
-                    of a law of joints, or a constraint that is not one of the tool's link, P Lambda of what it asks:
-                    what is asked against the constraint comes out as motion along it as well
-                    of a tool in a closed chain, in the directions that the chain leaves to it: the term `chain`
+                  with A X_e = 0, A V_e = 0, A a_des = -(A-dot V + ...): what violates the constraint of the tool is
+                    removed from the tool's reference, at the tool's pose, before `motion` sees it
+    Closed loop:  along the constraints that of `motion`: V-dot is the acceleration that it commands, for any Lambda,
+                    and wherever the surface really is. A reference that satisfies the constraint is unchanged; on a
+                    flat constraint this is eq. 10.45 exactly, on a curved one it differs by the part of the reference
+                    normal to the tangent at the tool, in proportion to the error along it
+                    an inertia D of `motion` responds to F_ext along the constraint, not to the contact force
+                    for a law in joint space, or a constraint of another link than the tool's, P Lambda of the
+                    command: a command against the constraint also causes motion along it
+                    for a tool in a closed chain, in the directions that the chain leaves free: the term `chain`
                   against them lam = F_force's, in a rigid contact: (1 + kfp) lam_e + kfi int(lam_e) = const, with the
                     pole -kfi / (1 + kfp), not the -kfi / kfp of eq. 10.36; the measured force is a tick old, so that
                     kfp + kfi dt / 2 < 1, or the loop is unstable; a RigidPlant refuses it, elsewhere a run reports
                   with curvature=False lam is off by S A-dot V: m v^2 / r on a surface of radius r
 
-    lam_meas is (A A^T)^-1 A F_app of the wrist sensor: friction along a surface at the tool's origin does not count
-    as pressing. With feedback="joint_torque" it is eq. 10.42 with the measured torques, and what the model does not
+    lam_meas is (A A^T)^-1 A F_app of the wrist sensor: friction along a surface at the tool's origin is not part
+    of it. With feedback="joint_torque" it is eq. 10.42 with the measured torques, and what the model does not
     know, such as a payload, counts as a force. Without kfp and kfi no force is measured, and lam_des is fed forward,
-    eq. 10.34. A one-sided row is never asked to pull. The integral rests where limits of the torque cut the force, or
-    a contact would be pulled at, and the error pushes further that way; it is cut at e_int_max. Of a desired wrench
-    what the constraint does not admit is left out. Where the normal is uncertain, use `taut.laws.NormalEstimate`.
+    eq. 10.34. A one-sided row is never commanded to pull. The integral stops (anti-windup) where torque limits cut
+    the force, or a contact would have to pull, and the error would increase it; it is bounded by e_int_max. The part
+    of a desired wrench that the constraint does not admit is ignored. Where the normal is uncertain, use
+    `taut.laws.NormalEstimate`.
 
     With kdamp the speed y = A V + phi_t against the rows is bounded from rest where contact is lost, as that of
     `ForceControl`: y . D y <= w . D^-1 w, w = (1 + kfp) lam_des + kfi e_int_max; of several rows as long as they are
