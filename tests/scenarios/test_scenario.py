@@ -79,7 +79,7 @@ def test_a_missed_pass_figure_exits_with_one_and_says_which(
     assert main(["run", str(file), "--out", str(tmp_path / "out")]) == 1
     said = capsys.readouterr().out
     assert "missed: PD: peak_error must be <= 1e-06; got " in said
-    assert "reached: 0 of 1 pass figures" in said
+    assert "passed: 0 of 1 pass criteria" in said
 
 
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")

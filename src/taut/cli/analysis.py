@@ -177,7 +177,7 @@ def _law(text: str) -> type[Law] | Law:
 
 DESIGN: Final = Command(
     name="design",
-    help="Find the gains of a law from a specification, what of it the sampled loop has, and its limits.",
+    help="Find the gains of a law from a specification, and report what the sampled loop achieves and its limits.",
     run=_design,
     arguments={
         "law": {"metavar": "LAW", "help": "a law that `taut laws` lists; one that holds others is written with them"},

@@ -57,7 +57,7 @@ def _table(pages: Sequence[Page]) -> str:
 
 BOOK: Final = Command(
     name="book",
-    help="Compute the chapter's equations and figures, beside what they should be.",
+    help="Compute the chapter's equations and figures, beside the expected values.",
     run=_book,
     arguments={
         "ids": {"nargs": "*", "metavar": "ID", "help": "eq-10.6, fig-10.6, sec-10.2.1.5; all if left out"},

@@ -23,7 +23,7 @@ __all__ = ["DONE", "FAILED", "GAIN", "STATUS", "WRONG", "Answer", "ByName", "Com
 DONE, FAILED, WRONG = 0, 1, 2
 STATUS: Final = """exit status:
   0  done
-  1  the run failed, or missed a pass figure
+  1  the run failed, or missed a pass criterion
   2  the request was wrong
 """
 NOT_FINITE: Final = re.compile(r"\s*[+-]?(nan|inf|infinity)\s*", re.IGNORECASE)

@@ -23,7 +23,7 @@ def _arms(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
     rows = list(arm_rows())
     table = Table(
         title="taut.load_arm(NAME)",
-        columns=("arm", "joints", "takes in real life", "from", "installed"),
+        columns=("arm", "joints", "commands", "from", "installed"),
         rows=[(row.name, str(row.joints), ", ".join(row.commands), row.source, bool(row.installed)) for row in rows],
     )
     return Answer(text=str(table), data=[dataclasses.asdict(row) for row in rows])

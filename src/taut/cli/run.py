@@ -38,7 +38,7 @@ RUN: Final = Command(
         },
         "--law": {
             "metavar": "FILE.py:CLASS",
-            "help": "a law of your own instead of the scenario's laws, whose pass figures then do not count",
+            "help": "a law of your own instead of the scenario's laws, whose pass criteria then do not count",
         },
         "--gain": GAIN,
         "--engine": {

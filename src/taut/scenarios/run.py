@@ -53,7 +53,7 @@ class ScenarioResult(Result):
 
     @property
     def verdicts(self) -> list[str]:
-        """A sentence for each pass figure and run that it is about: how it is missed; empty where it is reached."""
+        """A sentence for each pass criterion and its run: how it is missed; empty where it is met."""
         return [
             f"{trial.label}{'' if figure.part is None else f', {figure.part}'}: {text}" if text else ""
             for figure in self.scenario.figures
@@ -64,12 +64,12 @@ class ScenarioResult(Result):
 
     @property
     def missed(self) -> list[str]:
-        """The pass figures that were not reached, in words."""
+        """The pass criteria that were not reached, in words."""
         return [text for text in self.verdicts if text]
 
     @property
     def ok(self) -> bool:
-        """True where every run went to its end, every pass figure was reached and every file was made."""
+        """True where every run went to its end, every pass criterion was reached and every file was made."""
         return not self.missed and not self.skipped and all(one.outcome.ok for one in self.runs.values())
 
     def json(self) -> dict[str, Any]:
@@ -91,7 +91,7 @@ class ScenarioResult(Result):
             for trial, one in self.runs.items()
             if not one.outcome.ok or one.info.phases or "; " in one.outcome.message
         ]
-        reached = f"reached: {len(verdicts) - len(missed)} of {len(verdicts)} pass figures"
+        reached = f"passed: {len(verdicts) - len(missed)} of {len(verdicts)} pass criteria"
         return Content(
             title=self.scenario.title,
             faults=[
@@ -185,7 +185,7 @@ def _metrics_by_case(runs: Mapping[Trial, Run]) -> dict[str, Any]:
 
 
 def _shortfall(figure: PassFigure, one: Run) -> str:
-    """Sentence on how a pass figure is missed: the run, a law beside others, or a phase; empty if not."""
+    """Sentence on how a pass criterion is missed: the run, a law beside others, or a phase; empty if not."""
     if figure.part is not None and one.info.phases:
         if figure.part not in (window.name for window in one.phases):
             return "the phase did not act"
