@@ -39,20 +39,20 @@ class Admittance(Law):
     """Admittance control: a measured wrench moves a virtual mass, damper and spring, and the arm follows it.
 
     Law:          V-dot_m = D^-1 (F_ext - B V_m - K X_m)                                            eq. 10.50
-                  X_m, V_m the offset and velocity of the model from the reference pose; the inner law is asked for
-                  the model's pose, twist and V-dot_m, as eq. 10.31 is; where it gives torques they are less J^T F_ext
-                  model="own": pose and twist of the model are its own, integrated by the implicit midpoint rule
-                  model="measured", the chapter's form: they are those measured in this tick
+                  X_m, V_m: offset and velocity of the virtual model relative to the reference pose; the inner law
+                  follows the model's pose, twist and V-dot_m, as in eq. 10.31; its torques are reduced by J^T F_ext
+                  model="own": the model has a state of its own, integrated by the implicit midpoint rule
+                  model="measured", the chapter's form: its pose and twist are those measured in this tick
     Closed loop:  D V-dot + B V + K X = F_ext                                                       eq. 10.48
-                  model="own": of the model exactly, at any rate; of the tool as far as the inner law follows it. Its
-                    lag t turns the impedance Z(j w) by w t: the apparent mass is D cos(w t), damped by -w D sin(w t)
-                  model="measured": of the tool, where the inner law gives torques and its model is exact. What that
-                    model and friction do not know adds to F_ext, and nothing draws the tool back: with K = 0 it
-                    drifts. Held over a tick it needs B above K dt / 2
-                  every lag t between hand and motion turns the stiffness k of a contact into damping -k t, which B
-                    and the contact's own must outweigh: t is 1.5 ticks, the filter's 1 / (2 pi cutoff) and what of
-                    the inner law's lag is not led. So it is while sqrt(k / D) is below a quarter of the drive's
-                    bandwidth; a smaller D needs up to twice that and more
+                  model="own": for the model exactly, at any rate; for the tool as well as the inner law tracks. Its
+                    lag t rotates the impedance Z(j w) by w t: apparent mass D cos(w t), damping -w D sin(w t)
+                  model="measured": for the tool, where the inner law gives torques and its arm model is exact. Model
+                    errors and friction add to F_ext without restoring force: with K = 0 the tool drifts. The
+                    zero-order hold needs B above K dt / 2
+                  a total lag t between force and motion turns a contact stiffness k into damping -k t, which B and
+                    the contact's damping must exceed: t is 1.5 ticks, the filter's 1 / (2 pi cutoff) and the part of
+                    the inner law's lag that `lead` does not compensate. This holds while sqrt(k / D) is below a
+                    quarter of the drive's bandwidth; a smaller D may need twice that damping or more
                   without - J^T F_ext a hand would move the tool past the model, by (kp Lambda)^-1 F_ext
 
     With F_ext = 0 the energy of model="own" about a resting reference, V D V / 2 + X K X / 2, never grows, however

@@ -44,18 +44,17 @@ class ForceControl(Law):
     Law:          tau = g(q) + J^T (F_des + kfp F_e + kfi int(F_e) - kdamp V)           eq. 10.34, 10.35, 10.38
                   F_e = F_des - F_app, with F_app = -F_ext of a wrist sensor, or from joint torque sensors
                   feedback="none" is eq. 10.34; kfp and kfi make eq. 10.35, kdamp eq. 10.38
-                  kdamp V is that of the arm alone when the tick ends, (I + kdamp Lambda^-1 dt)^-1 kdamp V, which is
-                    stable for any kdamp at any pose
-                  which is D V with D = (kdamp^-1 + dt Lambda^-1)^-1: kdamp in series with Lambda / dt, the strongest
-                    damper that a torque held over a tick can be
-    Closed loop:  (I + kfp) F_e + kfi int(F_e) = D V + what g does not know: at rest F_e decays with the pole
-                    -kfi / (1 + kfp), to nothing whatever is wrong with g              eq. 10.36, 10.37 corrected
+                  the damping is implicit, with V of the free arm at the end of the tick: D V with
+                    D = (kdamp^-1 + dt Lambda^-1)^-1, stable for any kdamp at any pose: kdamp in series with
+                    Lambda / dt, the strongest damper that a torque held over a tick can be
+    Closed loop:  (I + kfp) F_e + kfi int(F_e) = D V + errors of g: at rest F_e decays with the pole
+                    -kfi / (1 + kfp), to zero whatever the error of g                  eq. 10.36, 10.37 corrected
                   on a contact of stiffness k and damping b the arm oscillates as m s^2 + c s + (1 + kfp) k with
                     c = D + (1 + kfp) b - kfp k lag, which needs c > 0 and kfi < (1 + kfp) c / m; the lag is
                     dt / 2 of the hold and the age of the measured force
                   on a rigid contact, with a force that is a tick old, stable where kfp + kfi dt / 2 < 1
-                  with nothing to press on V tends to D^-1 ((I + kfp) F_des + kfi int(F_e)): what kdamp asks for and
-                    dt Lambda^-1 on top, which is most of it in directions that are light for the rate; `speed_bound`
+                  without contact V tends to D^-1 ((I + kfp) F_des + kfi int(F_e)): that of kdamp and dt Lambda^-1
+                    in addition, which dominates in directions of small apparent inertia; see `speed_bound`
 
     With feedback="joint_torque" F_app = J_bar^T (tau_meas - C v - g), J_bar = M^-1 J^T Lambda: J^-T for six joints,
     for more the one pseudoinverse in which accelerations of the free motion do not show as a force. It is right at

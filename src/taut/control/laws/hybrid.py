@@ -64,10 +64,10 @@ class HybridMotionForce(Law):
     Closed loop:  along the constraints that of `motion`: V-dot is the acceleration that it commands, for any Lambda,
                     and wherever the surface really is. A reference that satisfies the constraint is unchanged; on a
                     flat constraint this is eq. 10.45 exactly, on a curved one it differs by the part of the reference
-                    normal to the tangent at the tool, in proportion to the error along it
-                    an inertia D of `motion` responds to F_ext along the constraint, not to the contact force
+                    normal to the tangent at the tool, in proportion to the error along it;
+                    an inertia D of `motion` responds to F_ext along the constraint, not to the contact force;
                     for a law in joint space, or a constraint of another link than the tool's, P Lambda of the
-                    command: a command against the constraint also causes motion along it
+                    command: a command against the constraint also causes motion along it;
                     for a tool in a closed chain, in the directions that the chain leaves free: the term `chain`
                   against them lam = F_force's, in a rigid contact: (1 + kfp) lam_e + kfi int(lam_e) = const, with the
                     pole -kfi / (1 + kfp), not the -kfi / kfp of eq. 10.36; the measured force is a tick old, so that

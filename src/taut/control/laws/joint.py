@@ -211,18 +211,18 @@ class FrictionCompensation(Law):
 
     Law:          tau = share (viscous v* + d(v*) tanh(v* / width)), v* the desired or the measured velocity
                   d(v) = coulomb + (static - coulomb) exp(-(|v| / stribeck)^shape) + (load_external + load_motor) |T|
-                  T = M a_des + C v* + g, what carries the load; its own excess at rest fades like the static one
-                  an excess that falls at once is given over 3 widths with at="ref", and not at all with at="meas"
-    Closed loop:  friction that is known exactly leaves f(v) - tau in the place of f(v)
-                  at="ref": of viscous friction -b e_dot, so that it damps errors and does not hold back the motion
-                  static friction is given where the reference starts or turns, and helps the joint break away
-                  at="meas": none of it, and so no damping; of dry friction what is at rest, |v| < width
-                  it is never more than the friction that is there, and so never more than the break-away torque
-                  share < 1 leaves that part of friction, which feedback takes
+                  T = M a_des + C v* + g, the torque of the load; its static excess decays like that of `static`
+                  an excess that drops at once (stribeck = 0) acts over 3 widths with at="ref", not with at="meas"
+    Closed loop:  with exact parameters f(v) - tau takes the place of f(v)
+                  at="ref": viscous friction becomes -b e_dot: it damps errors and does not resist the motion
+                  static friction is applied where the reference starts or reverses, and helps the joint break away
+                  at="meas": no friction is left, and so no damping, but for dry friction at rest, |v| < width
+                  it never exceeds the friction that is present, and so never the break-away torque
+                  share < 1 leaves the rest of the friction to feedback
 
-    What is given too much drives the joint: with at="meas" it turns slow motion into a limit cycle, so that a share
-    of 0.8 to 0.9 is practice where friction is not known well. What friction itself adds to the motor's torque, and
-    with it to the load, is left out: too little by a factor 1 - load_motor.
+    Overcompensation drives the joint: with at="meas" it turns slow motion into a limit cycle, so a share of 0.8 to
+    0.9 is usual where friction is not known well. The friction that the compensating torque itself causes through the
+    load is neglected: too little by a factor 1 - load_motor.
 
     References:
         Section 10.2.1.4 a closer look at friction; the chapter's h in figures 10.10 and 10.12 includes b v.
@@ -274,12 +274,12 @@ class Dither(Law):
 
     Law:          tau = A sin(2 pi f t), each joint on its own
     Closed loop:  that of the law it is added to, with (2 mu / pi) asin(v / V) in place of dry friction mu sign(v)
-                  on average, while |v| < V = sqrt(A^2 - (4 mu / pi)^2) / (2 pi f M), what the dither shakes it with
-                  that is viscous friction (2 mu / (pi V)) v near rest, which holds no joint, but slows it down
-                  it needs A well above the static friction, and f well above what the loop follows
+                  on average, while |v| < V = sqrt(A^2 - (4 mu / pi)^2) / (2 pi f M), the amplitude of its velocity
+                  near rest that is viscous friction (2 mu / (pi V)) v: no stiction, but damping
+                  A must be well above the static friction, and f well above the bandwidth of the loop
 
-    The frequency must be below half the rate of the controller, where a sampled sine is no sine any more. Another
-    frequency in a run is another phase at once; `Limits(blend=)` takes the jump up.
+    The frequency must be below half the controller's rate (Nyquist). A change of frequency during a run changes the
+    phase at once; `Limits(blend=)` smooths the jump.
 
     References:
         Section 10.2.1.4 a closer look at friction. Armstrong-Helouvry, Dupont and Canudas de Wit (1994), section 4.
