@@ -305,8 +305,8 @@ class RaisedGains(Law):
                   s = 1 + (factor - 1) exp(-(v / width)^2), joint by joint, v the measured velocity
     Closed loop:  that of the law it holds where |v| is some widths; at rest that with kp, kd and ki times the factor
                   there dry friction leaves an error of up to mu / (factor kp) in place of mu / kp
-                  the integral changes faster near rest, and does not jump or breathe with v; neither does the torque
-                  s kp e is a stiffness that falls as the joint moves off
+                  the integral changes faster near rest; neither it nor the torque jumps with v
+                  s kp e is a stiffness that decreases as the joint starts to move
 
     It raises gains named kp and kd, also of the laws in a sum, and what is integrated into a memory named e_int;
     other gains are left as they are. A matrix K becomes S K S with S the root of diag(s).

@@ -146,8 +146,7 @@ class TaskVelocity(Law):
 
     Law:          v_cmd = J^+ (V_des + lead a_des + kp X_e),  J^+ = J^T (J J^T + damping^2)^-1
     Closed loop:  X_e-dot + kp X_e = 0, where the drives follow v_cmd exactly and the tool can move
-                  a drive that lags by 1 / bandwidth and a delay t is led by lead = 1 / bandwidth + t: what is left of
-                  its lag is of second order
+                  lead = 1 / bandwidth + t compensates the lag of a drive and a delay t to first order
                   stable for kp (1 / bandwidth + t) below about 1
 
     Damping keeps joint speeds finite at singularities: at most 1 / (2 damping) for each m/s or rad/s of the tool, and
@@ -183,11 +182,10 @@ class TaskVelocity(Law):
 class TaskPosition(Law):
     """Task-space motion by joint positions: one damped Newton step of inverse kinematics a tick, for position drives.
 
-    Law:          v_cmd = J^+(q_cmd) (V_des + kp X_e(q_cmd)),  q_cmd grows by v_cmd dt,
-                  asked for is q_cmd + lead v_cmd + lead^2 J^+ a_des / 2;  J^+ = J^T (J J^T + damping^2)^-1
-    Closed loop:  X_e-dot + kp X_e = 0 of the commanded pose, whatever the arm does: nothing measured comes back
-                  a critically damped drive lags by 2 / bandwidth, and a delay t: lead = 2 / bandwidth + t asks for
-                  where the tool is to be then
+    Law:          v_cmd = J^+(q_cmd) (V_des + kp X_e(q_cmd)),  J^+ = J^T (J J^T + damping^2)^-1
+                  q_cmd integrates v_cmd; the command is q_cmd + lead v_cmd + lead^2 J^+ a_des / 2
+    Closed loop:  X_e-dot + kp X_e = 0 for the commanded pose, whatever the arm does: there is no feedback
+                  lead = 2 / bandwidth + t compensates the lag of a critically damped drive and a delay t
 
     q_cmd starts where the arm is. X_e is the decoupled error, in world axes.
 

@@ -47,10 +47,10 @@ class ViaJointSpace(Law):
                   v_des = J^-1 V_des                                                              eq. 10.29
                   a_des = J^-1 (V_des-dot - J-dot v_des)                                          eq. 10.30
                   then that of the law it holds, at this q_des, v_des, a_des
-    Closed loop:  that of the law it holds, around these: e_ddot + kd e_dot + kp e = 0 of ComputedTorque, joint by
-                  joint; the tool's error is J e to first order, so its directions are coupled by J
-                  q_des itself is off by c |q_pred - q*|^2, c about 1 [1/rad], with q_pred the last
-                  solution carried on by v_des and a_des: dt^3/6 times the joints' jerk from what is wanted
+    Closed loop:  that of the law it holds, around these: e_ddot + kd e_dot + kp e = 0 of ComputedTorque
+                  the tool's error is J e to first order, so its directions are coupled by J
+                  the error of q_des is c |q_pred - q*|^2, c about 1 [1/rad], with q_pred the last solution
+                    extrapolated by v_des and a_des, whose error is dt^3/6 times the joints' jerk
 
     J^-1 is the inverse, for redundant joints the pseudo-inverse, with too few least squares (a radian counts as much
     as a third of the reach). Redundant joints go to `posture`, where they started if it is left out, at 1/s: closed

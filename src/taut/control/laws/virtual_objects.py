@@ -103,13 +103,13 @@ class VirtualGroove(Law):
 class VirtualBall(Law):
     """A soft ball in the air: it keeps the tool's origin out of it, or in it with inside=True. Add it to another law.
 
-    Law:          tau = J^T n max(0, K d - B s n . v),  d = radius - r at the distance r from the center, n outwards;
-                  d and n have the other sign with inside=True;  s = min(d / fade, 1)
+    Law:          tau = J^T n max(0, K d - B s n . v),  d = radius - r at the distance r from the center, n outwards
+                  inside=True: d and n have the other sign;  s = min(d / fade, 1)
     Closed loop:  that of the law it adds to, with K d n on the tool as long as d > 0; it never pulls
 
     The spring is the gradient of K d^2 / 2; damping fades in over the first `fade` of depth. Sampled with the period
     T it is passive where the arm's own damping is at least K T / 2 + B; but at the very center of a ball that keeps
-    out, where its push of K radius turns round at once.
+    out, where its push of K radius reverses at once.
 
     Args:
         center: Of the ball, world axes.
