@@ -179,20 +179,9 @@ MISUSE: dict[str, tuple[Callable[[], object], str]] = {
         ),
         "run",
     ),
-    "gravity of the plant": (
-        lambda: taut.analysis.lyapunov(
-            taut.run(
-                taut.compile(laws.GravityPID(kp=60.0, kd=9.0), planar, adds=("gravity",)),
-                Plant(planar, friction=None, adds=("gravity",)),
-                taut.JointMotion(q=planar.home + 0.3),
-                duration=0.1,
-            )
-        ),
-        "run",
-    ),
     "integral": (
         lambda: taut.analysis.lyapunov(run_of(laws.GravityPID(kp=60.0, kd=9.0, ki=1.0), planar)),
-        "law.ki",
+        "run",
     ),
     "reference": (
         lambda: taut.analysis.lyapunov(
