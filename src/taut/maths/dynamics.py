@@ -272,7 +272,7 @@ def coriolis_matrix(model: Model, q: Vector, v: Vector, payload: PayloadValues |
     C v is quadratic in v with C(v) w = C(w) v, so that C is half its derivative.
     """
     derivative = tm.jacobian(lambda at: bias(model, q, at, payload, gravity=False), v)
-    return 0.5 * derivative  # type: ignore[no-any-return]
+    return 0.5 * derivative
 
 
 def kinetic_energy(model: Model, q: Vector, v: Vector, payload: PayloadValues | None = None) -> Any:

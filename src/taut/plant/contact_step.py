@@ -240,7 +240,7 @@ def _impulses(
     r: Vector,
     scale: Sequence[Any] | None,  # of each contact with friction; None without friction
     on: Sequence[Any],  # (k,) whether each row may act
-    guess: Sequence[Any],
+    guess: Vector | Sequence[Any],
 ) -> Vector:
     """(m,) or without friction (k,) impulses, from the velocities r without impulses."""
     pairs, rubbing = contacts.touches, iter(scale or ())
