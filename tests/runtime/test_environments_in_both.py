@@ -188,6 +188,6 @@ def test_an_environment_that_goes_wrong_in_mujoco_is_told() -> None:
 
     ctrl = taut.compile(taut.laws.GravityPID(kp=1.0, kd=1.0), PANDA)
     out = taut.run(ctrl, taut.MujocoPlant(PANDA, environment=Wild()), duration=0.1)
-    assert "what touches its tool gave numbers that are not finite" in out.outcome.message
+    assert "gave numbers that are not finite" in out.outcome.message
     with pytest.raises(taut.errors.UsageError, match="environment must be an Environment"):
         taut.MujocoPlant(PANDA, environment=3.0)  # type: ignore[arg-type]
