@@ -36,7 +36,7 @@ def contact_impulses(
     touches: Sequence[Touch],  # rows of each contact; each row belongs to one
     mu: Sequence[Any],  # of each contact, with respect to p_n; not used without tangents
     there: Sequence[Any],  # whether each contact may act at all
-    guess: Sequence[Any],  # (m,) impulses to start from
+    guess: Vector | Sequence[Any],  # (m,) impulses to start from
 ) -> Vector:
     """Impulses p (m,) of contacts, from the velocities r that their rows would have without any.
 
