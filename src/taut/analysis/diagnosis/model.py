@@ -51,6 +51,11 @@ def _native_torques(arm: Arm) -> Callable[..., Float64Array]:
     return native(torques, q=n, v=n, a=n, mass=(), com=3, inertia=6)
 
 
+def stretched_length(tool: Chain) -> float:
+    """[m] from the first joint to the tool, were the arm stretched."""
+    return float(sum(np.linalg.norm(p) for p in [*(link.p for link in tool.links[1:]), tool.p]))
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ArmModel:
     """The arm that the controller believed in, with the payload that was declared to it, along a run."""
@@ -70,10 +75,10 @@ class ArmModel:
                     out[self.run.t >= t - 0.5 / self.run.rate, columns] = values[f"model.payload.{name}"]
         return out
 
-    def payload(self, tick: int = -1) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """Mass [kg], centre (3,) [m] and inertia (6,) [kg m^2] declared to the law."""
-        row = self.payloads[tick]
-        return np.array(row[0]), row[1:4].copy(), row[4:].copy()
+    @property
+    def payload(self) -> tuple[float, Float64Array]:
+        """Mass [kg] and centre (3,) [m] declared to the law at the end."""
+        return float(self.payloads[-1, 0]), self.payloads[-1, 1:4]
 
     @cached_property
     def ticks(self) -> np.ndarray[Any, np.dtype[np.intp]]:
@@ -131,11 +136,6 @@ class ArmModel:
         return np.stack([at, *moments, *turning], axis=2)
 
     @cached_property
-    def length(self) -> float:
-        """[m] from the first joint to the tool, were the arm stretched."""
-        return float(sum(np.linalg.norm(p) for p in [*(link.p for link in self.tool.links[1:]), self.tool.p]))
-
-    @cached_property
     def tool(self) -> Chain:
         """The arm's tool, at which F_ext is measured."""
         return Chain.of(model_of(self.arm), None)
@@ -175,7 +175,7 @@ def fit_residual(model: ArmModel, scale: Float64Array, threshold: Mapping[str, f
     if not len(moving) or moving.any(axis=1).mean() < MIN_MOTION:
         return _fit(model, scale, threshold, everywhere, False)
     fit = _fit(model, scale, threshold, moving, True)
-    uncertain = abs(fit.mass - float(model.payload()[0])) <= 3.0 * math.sqrt(max(float(fit.covariance[0, 0]), 0.0))
+    uncertain = abs(fit.mass - model.payload[0]) <= 3.0 * math.sqrt(max(float(fit.covariance[0, 0]), 0.0))
     return _fit(model, scale, threshold, everywhere, False) if fit.kind == "payload" and uncertain else fit
 
 
@@ -218,9 +218,9 @@ def _fit(model: ArmModel, scale: Float64Array, threshold: Mapping[str, float], u
     fit = made("gravity", -values[0] * model.gravity, values[1:], gravity=float(values[0]))
     if fit.explained >= threshold["explained by the load"] and abs(fit.gravity - 1.0) <= 0.25:
         return fit
-    reach = threshold["centre of mass"] * model.length
+    reach = threshold["centre of mass"] * stretched_length(model.tool)
     p, covariance = _payload(model, rows(model.payload_columns), friction, d, floor, reach)
-    beyond = _point_mass(p[0], p[1:4]) - _point_mass(*model.payload()[:2])
+    beyond = _point_mass(p[0], p[1:4]) - _point_mass(*model.payload)
     load = model.payload_columns @ beyond
     fit = made("payload", load, p[4:], mass=float(p[0]), centre=p[1:4], covariance=covariance)
     near = float(np.linalg.norm(fit.centre)) <= reach
@@ -236,11 +236,11 @@ def _payload(
     Standard errors are those of a model that is as accurate as its threshold says.
     """
     Q, R = np.linalg.qr(np.concatenate([Y, friction], axis=1))  # the same problem in as many rows as parameters
-    y, (mass, centre, _) = Q.T @ d, model.payload()
+    y, (mass, centre) = Q.T @ d, model.payload
     declared, low = _point_mass(mass, centre), np.array([-mass, *np.full(3, -math.inf), *np.zeros(friction.shape[1])])
     linear = _bounded(d, np.concatenate([Y[:, :4], friction], axis=1), low)
     moment = mass * centre + linear[1:4]
-    guess = max(float(mass) + linear[0], float(np.linalg.norm(moment)) / reach, 0.0)
+    guess = max(mass + linear[0], float(np.linalg.norm(moment)) / reach, 0.0)
     sigma = floor * math.sqrt(len(d) / INDEPENDENT_TICKS)
     weight = np.concatenate([np.zeros((3, 1)), np.eye(3), np.zeros((3, friction.shape[1]))], axis=1) * sigma / reach
 
