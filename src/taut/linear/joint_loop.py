@@ -26,13 +26,6 @@ from taut.control.sensing import Difference, LowPass, check_filter
 from taut.linear.linear_system import LinearSystem, names
 
 VelocityKind = Literal["measured", "difference"] | LowPass | Difference
-PAIRS: Final = [
-    {one, other}
-    for group, others in ((("zeta", "overshoot"), ("omega_n", "kp", "kd", "settling")), (("kd",), ("kp", "omega_n")))
-    for one in group
-    for other in others
-]
-"""Two numbers that determine the gains of a joint."""
 MIN_DAMPING: Final = 1e-3  # [-] damping ratio of a joint that is to settle
 
 
@@ -120,7 +113,8 @@ def second_order(
         for (name, unit), value in values
         if value is not None
     }
-    if {*given} not in PAIRS:
+    dampings = {*given} & {"zeta", "overshoot"}
+    if len(given) != 2 or (len(dampings) != 1 and ("kd" not in given or "settling" in given)):
         raise UsageError(
             "a damping (zeta or overshoot) and one of omega_n, kp, kd and settling determine the gains, or kd with "
             f"kp or omega_n; got {', '.join(given) if given else 'none'}",
@@ -135,7 +129,7 @@ def second_order(
         decrement = math.log(100.0 / given["overshoot"]) if given["overshoot"] else math.inf
         zeta = 1.0 / math.hypot(1.0, math.pi / decrement)  # of exp(-pi zeta / sqrt(1 - zeta^2))
     frequency = given.get("omega_n", math.nan)
-    if {*given} & {"settling", "kd"} and not math.isnan(zeta):
+    if dampings and {*given} & {"settling", "kd"}:
         require_range("zeta", zeta, minimum=MIN_DAMPING, hint="without damping nothing settles")
         frequency = (b + given.get("kd", math.nan)) / (2.0 * M * zeta)
     if "settling" in given:

@@ -232,11 +232,6 @@ class LinearSystem(Result):
         return float(-self._in_s(self._resting_and_moving[1]).real.max(initial=-np.inf))
 
     @property
-    def time_constant(self) -> float:
-        """1 / decay_rate [s] of the slowest pole; infinite for an unstable system."""
-        return 1.0 / self.decay_rate if self.stable else np.inf
-
-    @property
     def _fastest(self) -> float:
         """The fastest rate that the system knows [1/s]."""
         return 1.0 / self.dt if self.dt else float(np.abs(self.poles).max(initial=0.0))
@@ -348,17 +343,11 @@ class LinearSystem(Result):
             UsageError: Signals or periods that do not fit, or a plant with a direct path D.
         """
         p, m = len(self.outputs), len(self.inputs)
-        if tuple(law.inputs[:p]) != self.outputs or tuple(law.outputs[:m]) != self.inputs:
+        if (law.inputs[:p], law.outputs[:m], law.dt) != (self.outputs, self.inputs, self.dt) or self.D.any():
             raise UsageError(
                 f"a law takes the plant's outputs ({', '.join(self.outputs)}) first and gives the plant's inputs "
-                f"({', '.join(self.inputs)}) first; got inputs {', '.join(law.inputs)} and outputs "
-                f"{', '.join(law.outputs)}",
-                name="law",
-            )
-        if law.dt != self.dt or self.D.any():
-            raise UsageError(
-                "a plant and a law in feedback have one period, and the plant no direct path D; got the periods "
-                f"{self.dt} and {law.dt}",
+                f"({', '.join(self.inputs)}) first, with the period {self.dt} of a plant without direct path D; got "
+                f"inputs {', '.join(law.inputs)}, outputs {', '.join(law.outputs)} and the period {law.dt}",
                 name="law",
             )
         By, Br, Dy, Dr = law.B[:, :p], law.B[:, p:], law.D[:, :p], law.D[:, p:]

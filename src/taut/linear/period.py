@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from taut.arm.description import CommandKind
 from taut.base.errors import RangeError, UsageError
 from taut.base.paths import subtree
-from taut.base.types import Float64Array, Vector
+from taut.base.types import Float64Array
 from taut.codegen.engine import Steps
 from taut.codegen.loop import compiled_loop
 from taut.codegen.program import Block
@@ -82,16 +82,12 @@ class Period:
         self.side, self.dt, self.arm = loop.side, loop.dt, loop.plant.arm
         self.inputs, self.parameters = Block.of(loop.input_shapes()), Block.of(loop.parameter_shapes())
         checked = {path: loop.parameters.checked(path, value) for path, value in changes.items()}
-        values = smooth_parameters(loop, self.parameters, checked)
-        row = held_reference(loop, self.inputs, q)
-        memory = loop.start(q, np.zeros_like(q), self.inputs.views(row), self.parameters.views(values))
-        self.memory = Block.of({path: np.shape(value) for path, value in memory.items()})
+        self.memory, self.start = start_of(loop, self.inputs, self.parameters, q, Hold(), checked)
         self.state_coordinates = BlockCoordinates(self.memory)
         self._columns = np.arange(len(self.state_coordinates))
         self._clock = [self.memory.field(CLOCK).offset] if CLOCK in self.memory.shapes else []
-        self.start = Point(inputs=row, parameters=values, memory=self.memory.pack(memory))
-        blocks, example = (self.inputs, self.parameters, self.memory), (row, values, self.start.memory)
-        self._run = compiled_loop(loop, blocks, example)
+        example = (self.start.inputs, self.start.parameters, self.start.memory)
+        self._run = compiled_loop(loop, (self.inputs, self.parameters, self.memory), example)
         outputs = [self._run.outputs.field(path) for path in ("q", "v", "command")]
         self._shown = np.concatenate([np.arange(field.offset, field.offset + field.size) for field in outputs])
 
@@ -161,31 +157,21 @@ class LoopMap:
                 "guards; make a taut.Loop with the law and the reference of the phase that is wanted",
                 name="loop",
             )
-        self.side, self.engine, self.dt = side, loop.engine, loop.dt  # and not the loop, which may go
+        self.side, self.dt = side, loop.dt  # and not the loop, which may go
         self._stepped = Loop(Side(side, side.parameters, loop.engine), plant, loop.ref, duration=loop.duration)
         pushes = disturbance_shapes(side.arm.n)
         if not isinstance(plant, RigidPlant):
             pushes = {COMMAND: pushes[COMMAND]}  # what it does of the others is not known
         self.inputs = Block.of(loop.input_shapes() | pushes)
         self.parameters = Block.of(loop.parameter_shapes())
-        self._tangent: StepTangent | None = None
+        self.memory, _ = start_of(loop, self.inputs, self.parameters, plant.arm.home, loop.ref)
+        self.state_coordinates = BlockCoordinates(self.memory)
         self.input_coordinates = BlockCoordinates(self.inputs, [path for path in self.inputs.shapes if path != "t"])
-
-    def start(self, q: Vector, inputs: Float64Array, values: Float64Array) -> Float64Array:
-        """The memory in the first tick, at rest."""
-        views, numbers = self.inputs.views(inputs), self.parameters.views(values)
-        memory = self._stepped.start(q, np.zeros_like(q), views, numbers)
-        if self._tangent is None:
-            self.memory = Block.of({path: np.shape(value) for path, value in memory.items()})
-            self.state_coordinates = BlockCoordinates(self.memory)
-            blocks, repeats = (self.inputs, self.parameters, self.memory), self._stepped.plant.substeps - 1
-            self.period = Steps(self.step, *blocks, self._stepped.substep, repeats)
-            self.tangent = self._tangent = StepTangent(
-                self.period, directed=(), outputs=OUTPUTS, engine=self.engine
-            )  # fmt: skip
-            self.outputs = Block.of({path: self.tangent.outputs.shapes[path] for path in OUTPUTS})
-            self.output_coordinates = BlockCoordinates(self.outputs)
-        return self.memory.pack(memory)
+        blocks = self.inputs, self.parameters, self.memory
+        self.period = Steps(self.step, *blocks, self._stepped.substep, plant.substeps - 1)
+        self.tangent = StepTangent(self.period, directed=(), outputs=OUTPUTS, engine=loop.engine)
+        self.outputs = Block.of({path: self.tangent.outputs.shapes[path] for path in OUTPUTS})
+        self.output_coordinates = BlockCoordinates(self.outputs)
 
     def step(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:
         """A period, with where the tool is in its first instant."""
@@ -239,16 +225,26 @@ def loop_map(loop: Loop) -> LoopMap:
 def starting(loop: Loop, map_: LoopMap, q: Float64Array) -> Point:
     """The start of a loop at rest at joint positions (n,), in the sample of its reference there."""
     loop.side.check_start(q, {**loop.parameters, DT: loop.dt}, loop.ref)
-    inputs = held_reference(loop, map_.inputs, q, loop.ref)
-    values = smooth_parameters(loop, map_.parameters)
-    memory = map_.start(q, inputs, values)
-    return Point(inputs=inputs, parameters=values, memory=memory)
+    return start_of(loop, map_.inputs, map_.parameters, q, loop.ref)[1]
 
 
-def smooth_parameters(loop: Loop, block: Block, changes: Mapping[str, Any] = EMPTY) -> Float64Array:
-    """(size,) parameters of a loop, without quantisation, which has no derivative."""
-    steps = {path: np.zeros(shape) for path, shape in block.shapes.items() if path.endswith(RESOLUTION)}
-    return block.pack({**loop.parameters, **changes, **steps, DT: loop.dt})
+def start_of(
+    loop: Loop,
+    inputs: Block,
+    parameters: Block,
+    q: Float64Array,  # (n,) [rad | m]
+    ref: Reference,
+    changes: Mapping[str, Any] = EMPTY,  # of its parameters
+) -> tuple[Block, Point]:
+    """The memory's block and the start at rest, the reference held: no quantisation, noise or disturbance."""
+    rows, side = np.zeros((1, inputs.size)), loop.side
+    feed = ReferenceFeed(ref, side.law.reference, side.arm, loop.dt, side.at_rest(q))
+    feed.fill(subtree(inputs.views(rows), "ref"), 0, lambda: None)
+    steps = {path: np.zeros(shape) for path, shape in parameters.shapes.items() if path.endswith(RESOLUTION)}
+    values = parameters.pack({**loop.parameters, **changes, **steps, DT: loop.dt})
+    memory = loop.start(q, np.zeros_like(q), inputs.views(rows[0]), parameters.views(values))
+    block = Block.of({path: np.shape(value) for path, value in memory.items()})
+    return block, Point(inputs=rows[0], parameters=values, memory=block.pack(memory))
 
 
 def beside(map_: PeriodMap, at: Point, states: Iterable[int]) -> tuple[Derivative, Derivative]:
@@ -282,14 +278,6 @@ def finite_derivative(map_: PeriodMap, at: Point) -> Derivative:
             name=name,
         )
     return found
-
-
-def held_reference(loop: Loop, inputs: Block, q: Float64Array, ref: Reference | None = None) -> Float64Array:
-    """(size,) inputs of a tick: the reference (of q if left out) held at the start, no noise, no disturbance."""
-    rows, side = np.zeros((1, inputs.size)), loop.side
-    feed = ReferenceFeed(Hold() if ref is None else ref, side.law.reference, side.arm, loop.dt, side.at_rest(q))
-    feed.fill(subtree(inputs.views(rows), "ref"), 0, lambda: None)
-    return np.asarray(rows[0])
 
 
 @dataclass(frozen=True)
