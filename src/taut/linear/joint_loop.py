@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 import scipy.linalg
@@ -287,12 +287,8 @@ def error_dynamics(
         Chapter, section 10.2.1.1, equations 10.8 to 10.14 and figures 10.4 to 10.8.
     """
     if any(value is not None for value in (zeta, omega_n, settling, overshoot)):
-        numbers = {"M": M, "b": b, "kp": kp, "kd": kd}
-        scalars = {name: None if value is None else finite_scalar(name, value) for name, value in numbers.items()}
-        found = second_order(
-            M=scalars["M"] or 0.0, b=scalars["b"] or 0.0, kp=scalars["kp"], kd=scalars["kd"],
-            zeta=zeta, omega_n=omega_n, settling=settling, overshoot=overshoot,
-        )  # fmt: skip
+        joint: dict[str, Any] = {"M": M, "b": b, "kp": kp, "kd": kd}  # of one joint, as second_order checks
+        found = second_order(**joint, zeta=zeta, omega_n=omega_n, settling=settling, overshoot=overshoot)
         kp, kd = found.kp, found.kd
     kd = 0.0 if kd is None else kd
     shapes = [np.asarray(value).shape for value in (M, b, kp, kd, ki) if value is not None]

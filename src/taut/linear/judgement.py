@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taut.base.errors import RangeError, TautError, UsageError
-from taut.base.result import Cell, Content, Result, Table
+from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.combine import all_laws
 from taut.control.laws.joint import FrictionCompensation
@@ -57,7 +57,6 @@ class Judgement(Result):
         system: The linear model from tick to tick, of the states on which the joints' motion depends.
         stable: Whether deviations do not grow, within the error of central differences.
         decay_rate: Slowest decay of what does not stay where it is put [1/s]; negative for growth.
-        q: (n,) the equilibrium [rad | m].
         joints: Fraction of each joint in the least stable mode, by name, the largest first; empty for a stable run.
         tool: Fraction of each axis of the tool in it, by kinetic energy (world axes), likewise.
         largest: Largest factor on a gain, by path, with which the loop is stable, others unchanged. Of an unstable
@@ -72,7 +71,6 @@ class Judgement(Result):
     system: LinearSystem
     stable: bool
     decay_rate: float
-    q: Float64Array
     joints: Mapping[str, float]
     tool: Mapping[str, float]
     largest: Mapping[str, float]
@@ -101,13 +99,8 @@ class Judgement(Result):
             return f"the sampled loop is stable {where}" + (f"; it relies on {friction}" if friction else "")
         hidden = f"; {friction} hides it at rest" if friction else ""
         along = ("in " if self.direction.startswith("the") else "along ") + self.direction
-        return f"the sampled loop is unstable {where}: deviations {along} grow {self._growth}{hidden}; {self._remedy}"
-
-    @property
-    def _growth(self) -> str:
-        if self.radius > 1.1:
-            return f"{self.radius:.3g} times a period (spectral radius)"
-        return f"by a factor e in {-1.0 / self.decay_rate:.3g} s (spectral radius 1 + {self.radius - 1.0:.2g})"
+        growth = f"grow with {-self.decay_rate:.3g} 1/s (spectral radius {self.radius:.6g})"
+        return f"the sampled loop is unstable {where}: deviations {along} {growth}{hidden}; {self._remedy}"
 
     @property
     def _remedy(self) -> str:
@@ -120,32 +113,21 @@ class Judgement(Result):
 
     def content(self) -> Content:
         """The verdict, the least stable mode and the largest stable gains."""
-        tables = []
-        for kind, parts in (("joint", self.joints), ("axis of the tool", self.tool)):
-            rows: list[list[Cell]] = [[name, part] for name, part in parts.items()]
-            tables.append(Table(title=f"least stable mode by {kind}", columns=(kind, "fraction [-]"), rows=rows))
-        if self.largest:
-            factors: list[list[Cell]] = [[path, factor] for path, factor in self.largest.items()]
-            tables.append(Table(title="largest stable factors", columns=("gain", "factor [-]"), rows=factors))
+        numbers = {
+            ("least stable mode by joint", "joint", "fraction [-]"): self.joints,
+            ("least stable mode by axis of the tool", "axis", "fraction [-]"): self.tool,
+            ("largest stable factors", "gain", "factor [-]"): self.largest,
+        }
         return Content(
             title="judgement of the sampled loop",
             summary=(self.message,) if self.stable else (),
             faults=() if self.stable else (self.message,),
-            tables=tables,
+            tables=[
+                Table(title=title, columns=columns, rows=[*parts.items()])
+                for (title, *columns), parts in numbers.items()
+                if parts
+            ],
         )
-
-    def record(self) -> dict[str, Any]:
-        """The entries of `Stability` in the info of a run."""
-        return {
-            "stable": self.stable,
-            "radius": float(f"{self.radius:.9g}"),
-            "joints": {name: round(part, 3) for name, part in self.joints.items() if part >= SHOWN},
-            "tool": {name: round(part, 3) for name, part in self.tool.items() if part >= SHOWN},
-            "largest": dict(self.largest),
-            "relies_on": self.relies_on,
-            "plant": self.plant,
-            "message": self.message,
-        }
 
 
 def judge(loop: Loop, *, at: ArrayLike | None = None, gains: Iterable[str] = ()) -> Judgement:
@@ -311,12 +293,11 @@ def _judged(period: Period, plant: str, limits: tuple[str, ...] | None = None) -
         A=model.A, C=model.found.C[:, model.states], dt=period.dt, states=[names[i] for i in model.states],
         outputs=[f"{name}[{i}]" for name in ("q", "v", "command") for i in range(n)],
     )  # fmt: skip
-    q = coordinates.numbers(point.memory)[coordinates.places["plant.q"]]
     worst = model.worst(system)
     joints: Mapping[str, float] = {}
     tool: Mapping[str, float] = {}
     if limits is not None or not stable:
-        x = snapshot(period.arm, q)
+        x = snapshot(period.arm, coordinates.numbers(point.memory)[coordinates.places["plant.q"]])
         joints, tool = directions(system, worst, period.arm.joint_names, np.asarray(x.M), np.asarray(x.J()))
     gains, relies_on = _gains(period.side, values), ""
     if stable:
@@ -334,7 +315,6 @@ def _judged(period: Period, plant: str, limits: tuple[str, ...] | None = None) -
         system=system,
         stable=stable,
         decay_rate=-worst.s.real,
-        q=q,
         joints=joints,
         tool=tool,
         largest=factors,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
 
-from taut.analysis.diagnosis.model import ArmModel, Fit, fit_residual, stretched_length
+from taut.analysis.diagnosis.model import ArmModel, Fit, external_torque, fit_residual, stretched_length
 from taut.analysis.diagnosis.spectrum import Oscillation, find_oscillation
 from taut.arm.parts import short_way
 from taut.base.errors import UsageError
@@ -399,10 +399,7 @@ class ExaminedRun:
     @cached_property
     def external(self) -> Float64Array:
         """(k, n) J^T F_ext of the measured wrench; zeros where none was measured."""
-        tool = self.run.info.tool if self.model is None else self.model.tool
-        if "F_ext" not in self.run.extra or tool is None:
-            return np.zeros_like(self.run.q)
-        return np.asarray(np.einsum("kij,ki->kj", tool.jacobians(self.run.q), self.run.extra["F_ext"]))
+        return external_torque(self.run, self.run.info.tool if self.model is None else self.model.tool)
 
     @cached_property
     def steps(self) -> Float64Array:
@@ -480,7 +477,7 @@ NEEDS: Final[Mapping[Need, tuple[str, Callable[[ExaminedRun], bool]]]] = {
     ),
     "effort": ("the effort limits of the arm are not known", lambda run: run.effort_limit is not None),
     "model": (
-        "the model of the arm, or a contact force on it, is not known",
+        "the model of the arm (arm= or --arm), or a contact force on it, is not known",
         lambda run: run.fit is not None,
     ),
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Final, Literal
 
@@ -31,15 +31,6 @@ TINY: Final = float(np.finfo(np.float64).tiny)
 CENTRE_WEIGHT: Final = 0.01  # of the prior, which only keeps an unobservable centre of mass at the tool
 
 
-def model_of_run(run: Run, arm: Arm | None) -> tuple[ArmModel | None, str]:
-    """The model that the controller of a run had, of a known arm or of the run's own, and where it comes from."""
-    known = run.info.controller_arm if arm is None else arm
-    if known is None or known.joint_names != run.joint_names:  # of laws side by side, one part has fewer
-        return None, "none: give the arm of the controller, arm= or --arm, to have gravity and payload checked"
-    source = f"arm '{run.info.arm}' of the controller, as the run holds it"
-    return ArmModel(run=run, arm=known), source if arm is None else f"arm '{arm.name}' as given"
-
-
 @functools.lru_cache(maxsize=16)
 def _native_torques(arm: Arm) -> Callable[..., Float64Array]:
     """(n,) M a + C v + g of an arm with a payload, in native code."""
@@ -49,6 +40,13 @@ def _native_torques(arm: Arm) -> Callable[..., Float64Array]:
         return dyn.inverse_dynamics(model, q, v, a, PayloadValues(mass=mass, com=com, inertia=inertia))
 
     return native(torques, q=n, v=n, a=n, mass=(), com=3, inertia=6)
+
+
+def external_torque(run: Run, tool: Chain | None) -> Float64Array:
+    """(k, n) J^T F_ext of the measured wrench; zeros where none was measured."""
+    if "F_ext" not in run.extra or tool is None:
+        return np.zeros_like(run.q)
+    return np.asarray(np.einsum("kij,ki->kj", tool.jacobians(run.q), run.extra["F_ext"]))
 
 
 def stretched_length(tool: Chain) -> float:
@@ -116,11 +114,7 @@ class ArmModel:
     @cached_property
     def residual(self) -> Float64Array:
         """(ticks, n) tau + J^T F_ext - (M a + C v + g): what acted beyond what the model needs for the motion."""
-        pushed = np.zeros_like(self.motion)
-        if "F_ext" in self.run.extra:
-            J = self.tool.jacobians(self.run.q[self.ticks])
-            pushed = np.einsum("kij,ki->kj", J, self.run.extra["F_ext"][self.ticks])
-        return np.asarray(self.run.tau[self.ticks] + pushed - self.motion)
+        return np.asarray(self.run.tau[self.ticks] + external_torque(self.run, self.tool)[self.ticks] - self.motion)
 
     @cached_property
     def payload_columns(self) -> Float64Array:
@@ -149,13 +143,13 @@ class Fit:
     load: Float64Array  # (ticks, n) its torque [N m | N]
     explained: float  # 0 to 1: of what friction alone leaves, in squares
     unexplained: float  # 0 to 1: of the torque beyond the model, in squares
-    gravity: float  # fraction that something else compensates
-    mass: float  # [kg] of the whole payload, never negative
-    centre: Float64Array  # (3,) [m] its centre of mass in the tool frame
-    covariance: Float64Array  # (4, 4) of mass [kg] and centre of mass [m]
     viscous: Float64Array  # (n,) [N m s/rad | N s/m]
     coulomb: Float64Array  # (n,) [N m | N]; 0 of joints without motion
     moved: Array  # (n,) joints that moved enough to show their friction
+    gravity: float = 0.0  # fraction that something else compensates
+    mass: float = 0.0  # [kg] of the whole payload, never negative
+    centre: Float64Array = field(default_factory=lambda: np.zeros(3))  # [m] its centre of mass in the tool frame
+    covariance: Float64Array = field(default_factory=lambda: np.zeros((4, 4)))  # of mass [kg] and centre of mass [m]
 
 
 def fit_residual(model: ArmModel, scale: Float64Array, threshold: Mapping[str, float]) -> Fit:
@@ -198,7 +192,6 @@ def _fit(model: ArmModel, scale: Float64Array, threshold: Mapping[str, float], u
         kind: Literal["none", "gravity", "payload"], load: Float64Array, by: Float64Array, **numbers: Any
     ) -> Fit:
         after = float(np.sum((d - rows(load[:, :, np.newaxis])[:, 0] - friction @ by) ** 2))
-        none = {"gravity": 0.0, "mass": 0.0, "centre": np.zeros(3), "covariance": np.zeros((4, 4))}
         return Fit(
             kind=kind,
             load=load,
@@ -207,7 +200,7 @@ def _fit(model: ArmModel, scale: Float64Array, threshold: Mapping[str, float], u
             viscous=by[:n],
             coulomb=by[n:],
             moved=np.asarray(used.any(axis=0) & in_motion),
-            **{**none, **numbers},
+            **numbers,
         )
 
     by_friction = made("none", np.zeros_like(model.residual), alone)
