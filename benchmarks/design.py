@@ -49,7 +49,6 @@ def main(folder: Path) -> None:
         bounds=BOUNDS,
         limits=taut.Limits.of(arm, rate=True),
         chatter=0.99,
-        held_out=loops(11, 5),
         seeds=(0, 1, 2),
     )
     print(tuned)

@@ -302,7 +302,7 @@ def test_eight_processes_compile_the_same_law_at_once(folder: Path) -> None:
 def test_a_kernel_that_is_wrong_is_refused_and_not_kept(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     arm = taut.load_arm("planar2")
     with monkeypatch.context() as broken:
-        broken.setitem(llvm._BINARY, Op.SUB, "fadd")  # type: ignore[arg-type]
+        broken.setitem(llvm._OPERATION, Op.SUB, "fadd double {0}, {1}")  # type: ignore[arg-type]
         with pytest.raises(
             taut.errors.TraceError,
             match=r"^PID: compiled code and plain Python differ, \S+ and \S+; it does something",

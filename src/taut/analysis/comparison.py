@@ -296,7 +296,7 @@ def compare_laws(
     *,
     runs: Mapping[str, Run],
     by: Sequence[str] = (),  # figures to rank by
-    noise: Mapping[str, ArrayLike] | None = None,  # deviation by sensor; plant's or NOISE if left out; {} to skip
+    noise: bool = True,  # also with the noise of the sensors: the plant's own, or NOISE
     model: WrongModel | None = None,  # None to skip
 ) -> Comparison:
     """Run laws on an experiment, and measure them; all are compiled before the first one runs."""
@@ -346,24 +346,19 @@ class _Variants:
     notes: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, experiment: Experiment, noise: Mapping[str, ArrayLike] | None, model: WrongModel | None) -> _Variants:
+    def of(cls, experiment: Experiment, noise: bool, model: WrongModel | None) -> _Variants:
         plant, sensors, notes = experiment.plant, experiment.sensors, []
         if not isinstance(plant, (RigidPlant, PlantBase)) or plant.like() is None:  # one of the user's own
-            if noise:
-                raise UsageError(
-                    f"noise cannot be given to {plant.name}, which cannot be made anew; give it sensors with noise",
-                    name="noise",
-                )
             return cls(notes=(f"no figures of noise and of a wrong model: {plant.name} cannot be made anew",))
         quiet: Plant | None = None
         noisy: Plant | None = None
-        if noise is None and _noisy(sensors):
+        if noise and _noisy(sensors):
             quiet = plant.like(sensors=with_noise(sensors, dict.fromkeys(_noisy(sensors), 0.0)))
             notes.append("noise: the sensors as they are, against the same without noise")
-        elif noise != {}:
-            noise = noise or {name: value for name, value in NOISE.items() if getattr(sensors, name) is not None}
-            noisy = plant.like(sensors=with_noise(sensors, noise))
-            words = ", ".join(f"{name} {np.max(np.asarray(value)):g}" for name, value in noise.items())
+        elif noise:
+            deviations = {name: value for name, value in NOISE.items() if getattr(sensors, name) is not None}
+            noisy = plant.like(sensors=with_noise(sensors, deviations))
+            words = ", ".join(f"{name} {value:g}" for name, value in deviations.items())
             notes.append(f"noise: sensors with a standard deviation of {words}, against those of the plant")
         trials: tuple[Plant, ...] = ()
         if model is not None:
@@ -426,16 +421,12 @@ def main_error(numbers: Mapping[str, Mapping[str, float]]) -> str | None:
     return next((name for name in ERRORS if numbers.get(name)), None)
 
 
-def with_noise(sensors: Sensors, noise: Mapping[str, ArrayLike]) -> Sensors:
+def with_noise(sensors: Sensors, noise: Mapping[str, float]) -> Sensors:
     """Sensors with another standard deviation of their noise, by the sensor's name; zero for none."""
-    changed = {}
-    for name, value in noise.items():
-        if name not in Sensors.declared:
-            raise unknown_name("a plant", "sensor", name, Sensors.declared)
-        sensor = getattr(sensors, name)
-        if sensor is None:
-            raise UsageError(f"the plant has no sensor '{name}', which noise is given for; leave it out", name=name)
-        changed[name] = dataclasses.replace(sensor, noise=value if np.any(value) or name != "wrench" else None)
+    changed = {
+        name: dataclasses.replace(getattr(sensors, name), noise=value if value or name != "wrench" else None)
+        for name, value in noise.items()
+    }
     return dataclasses.replace(sensors, **changed)
 
 

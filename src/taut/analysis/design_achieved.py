@@ -48,8 +48,7 @@ class Requirement:
         asked: The number that was asked for.
         got: Of the linear model of the sampled loop; NaN if unstable, infinite for a step that does not settle.
         met: Whether it is within 5 %, a stiffness within 1 %; a settling time or an overshoot may be less, an
-            overshoot 1 % of the step more. Over several poses damping and speed may be more.
-        pose: Number of the pose.
+            overshoot 1 % of the step more.
     """
 
     name: str
@@ -58,7 +57,6 @@ class Requirement:
     asked: float
     got: float
     met: bool
-    pose: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,8 +88,6 @@ class Achieved:
     specification: Specification
     delay: float  # [s] from the tick to the torque
     hold: Float64Array | None  # (n,) torques that hold the arm [N m | N]; None where the law commands drives
-    pose: int
-    several: bool  # there are other poses too
 
     @cached_property
     def _ahead(self) -> tuple[Float64Array, Float64Array, Float64Array]:
@@ -225,17 +221,14 @@ class Achieved:
         for each in zip(directions or self.stated.directions, units, asked.tolist(), map(float, got), strict=True):
             direction, unit, wanted, found = each
             met = self._met(name, wanted, found)
-            yield Requirement(
-                name=name, direction=direction, unit=unit, asked=wanted, got=found, met=met, pose=self.pose
-            )
+            yield Requirement(name=name, direction=direction, unit=unit, asked=wanted, got=found, met=met)
 
     def _met(self, name: str, asked: float, got: float) -> bool:
         if name in ("settling", "overshoot"):
             return bool(got <= asked * (1.0 + TOLERANCE) + (OVERSHOOT if name == "overshoot" else 0.0))
         tolerance = STATIC if name == "K" else TOLERANCE
         lowest = min(asked, 1.0) if name == "zeta" else asked  # two real poles have 1 each
-        more = self.several and name in ("zeta", "omega_n")
-        return bool(got >= lowest * (1.0 - tolerance) and (more or got <= asked * (1.0 + tolerance)))
+        return bool(lowest * (1.0 - tolerance) <= got <= asked * (1.0 + tolerance))
 
     def _of_force(self) -> dict[str, float]:
         """The slow pole of the force [1/s]: on the contact, or against each row of a rigid constraint."""

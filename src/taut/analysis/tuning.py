@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import numpy as np
 from scipy.optimize import Bounds, minimize
 
-from taut.analysis.run_gradient import Cost, RunGradient, RunSlopes
+from taut.analysis.run_gradient import RunGradient, RunSlopes
 from taut.base.checks import finite_array, positive_scalar, whole_number
 from taut.base.errors import NumericalError, RangeError, ShapeError, UsageError, count_of, unknown_name
 from taut.base.paths import subtree
@@ -42,7 +42,6 @@ class LoopFigures:
     """The runs of a loop with some parameters: means over the seeds, and of torque and rate the largest."""
 
     name: str
-    held_out: bool  # nothing is tuned for it
     cost: float
     rms_error: float  # of the joints or of the tool [rad | m]; NaN where the law follows no motion
     effort: float  # integral of tau^2 [(N m)^2 s]
@@ -83,7 +82,7 @@ class Tuned(Result):
         start: The parameters at the start.
         cost: Of the best, over that of the start: 1 where nothing was gained.
         history: Every trial in order, the start first.
-        before: Each loop with the parameters of the start, those held out last.
+        before: Each loop with the parameters of the start.
         after: Each loop with the best ones.
         notes: Parameters at their bounds, runs that diverged, an end too soon, constraints that are missed.
     """
@@ -113,7 +112,7 @@ class Tuned(Result):
         ]
         figures = [
             (
-                f"{each.name} (held out)" if each.held_out else each.name,
+                each.name,
                 when,
                 *(each.cost, each.rms_error, each.effort, each.torque, each.rate, each.chatter),
             )
@@ -155,14 +154,13 @@ def tune(
     loops: Loops,
     paths: Sequence[str],
     *,
-    cost: str | Mapping[str, float] | Cost = "tracking",
+    cost: str | Mapping[str, float] = "tracking",
     bounds: Mapping[str, tuple[ArrayLike, ArrayLike]] | None = None,
     limits: Limits | None = None,
     chatter: float | None = None,
     q0: ArrayLike | None = None,
     seeds: Sequence[int] = (0,),
     evaluations: int = 300,
-    held_out: Loops = (),
 ) -> Tuned:
     """Gains, or any parameters, that minimise a cost of closed loops within constraints.
 
@@ -176,15 +174,15 @@ def tune(
     Args:
         loops: One or more loops that share the parameters, and begin with them; they stay as they are.
         paths: Such as ("law.kp", "law.kd"), "sensing.velocity.cutoff"; one number, or one per joint.
-        cost: "tracking", "rotation", "effort" or "speed", or weights of them, {"tracking": 1.0, "effort": 1e-6}; or
-            a function of a `taut.analysis.Tick` in `taut.math`, of which the mean over the ticks is taken.
+        cost: "tracking", "rotation", "effort" or "speed", the mean square of the error of joints or of the tool's
+            position, of its rotation, of the torques or the velocities; or weights of them, {"tracking": 1.0,
+            "effort": 1e-6}.
         bounds: By path (low, high), logarithmic if both are positive; a tenth and ten times the start if left out.
         limits: To keep within: `taut.Limits.of(arm)`; None for none.
         chatter: Largest chatter over that at the start: 1.0 for no more; None for any.
         q0: (n,) where runs start [rad | m]; home, or where a reference of joints starts, if left out.
         seeds: Of the noise in the runs.
         evaluations: Largest number of trials.
-        held_out: Loops on which before and after are compared, and nothing is tuned.
 
     Raises:
         UsageError, RangeError, ShapeError, UnknownNameError: An invalid argument; encoders or amplifiers with steps,
@@ -210,13 +208,12 @@ def tune(
             f"limits must be taut.Limits(...), such as taut.Limits.of(arm); got {type(limits).__name__}",
             name="limits",
         )
-    named = _named(loops, "loops")
+    named = _named(loops)
     if not named:
         raise UsageError("tune needs a loop at least", name="loops")
     return _Problem(
         space=_Space(next(iter(named.values())), paths, bounds or {}),
         loops=named,
-        held_out=_named(held_out, "held_out"),
         cost=cost,
         limits={} if limits is None else {"tau": limits.tau, "tau_dot": limits.tau_dot},
         chatter=None if chatter is None else positive_scalar("chatter", chatter),
@@ -226,21 +223,17 @@ def tune(
     ).solved()
 
 
-def _named(loops: Loops, name: str) -> dict[str, Loop]:
+def _named(loops: Loops) -> dict[str, Loop]:
     """Loops by name; those without are numbered."""
     if isinstance(loops, Loop):
         loops = {"loop": loops}
     named = dict(loops) if isinstance(loops, Mapping) else {f"loop {i}": loop for i, loop in enumerate(loops)}
     for loop in named.values():
         if not isinstance(loop, Loop):
-            raise UsageError(f"{name} must be taut.Loop(ctrl, plant, ref, duration=...); got {loop!r}", name=name)
+            raise UsageError(f"loops must be taut.Loop(ctrl, plant, ref, duration=...); got {loop!r}", name="loops")
         steps = next((path for path in loop.parameters if path.endswith(RESOLUTION)), None)
-        if steps is not None and name == "loops":
-            raise UsageError(
-                f"the steps of {steps} have no derivative; tune with a plant without it, and give one that has it as "
-                "held_out",
-                name=name,
-            )
+        if steps is not None:
+            raise UsageError(f"the steps of {steps} have no derivative; tune with a plant without it", name="loops")
     return named
 
 
@@ -352,8 +345,7 @@ class _Problem:
 
     space: _Space
     loops: Mapping[str, Loop]
-    held_out: Mapping[str, Loop]
-    cost: str | Mapping[str, float] | Cost
+    cost: str | Mapping[str, float]
     limits: Mapping[str, ArrayLike | None]
     chatter: float | None
     q0: ArrayLike | None
@@ -362,8 +354,7 @@ class _Problem:
 
     def __post_init__(self) -> None:
         paths = tuple(self.space.start)
-        every = {**self.loops, **self.held_out}
-        self._gradients = {name: RunGradient(loop, paths, self.cost) for name, loop in every.items()}
+        self._gradients = {name: RunGradient(loop, paths, self.cost) for name, loop in self.loops.items()}
         self._answers: dict[bytes, _Answer] = {}  # by the point, in the order of the trials
         self._failures: list[str] = []
         self._first: dict[str, LoopFigures] = {}  # of each loop at the start
@@ -414,15 +405,10 @@ class _Problem:
             start=space.start,
             cost=best.cost,
             history=history,
-            before=(*history[0].figures, *self._unseen(history[0])),
-            after=(*best.figures, *self._unseen(best)),
+            before=history[0].figures,
+            after=best.figures,
             notes=tuple(notes),
         )
-
-    def _unseen(self, trial: Trial) -> list[LoopFigures]:
-        """The loops that are held out, with the parameters of a trial."""
-        x = self.space.scaled(trial.parameters)
-        return [self._figures(name, self._runs(name, loop, x)) for name, loop in self.held_out.items()]
 
     def _answer(self, x: Float64Array) -> _Answer:
         """Cost and constraints at a point."""
@@ -484,7 +470,6 @@ class _Problem:
         tau, tau_dot = self.limits.get("tau"), self.limits.get("tau_dot")
         return LoopFigures(
             name=name,
-            held_out=name in self.held_out,
             cost=_mean([run.mean_cost() for run in runs])[0],
             rms_error=float(np.mean([np.sqrt(np.mean(run.error**2)) for run in runs])),
             effort=float(np.mean([run.dt * np.sum(run.tau[:-1] ** 2) for run in runs])),

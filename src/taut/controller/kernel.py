@@ -11,7 +11,6 @@ from taut.base.errors import NumericalError, RangeError, TautError, UsageError
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen import native
-from taut.codegen.call import Argument
 from taut.codegen.engine import Engine, Flat
 from taut.codegen.kernel import Blocks, Call, Kernel
 from taut.codegen.program import Block, Values, failure
@@ -133,14 +132,12 @@ def recording_kernel(side: LawSide, engine: Engine, sensed: tuple[str, ...], tic
 
 def _call_of(side: LawSide, slow: Callable[..., Any]) -> Call:
     """How `step` is called: positions, velocities, and the sample of a law; a task makes its samples itself."""
-    arguments = [Argument((name,)) for name in ("q", *(("v",) if side.sensing.needs_velocity else ()))]
-    if side.task is None:
-        arguments.append(Argument(tuple(reference_shapes(side)), is_object=True))
     return Call(
-        arguments=arguments,
+        arguments=("q", "v") if side.sensing.needs_velocity else ("q",),
         slow=slow,
         keywords=tuple(name for name in side.takes if name != "v"),
         reference=side.law.reference if side.task is None else None,
+        slots=tuple(reference_shapes(side)) if side.task is None else (),
     )
 
 
