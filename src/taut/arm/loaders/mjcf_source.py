@@ -81,7 +81,7 @@ NUMBERED: Final = frozenset(
     {"body", "frame", "inertial", "joint", "geom", "site", "option", "key", "mesh"}
     | {"general", "motor", "position", "velocity", "intvelocity", "damper"}
 )
-RANGES: Final = ("range", "actuatorfrcrange", "forcerange", "ctrlrange")
+FORCE_RANGES: Final = ("actuatorfrcrange", "forcerange", "ctrlrange")
 NOT_NEGATIVE: Final = {"joint": ("stiffness",), "option": ("timestep", "density", "viscosity")}
 PLACEHOLDER: Final = 0.01  # [m] radius of the sphere that stands for a mesh
 _LINE = re.compile(r"line (\d+)")
@@ -257,11 +257,11 @@ def _number_problems(element: Element) -> Iterator[tuple[str, str]]:
             yield attribute, f"{where} must be finite; got {text!r}"
         elif element.tag in NUMBERED and words and words[0][0] in "+-.0123456789":
             try:
-                values = numbers(text, bounded=attribute not in RANGES)
+                values = numbers(text, bounded=attribute not in FORCE_RANGES)
             except BadNumberError as wrong:
                 yield attribute, f"{where} {wrong}"
                 continue
-            if attribute in RANGES and len(values) == 2 and any(values) and values[0] >= values[1]:
+            if attribute in ("range", *FORCE_RANGES) and len(values) == 2 and any(values) and values[0] >= values[1]:
                 low, high = values  # MuJoCo would take it for "no limit"
                 yield attribute, f"{where} must go from low to high; got {low:g} to {high:g}; swap them"
             if attribute in NOT_NEGATIVE.get(element.tag, ()) and values[0] < 0.0:
