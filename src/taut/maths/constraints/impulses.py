@@ -9,7 +9,7 @@ from typing import Any, Final
 from taut.base.types import Matrix, Vector
 from taut.trace import math as tm
 
-CONTACT_SWEEPS: Final = 12  # of projections of each contact in its turn
+CONTACT_SWEEPS: Final = 16  # of projections of each contact in its turn
 CONTACT_NEWTON_STEPS: Final = 4  # of Newton's method for all contacts at once
 SLACK: Final = 1e-11  # of the diagonal, so that contacts that share a load need not be independent
 MIN_SLIDING: Final = 1e-30  # of squares of velocities: keeps quotients finite at rest
