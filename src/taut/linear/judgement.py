@@ -24,8 +24,8 @@ from taut.control.combine import all_laws
 from taut.control.laws.joint import FrictionCompensation
 from taut.control.lawside import LawSide
 from taut.linear.linear_system import Complex, LinearSystem, Mode, balancing
-from taut.linear.linearise import NEWTON_STEPS, equilibrium, observed_states, standing_states
-from taut.linear.period import EMPTY, STEP, Derivative, Period, Point, Side, model_in_place_of
+from taut.linear.linearise import NEWTON_STEPS, acting_states, equilibrium, pose_at
+from taut.linear.period import EMPTY, STEP, Derivative, Period, Point, model_in_place_of
 from taut.loop import AnyPlant, HasLawSide, Loop
 from taut.maths.snapshot import snapshot
 
@@ -152,8 +152,7 @@ def judge(loop: Loop, *, at: ArrayLike | None = None, gains: Iterable[str] = ())
         >>> found.stable, [*found.largest]
         (False, ['law.kd'])
     """
-    q = loop.plant.arm.home if at is None else np.asarray(at, dtype=np.float64)
-    return _judged_at(loop, loop.plant, q, EMPTY, tuple(gains))
+    return _judged_at(loop, loop.plant, pose_at(loop, at), EMPTY, tuple(gains))
 
 
 def judge_start(ctrl: HasLawSide, plant: AnyPlant, q: Float64Array, changes: Changes = EMPTY) -> Judgement | str:
@@ -165,9 +164,7 @@ def judge_start(ctrl: HasLawSide, plant: AnyPlant, q: Float64Array, changes: Cha
         return "not judged: plain Python is for debugging, and the loop is judged where it is compiled"
     try:
         return _judged_at(ctrl, plant, q, changes)
-    except np.linalg.LinAlgError:
-        return "not judged: the derivative of a period is no matrix that has eigenvalues"
-    except TautError as error:
+    except (TautError, np.linalg.LinAlgError) as error:
         return f"not judged: {error}"
 
 
@@ -194,7 +191,7 @@ def _model_loop(ctrl: HasLawSide, plant: AnyPlant) -> Loop:
     except TypeError:  # a plant of the user's own that has no hash
         loop = None
     if loop is None or loop.side is not side:
-        loop = Loop(Side(side, side.parameters, ctrl.engine), model_in_place_of(plant, side.needs), duration=side.dt)
+        loop = Loop(ctrl, model_in_place_of(plant, side.needs), duration=side.dt)
         with contextlib.suppress(TypeError):
             _LOOPS[plant] = loop
     for path, value in {**plant.parameters, **ctrl.parameters}.items():
@@ -233,7 +230,7 @@ class _Model:
     def at(cls, period: Period, start: Point, steps: int = NEWTON_STEPS) -> _Model:
         """At the equilibrium next to a start, by central differences of two steps (Richardson)."""
         found, coordinates = equilibrium(period, start, steps=steps), period.state_coordinates
-        acting = observed_states(found.A, found.C) & ~standing_states(found, period.tolerance)
+        acting = acting_states(found, period.tolerance)
         for path in ("plant.q", "plant.v"):
             acting[coordinates.places[path]] = True
         states = np.flatnonzero(acting)

@@ -424,10 +424,7 @@ class LinearSystem(Result):
     def _response(self, omega: ArrayLike, input: str, output: str) -> Complex:
         """(k, outputs, inputs) of groups."""
         rows, columns = self.rows(output), self.columns(input)
-        return self.response(omega, self.B[:, columns], self.C[rows], self.D[np.ix_(rows, columns)])
-
-    def response(self, omega: ArrayLike, B: Float64Array, C: Float64Array, D: Float64Array) -> Complex:
-        """(k, p, m) C (z I - A)^-1 B + D of other inputs and outputs at the same states, at (k,) frequencies."""
+        B, C, D = self.B[:, columns], self.C[rows], self.D[np.ix_(rows, columns)]
         w = np.ravel(finite_array("omega", omega, unit="rad/s"))
         half_rate = np.pi / self.dt * (1.0 + WHOLE) if self.dt else np.inf
         require_range("omega", w, unit="rad/s", minimum=0.0, maximum=half_rate)
