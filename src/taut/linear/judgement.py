@@ -98,9 +98,9 @@ class Judgement(Result):
         if self.stable:
             return f"the sampled loop is stable {where}" + (f"; it relies on {friction}" if friction else "")
         hidden = f"; {friction} hides it at rest" if friction else ""
-        along = ("in " if self.direction.startswith("the") else "along ") + self.direction
-        growth = f"grow with {-self.decay_rate:.3g} 1/s (spectral radius {self.radius:.6g})"
-        return f"the sampled loop is unstable {where}: deviations {along} {growth}{hidden}; {self._remedy}"
+        growth = f"deviations of {self.direction} grow with {-self.decay_rate:.3g} 1/s"
+        radius = f"(spectral radius {self.radius:.6g})"
+        return f"the sampled loop is unstable {where}: {growth} {radius}{hidden}; {self._remedy}"
 
     @property
     def _remedy(self) -> str:

@@ -27,9 +27,9 @@ from taut.linear.period import (
     finite_derivative,
     loop_map,
     mean_of,
-    starting,
+    start_of,
 )
-from taut.loop import Loop
+from taut.loop import DT, Loop
 
 Flags = NDArray[np.bool_]
 
@@ -103,7 +103,8 @@ def rest_of(loop: Loop, map_: LoopMap, at: ArrayLike | None, within: float) -> D
             "make the loop with a sample or taut.hold()",
             name="loop",
         )
-    return equilibrium(map_, starting(loop, map_, q), within)
+    loop.side.check_start(q, {**loop.parameters, DT: loop.dt}, loop.ref)
+    return equilibrium(map_, start_of(loop, map_.inputs, map_.parameters, q, loop.ref)[1], within)
 
 
 def pose_at(loop: Loop, at: ArrayLike | None) -> Float64Array:

@@ -219,12 +219,6 @@ def loop_map(loop: Loop) -> LoopMap:
     return _MAPS[loop]
 
 
-def starting(loop: Loop, map_: LoopMap, q: Float64Array) -> Point:
-    """The start of a loop at rest at joint positions (n,), in the sample of its reference there."""
-    loop.side.check_start(q, {**loop.parameters, DT: loop.dt}, loop.ref)
-    return start_of(loop, map_.inputs, map_.parameters, q, loop.ref)[1]
-
-
 def start_of(
     loop: Loop,
     inputs: Block,

@@ -84,8 +84,7 @@ def _draw_step(ax: Axes, system: LinearSystem) -> None:
     prepared(ax, "step response", "q / reference", "t [s]")
     ax.axhspan(1.0 - BAND, 1.0 + BAND, color=colour(2), alpha=0.25, linewidth=0.0)
     ax.axhline(1.0, color=INK, linewidth=0.6)
-    style = "." if system.dt and count < PLOT_POINTS else "-"
-    ax.plot(h * np.arange(count), y, style, color=colour(0), linewidth=1.5, markersize=4.0)
+    ax.plot(h * np.arange(count), y, color=colour(0), linewidth=1.5)
     if settles:
         label = f"settled, {found.settling_time:.3g} s"
         ax.axvline(found.settling_time, color=colour(1), linewidth=1.0, linestyle=DASHED, label=label)

@@ -197,11 +197,6 @@ class ExaminedRun:
     threshold: Mapping[str, float]
     ran_away: bool = False
 
-    def lacks(self, need: Need) -> str | None:
-        """Why a check with this need is left out; None where the run has it."""
-        why, there = NEEDS[need]
-        return None if there(self) else why
-
     @property
     def n(self) -> int:
         """Number of joints."""
@@ -462,14 +457,8 @@ class ExaminedRun:
 NEEDS: Final[Mapping[Need, tuple[str, Callable[[ExaminedRun], bool]]]] = {
     "length": ("the run is too short", lambda run: len(run.run) >= run.threshold["duration"] * run.run.rate),
     "torque": ("the law does not command torques", lambda run: run.of_torque),
-    "error": (
-        "the error of the joints is not known from this law and its reference",
-        lambda run: run.error is not None,
-    ),
+    "error": ("the error of the joints is not known", lambda run: run.error is not None),
     "effort": ("the effort limits of the arm are not known", lambda run: run.effort_limit is not None),
-    "model": (
-        "the model of the arm (arm= or --arm), or a contact force on it, is not known",
-        lambda run: run.fit is not None,
-    ),
+    "model": ("the arm (arm= or --arm), or a contact force on it, is not known", lambda run: run.fit is not None),
 }
 """What a check may need: why it was left out where a run does not have it, and whether it does."""

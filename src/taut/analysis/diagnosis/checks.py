@@ -93,18 +93,17 @@ def load(run: ExaminedRun, name: str) -> Finding | None:
     if name != "wrong payload":
         evidence["gravity by the plant"] = (100.0 * fit.gravity, "%")
         return run.finding(term, i, run.fraction_of(torque), evidence)
-    beyond, at = fit.mass - run.model.payload[0], ""
-    error = np.sqrt(np.maximum(np.linalg.eigvalsh(fit.covariance[1:, 1:])[-1], 0.0))
+    beyond, mass = fit.mass - run.model.payload[0], "0"
     evidence |= {
         "beyond the declared": (beyond, "kg"),
         "standard error": (np.sqrt(max(fit.covariance[0, 0], 0.0)), "kg"),
     }
     if fit.mass > 0.01 * abs(beyond):
         evidence |= {f"centre {axis}": (x, "m") for axis, x in zip("xyz", fit.centre, strict=True)}
+        error = np.sqrt(np.maximum(np.linalg.eigvalsh(fit.covariance[1:, 1:])[-1], 0.0))
         evidence["standard error of the centre"] = (error, "m")
-        at = f", com=({', '.join(f'{x + 0.0:.3f}' for x in fit.centre.round(3))})"
-    known = f" (+- {error:.2g} m; rotate the tool to know more)" if at else ""
-    remedy = f"declare the payload: arm.with_payload({fit.mass if at else 0.0:.3g}{at}), com in the tool frame{known}"
+        mass = f"{fit.mass:.3g}, com=({', '.join(f'{x + 0.0:.3f}' for x in fit.centre.round(3))})"
+    remedy = f"declare the payload: arm.with_payload({mass}), com in the tool frame"
     return run.finding(term, i, run.fraction_of(torque), evidence, remedy=remedy)
 
 
