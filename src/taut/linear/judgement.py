@@ -1,7 +1,8 @@
 """Judgement of a sampled loop: stability, distance from its limit, least stable direction, and the gains to blame.
 
 The map of one period is the compiled loop that simulates it, differentiated by central differences, without limits,
-noise and dry friction: that has no slope in sliding, and stiction hides instability only until a joint breaks free.
+noise, quantisation and dry friction, which has no slope in sliding and hides instability only until a joint breaks
+free.
 """
 
 from __future__ import annotations

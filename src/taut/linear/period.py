@@ -1,7 +1,7 @@
 """One control period of a loop as a map from memory to memory, with its derivative, in named coordinates.
 
-`Period` is the loop that simulates, compiled anyway, differentiated by central differences; `LoopMap` has the exact
-derivative of the same map, by automatic differentiation, and inputs. `equilibrium` searches with either.
+`Period` is the compiled loop that simulates, differentiated by central differences; `LoopMap` has inputs and the exact
+derivative, by automatic differentiation. `equilibrium` searches with either.
 """
 
 from __future__ import annotations
@@ -70,7 +70,10 @@ class Derivative:
 
 
 class Period:
-    """One period of a loop as it is simulated, from rest at q, reference and clock held; central differences."""
+    """One period of a loop from rest at q, its reference and clock held, by central differences.
+
+    It is the compiled loop that simulates, without quantisation.
+    """
 
     tolerance: Final = 1e-6  # [-] of a derivative: smaller entries are rounding
     rest: Final = 1e-11  # [-] of a state's size per period: a residual of rounding, of which no step can be made
