@@ -1,6 +1,6 @@
 """One control period of a loop as a map from memory to memory, with its derivative, in named coordinates.
 
-`Period` is the compiled loop that simulates, differentiated by central differences; `LoopMap` has inputs and the exact
+`Period` is the compiled loop that simulates, differentiated by central differences; `LoopMap` has inputs and an exact
 derivative, by automatic differentiation. `equilibrium` searches with either.
 """
 
