@@ -191,7 +191,7 @@ def fig_10_16() -> Shown:
 
 def board() -> Figure:
     """The chalkboard and the eraser, with their frames."""
-    figure, axes = panels(None, height=4.0, subplot_kw={"projection": "3d", "computed_zorder": False})
+    figure, axes = panels(None, height=3.6, subplot_kw={"projection": "3d", "computed_zorder": False})
     ax: Any = axes[0]
     ax.bar3d(-0.3, -0.5, -0.03, 2.4, 1.5, 0.03, color="#E9F0EA", edgecolor=INK, linewidth=0.5)
     ax.bar3d(1.0, 0.1, 0.0, 0.6, 0.3, 0.2, color="#D6C8AC", edgecolor=INK, linewidth=0.5)
@@ -201,6 +201,6 @@ def board() -> Figure:
             ax.text(*(origin + 1.2 * axis), letter, fontsize=SMALL)
         ax.text(*(origin - [0.15, 0.1, 0.0]), f"{{{name}}}", fontsize=SMALL)
     ax.set(xlim=(-0.3, 2.1), ylim=(-0.5, 1.0), zlim=(0.0, 0.7))
-    ax.set_box_aspect((2.4, 1.5, 0.7), zoom=1.25)
+    ax.set_box_aspect((2.4, 1.5, 0.7), zoom=1.1)
     ax.view_init(35.0, -70.0)
     return figure
