@@ -248,11 +248,10 @@ LAST_CROSSING: Final = "last crossing of 2 %, bisected"
 
 def settling(zeta: float) -> float:
     """omega_n times the exact 2 % settling time, by bisection on the matrix exponential."""
+    A = np.array([[0.0, 1.0], [-1.0, -2.0 * zeta]])
 
     def y(x: Any) -> Any:
-        return expm(np.array([[0.0, 1.0], [-1.0, -2.0 * zeta]]) * np.asarray(x)[..., np.newaxis, np.newaxis])[
-            ..., 0, 0
-        ]
+        return expm(A * np.asarray(x)[..., np.newaxis, np.newaxis])[..., 0, 0]
 
     grid = np.linspace(0.0, 8.0 / min(zeta, 1.0 / zeta), 2001)
     last = int(np.flatnonzero(np.abs(y(grid)) > 0.02)[-1])
