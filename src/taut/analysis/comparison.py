@@ -292,7 +292,8 @@ class Comparison(Result):
 
 
 def compare_laws(
-    laws: Mapping[str, tuple[Law, Experiment]],  # by name; references may differ
+    laws: Mapping[str, Law],  # by name
+    experiment: Experiment | None,  # of the laws; None for recorded runs alone
     *,
     runs: Mapping[str, Run],
     by: Sequence[str] = (),  # figures to rank by
@@ -307,17 +308,16 @@ def compare_laws(
             raise unknown_name("a comparison", "figure", figure, [*FIGURES, *METRICS])
     for name, recorded in runs.items():
         _check_recorded(name, recorded)
-    controllers = {}
-    for name, (law, experiment) in laws.items():
-        with blamed(name):
-            controllers[name] = experiment.controller(law)
     entries: list[Entry] = []
     notes: tuple[str, ...] = ()
-    first = next((experiment for _, experiment in laws.values()), None)
-    if first is not None:
-        variants = _Variants.of(first, noise, model)
+    if experiment is not None:
+        controllers = {}
+        for name, law in laws.items():
+            with blamed(name):
+                controllers[name] = experiment.controller(law)
+        variants = _Variants.of(experiment, noise, model)
         notes = variants.notes
-        for name, (law, experiment) in laws.items():
+        for name, law in laws.items():
             with blamed(name):
                 done, numbers = variants.figures(experiment, controllers[name], by)
             entries.append(Entry(name=name, law=repr(law), run=done, numbers=numbers))
@@ -327,12 +327,12 @@ def compare_laws(
     if by:
         entries.sort(key=lambda entry: (not entry.run.outcome.ok, [entry.number(figure) for figure in by]))
     return Comparison(
-        title=first.name if first else count_of(len(runs), "recorded run"),
+        title=experiment.name if experiment else count_of(len(runs), "recorded run"),
         entries={entry.name: entry for entry in entries},
         by=tuple(by),
         notes=notes,
-        settings=first.settings if first else {},
-        texts=first.texts if first else {},
+        settings=experiment.settings if experiment else {},
+        texts=experiment.texts if experiment else {},
     )
 
 
