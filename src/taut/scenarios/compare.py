@@ -150,7 +150,7 @@ def _experiment(
         laws = {name: law for name, law in scenario.laws.items() if isinstance(law, Law)}
         if len(laws) < len(scenario.laws):
             raise UsageError(
-                f"{scenario.source} is a task, whose phases have their own references; compare a phase of recorded "
+                f"{experiment.name} is a task, whose phases have their own references; compare a phase of recorded "
                 "runs, taut.load_run('a.mcap').phase(name)",
                 name="on",
             )
@@ -167,14 +167,15 @@ def _experiment(
 
 
 def _case_of(scenario: Scenario, case: str | None) -> Scenario:
+    name = scenario.experiment.name
     if not scenario.cases:
         if case is not None:
-            raise UsageError(f"{scenario.source} has no cases; leave case out", name="case")
+            raise UsageError(f"{name} has no cases; leave case out", name="case")
         return scenario
     if case is None:
-        raise UsageError(f"{scenario.source} has cases; take one of {quoted_list(scenario.cases)}", name="case")
+        raise UsageError(f"{name} has cases; take one of {quoted_list(scenario.cases)}", name="case")
     if case not in scenario.cases:
-        raise unknown_name(scenario.source, "case", case, scenario.cases)
+        raise unknown_name(name, "case", case, scenario.cases)
     return scenario.cases[case]
 
 
