@@ -49,7 +49,6 @@ if TYPE_CHECKING:
     from taut.linear.judgement import Judgement as Judgement
     from taut.linear.judgement import judge as judge
     from taut.linear.linear_system import OperatingPoint as OperatingPoint
-    from taut.record.friction_plot import plot_friction as plot_friction
     from taut.record.metrics import METRICS as METRICS
     from taut.record.metrics import Metric as Metric
     from taut.scenarios.compare import grade as grade
