@@ -184,7 +184,7 @@ def test_parameters_are_checked_before_a_run_begins(
         ),
         (
             "<body name='link1'><geom size='1'/></body>",
-            "scene: MuJoCo refuses the model: repeated name 'link1' in body",
+            "scene: body 'link1': MuJoCo refuses it: repeated name 'link1' in body (line 1)",
         ),
         (
             "<!DOCTYPE x [<!ENTITY a 'b'>]><geom size='1'/>",

@@ -184,7 +184,7 @@ def _judged(verdict: Judgement | str, plant: Plant) -> Stability:
         if isinstance(plant, PlantBase) and plant.real:
             raise RangeError(f"{verdict.message} (plant '{plant.name}' is a real arm: nothing was sent)", name="law")
         warn(verdict.message, StabilityWarning)
-    return Stability(**verdict.record())
+    return Stability(**{field.name: getattr(verdict, field.name) for field in dataclasses.fields(Stability)})
 
 
 def _recorded(going: FusedRun | HostedRun, log: str | os.PathLike[str] | None, progress: bool | None) -> Run:
