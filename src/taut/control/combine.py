@@ -10,7 +10,7 @@ from taut.base.errors import MatchError, UsageError
 from taut.base.fields import Declared, Part
 from taut.control.command import Command
 from taut.control.gains import MemoryView
-from taut.control.law import Law, call, initial_memory
+from taut.control.law import Law, call
 from taut.control.trajectories.reference import Reference, Sample
 from taut.maths.snapshot import Snapshot
 
@@ -123,15 +123,15 @@ class Wrapper(Law, abstract=True):
         return self.law.at_rest(x)
 
     def memory_of_children(self, x: Snapshot, ref: Sample) -> dict[str, Any]:
-        return initial_memory(self.law, x, ref)
+        return self.law.initial_memory(x, ref)
 
-    def check_states(self, x: Snapshot, rate: float, *, changed: bool = False) -> None:
-        self.law.check_states(x, rate, changed=changed)
-        (self.check_change if changed else self.check_state)(x, rate)
+    def check_states(self, x: Snapshot, rate: float) -> None:
+        self.law.check_states(x, rate)
+        self.check_state(x, rate)
 
-    def check_references(self, x: Snapshot, ref: Reference, rate: float, *, later: bool = False) -> None:
-        self.law.check_references(x, ref, rate, later=later)
-        (self.check_reference_later if later else self.check_reference)(x, ref, rate)
+    def check_references(self, x: Snapshot, ref: Reference, rate: float) -> None:
+        self.law.check_references(x, ref, rate)
+        self.check_reference(x, ref, rate)
 
 
 def bare(law: Law) -> Law:
