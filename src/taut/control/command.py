@@ -7,7 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from taut.base.errors import TraceError, UsageError, user_location
+from taut.base.errors import MatchError, TraceError, UsageError, user_location
 from taut.base.types import Array, Float64Array
 from taut.trace.array import has_symbols, traced_array
 
@@ -212,6 +212,15 @@ class Position(Command):
 
     kind = "position"
     unit = "rad | m"
+
+
+def one_kind(commands: Mapping[str, Command], who: str) -> type[Command]:
+    """The kind of command that all of several laws give; MatchError where they give several."""
+    kind, *others = {type(command) for command in commands.values()}
+    if others:
+        words = ", ".join(f"{name} a {command.kind}" for name, command in commands.items())
+        raise MatchError(f"{who} give commands of one kind; these give {words}", name=who)
+    return kind
 
 
 class WildTerm(NamedTuple):

@@ -120,11 +120,7 @@ class LawSide:
         """Those of law and model: all that a first run of the law needs."""
         out = {f"law.{path}": values for path, values in self.law.parameters().items()}
         out |= {f"sensing.{path}": values for path, values in self.sensing.parameters().items()}
-        payload = self.arm.payload
-        out["model.payload.mass"] = np.asarray(payload.mass)
-        out["model.payload.com"] = payload.com
-        out["model.payload.inertia"] = payload.inertia
-        return out
+        return out | {f"model.payload.{name}": np.asarray(getattr(self.arm.payload, name)) for name in PAYLOAD_UNITS}
 
     @property
     def units(self) -> dict[str, str]:

@@ -248,7 +248,7 @@ def check_streamed(law: Law, x: Snapshot, ref: Reference) -> None:
     for inner in held:
         if isinstance(inner, HybridMotionForce):
             tolerance = np.inf if estimated else inner.tolerance
-            check_reference(inner.constraint, x, ref, inner.motion.controlled_frame, tolerance, later=True)
+            check_reference(inner.constraint, x, ref, inner.motion.controlled_frame, tolerance)
 
 
 def _across(n: Vector3, v: Vector3) -> Vector3:

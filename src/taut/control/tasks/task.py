@@ -10,7 +10,6 @@ from typing import Any, ClassVar, Final, Self, TypeVar
 import numpy as np
 
 from taut.base.errors import (
-    MatchError,
     NumericalError,
     RangeError,
     ShapeError,
@@ -19,7 +18,7 @@ from taut.base.errors import (
     raised_location,
 )
 from taut.base.fields import Declared, Plain
-from taut.control.command import Command, Position, Terms, Torque, Velocity
+from taut.control.command import Command, Position, Terms, Torque, Velocity, one_kind
 from taut.control.gains import Gain, LawMemory, MemoryView
 from taut.control.law import Law, call
 from taut.control.tasks.phase import STOP, Guard, GuardView, Lasting, Phase, condition, named_phases
@@ -198,7 +197,7 @@ class Task(Declared):
         for name, law in self.laws.items():
             own = self.sample_of(name, ref)
             if name == STOP:
-                law = law._replaced({"kind": _kind(commands)})
+                law = law._replaced({"kind": one_kind(commands, "the phases of a task").kind})
             old = memory[name]
 
             def called(x: Snapshot, law: Law = law, own: Sample = own, old: LawMemory = old) -> tuple[Command, Any]:
@@ -356,15 +355,6 @@ def _chosen(which: Any, a: Any, b: Any) -> Any:
     if isinstance(a, Mapping):
         return {name: _chosen(which, value, b[name]) for name, value in a.items()}
     return tm.where(which, a, b)
-
-
-def _kind(commands: Mapping[str, Command]) -> str:
-    """The kind of command that all phases give; MatchError where they give several."""
-    kinds = {command.kind for command in commands.values()}
-    if len(kinds) > 1:
-        words = ", ".join(f"'{name}' a {command.kind}" for name, command in commands.items())
-        raise MatchError(f"the phases of a task give commands of one kind; these give {words}", name="task")
-    return kinds.pop()
 
 
 def _selected(commands: Mapping[str, Command], acting: Mapping[str, Any], n: int) -> Command:
