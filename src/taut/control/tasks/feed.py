@@ -272,16 +272,6 @@ class TaskFeed:
         kind = self._task.reference
         return f"{kind.name_of(self._law.reference)}_" if issubclass(kind, PhaseSample) else ""
 
-    @property
-    def kind(self) -> type[Sample]:
-        """The kind of sample that the phase follows."""
-        return self._law.reference
-
-    def own(self, views: Mapping[str, Float64Array]) -> dict[str, Float64Array]:
-        """Those of the fields of a sample of the task that the phase follows, by their own names."""
-        start = self._start
-        return {field[len(start) :]: view for field, view in views.items() if field.startswith(start)}
-
     def next_question(self, tick: int) -> int | None:
         """The first tick after `tick` at which the source of a stream is asked; None if never."""
         question = None if self._inner is None else self._inner.next_question(tick - self._since)
@@ -300,7 +290,7 @@ class TaskFeed:
         start = self._start
         for field, values in self._others.items() if start else ():
             views[field][...] = values
-        own = self.own(views)
+        own = {field[len(start) :]: view for field, view in views.items() if field.startswith(start)}
         if given is None:
             with blamed(self._name):
                 return self._inner.fill(own, first - self._since, state, ahead=False)
