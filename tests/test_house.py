@@ -130,17 +130,6 @@ def test_compiling_and_running_loads_neither_plots_nor_mujoco() -> None:
     assert done.stdout.strip() == "[]"
 
 
-def test_another_package_of_the_same_name_is_told(tmp_path: Path) -> None:
-    (tmp_path / "taut").mkdir()
-    (tmp_path / "taut" / "__init__.py").write_text("")
-    code = f"import sys; sys.path.append({str(tmp_path)!r}); import taut; print(taut.__version__)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == taut.__version__
-    assert f"another package called taut is installed at {tmp_path / 'taut' / '__init__.py'}" in done.stderr
-    alone = subprocess.run([sys.executable, "-W", "error", "-c", "import taut"], cwd=tmp_path.parent, check=True)
-    assert alone.returncode == 0
-
-
 def test_the_core_declares_what_it_imports() -> None:
     """Every third-party package that a module imports at its top is a dependency of the core."""
     project = tomllib.loads((ROOT.parents[1] / "pyproject.toml").read_text(encoding="utf-8"))["project"]

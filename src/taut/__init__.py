@@ -6,11 +6,6 @@ Everything public is here: `taut.load_arm`, `taut.laws`, `taut.compile`, ... Nam
 
 from __future__ import annotations
 
-import importlib.machinery
-import os
-import sys
-import warnings
-
 from taut.base import __version__ as __version__
 from taut.base.front_door import lazy_names
 
@@ -87,24 +82,3 @@ if TYPE_CHECKING:
     from taut.trace.pose import Pose as Pose
 
 __getattr__, __dir__, __all__ = lazy_names(__name__, __file__)
-
-
-def _other_package_of_this_name() -> str | None:
-    """The file of another package called taut that Python could find: the package index has some."""
-    for entry in sys.path:
-        spec = importlib.machinery.PathFinder.find_spec("taut", [entry])
-        if spec is None or spec.origin is None:
-            continue
-        if os.path.realpath(spec.origin) != os.path.realpath(__file__):
-            return spec.origin
-    return None
-
-
-_other = _other_package_of_this_name()
-if _other is not None:
-    warnings.warn(
-        f"another package called taut is installed at {_other}, and the order of sys.path decides which of the two "
-        'is imported; pip uninstall taut, then pip install -e "." in the folder of this one',
-        RuntimeWarning,
-        stacklevel=2,
-    )

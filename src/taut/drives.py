@@ -1,7 +1,5 @@
 """Motors, gears and drivetrains."""
 
-from __future__ import annotations
-
 from taut.base.front_door import lazy_names
 
 TYPE_CHECKING = False

@@ -1,7 +1,5 @@
 """Kinematics and dynamics of an arm as functions of floats or symbols."""
 
-from __future__ import annotations
-
 from taut.base.front_door import lazy_names
 
 TYPE_CHECKING = False

@@ -1,7 +1,5 @@
 """What acts on the tool: springs, dampers, walls, hands, pushes."""
 
-from __future__ import annotations
-
 from taut.base.front_door import lazy_names
 
 TYPE_CHECKING = False

@@ -1,7 +1,5 @@
 """Errors of the library; each is a TautError and a built-in error."""
 
-from __future__ import annotations
-
 from taut.base.front_door import lazy_names
 
 TYPE_CHECKING = False

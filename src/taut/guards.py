@@ -1,7 +1,5 @@
 """Conditions that end a phase of a task."""
 
-from __future__ import annotations
-
 from taut.base.front_door import lazy_names
 
 TYPE_CHECKING = False

@@ -1,7 +1,5 @@
 """Sensors of a plant, and the filters with which a controller reads them."""
 
-from __future__ import annotations
-
 from taut.base.front_door import lazy_names
 
 TYPE_CHECKING = False

@@ -1,7 +1,5 @@
 """Trajectories of joints and of the tool."""
 
-from __future__ import annotations
-
 from taut.base.front_door import lazy_names
 
 TYPE_CHECKING = False

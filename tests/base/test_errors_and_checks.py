@@ -219,15 +219,6 @@ def test_files_that_cannot_be_read_are_told(tmp_path: Path) -> None:
         )
 
 
-def test_a_file_without_permission_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    file = tmp_path / "secret.urdf"
-    file.write_text("<robot/>")
-    monkeypatch.setattr(os, "access", lambda path, mode: False)  # a test may run as root, who may read everything
-    assert message_of(lambda: checks.readable_file("model", file), FileError) == (
-        f"model '{file}' cannot be read; check its permissions"
-    )
-
-
 # -------------------------------------------------------------------- words
 
 

@@ -71,7 +71,7 @@ WRONG: list[tuple[str, Callable[[], Any], str]] = [
     ("twice", lambda: ARM.with_payload(1.0, mass=2.0), "mass"),  # type: ignore[misc]
     ("too many by position", lambda: taut.Pose([0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]), "xyzw="),  # type: ignore[misc]
     ("by position", lambda: taut.stream(0.1, print), "period="),  # type: ignore[misc]
-    ("of a function of a module", lambda: taut.textbook.SimulateControl(thetalst=1), "'thetalist'"),  # type: ignore[call-arg]
+    ("of a function of a module", lambda: taut.textbook.ComputedTorque(thetalst=1), "'thetalist'"),  # type: ignore[call-arg]
 ]
 
 

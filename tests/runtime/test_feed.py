@@ -328,14 +328,6 @@ def test_a_chunk_of_samples_of_different_sizes_is_refused_when_it_is_made() -> N
     assert caught.value.name == "ref"
 
 
-def test_an_error_of_the_source_comes_through_as_it_is() -> None:
-    def source(x: taut.Snapshot) -> taut.JointMotion:
-        raise ZeroDivisionError("mine")
-
-    with pytest.raises(ZeroDivisionError, match="mine"):
-        run(taut.RigidPlant(ARM), taut.stream(period=0.01, source=source))
-
-
 class SeenV(taut.Law):
     def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
         return taut.Torque(wanted=ref.a, v=x.v * TINY)

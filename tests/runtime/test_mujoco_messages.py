@@ -184,7 +184,7 @@ def test_parameters_are_checked_before_a_run_begins(
         ),
         (
             "<body name='link1'><geom size='1'/></body>",
-            "scene: MuJoCo refuses the model: repeated name 'link1' in body",
+            "scene: body 'link1': MuJoCo refuses it: repeated name 'link1' in body (line 1)",
         ),
         (
             "<!DOCTYPE x [<!ENTITY a 'b'>]><geom size='1'/>",
@@ -377,16 +377,19 @@ def test_actuators_that_take_no_torque_are_refused(arm: taut.Arm, actuator: str,
     assert said(lambda: attach(cell(MOTORS.replace(A, actuator)), arm), taut.errors.MatchError) == words
 
 
-def test_a_model_or_state_that_is_not_finite_is_refused(arm: taut.Arm) -> None:
+@pytest.mark.parametrize(("field", "body"), [("body_mass", "left_fore"), ("body_ipos", "left_upper")])
+def test_an_arm_whose_model_is_not_finite_is_another_arm(arm: taut.Arm, field: str, body: str) -> None:
     model = mujoco.MjModel.from_xml_string(cell())
-    data = mujoco.MjData(model)
-    data.qpos[3] = np.nan
-    words = "data.qpos must be finite; got nan in entry 3"
-    assert said(lambda: taut.MujocoPlant.attach(model, data, arm, "left_"), taut.errors.RangeError) == words
-    data.qpos[3] = 1.0
-    model.body_mass[model.body("door").id] = np.inf
-    words = f"model.body_mass must be finite; got inf in entry {model.body('door').id}"
-    assert said(lambda: taut.MujocoPlant.attach(model, data, arm, "left_"), taut.errors.RangeError) == words
+    getattr(model, field)[model.body(body).id] = np.nan
+    assert "of what it moves is nan" in said(
+        lambda: taut.MujocoPlant.attach(model, mujoco.MjData(model), arm, "left_"), taut.errors.MatchError
+    )
+
+
+def test_a_scene_that_is_not_finite_ends_the_run(arm: taut.Arm) -> None:
+    plant = attach(cell(), arm)
+    plant.data.qpos[plant.model.joint("box").qposadr[0]] = np.nan
+    assert taut.run(idle(arm), plant, duration=0.1).outcome.kind == "diverged"
 
 
 def test_gravcomp_on_a_part_of_the_arm_is_refused(arm: taut.Arm) -> None:

@@ -88,14 +88,18 @@ def test_what_raises_ends_the_run_with_an_outcome_and_the_record(
     np.testing.assert_array_equal(again.q, out.q)
 
 
-@pytest.mark.parametrize("plant", PLANTS.values(), ids=PLANTS)
-def test_what_raises_in_the_first_tick_comes_through(plant: Callable[[], Any]) -> None:
-    def at_once(x: taut.Snapshot) -> taut.JointMotion:
-        raise ValueError("mine")
+def at_once(x: taut.Snapshot) -> taut.JointMotion:
+    raise ValueError("mine")
 
-    made = plant()
-    with pytest.raises(ValueError, match="mine"):
-        taut.run(taut.compile(PID, ARM, adds=made.adds), made, taut.stream(period=0.01, source=at_once), duration=0.1)
+
+@pytest.mark.parametrize("plant", PLANTS.values(), ids=PLANTS)
+def test_what_raises_in_the_first_tick_ends_the_run_before_it(plant: Callable[[], Any], tmp_path: Path) -> None:
+    made, ref = plant(), taut.stream(period=0.01, source=at_once)
+    ctrl = taut.compile(PID, ARM, adds=made.adds)
+    out = taut.run(ctrl, made, ref, duration=0.1, log=tmp_path / "run.mcap")
+    assert (len(out), out.outcome.kind, out.outcome.tick) == (0, "stopped", -1)
+    assert "ValueError: mine" in out.outcome.message
+    assert taut.load_run(tmp_path / "run.mcap").outcome == out.outcome
 
 
 @pytest.mark.parametrize("what", ["state", "measure", "advance", "trouble", "extra"])

@@ -191,7 +191,6 @@ CASES: dict[str, tuple[dict[str, Any], str]] = {
     "elasticity without a rotor": ({"plant.actuation": {"transmission": {"stiffness": 1e3}}}, "plant"),
     "a spring that is too fast": ({"plant": {"joint_values": {"rotor_inertia": 1.0}, "actuation": {"transmission": {"stiffness": 1e9}}}}, "plant"),
     "a torque loop without gains": ({"plant.actuation": {"torque_loop": {}}}, "plant.actuation.torque_loop"),
-    "no sweeps": ({"plant.sweeps": 0}, "plant.sweeps"),
     "an account of energy that is a number": ({"plant.energy": 1}, "plant.energy"),
     "drives of MuJoCo with a delay between ticks": ({"plant": {"kind": "mujoco", "actuation": {"delay": 0.0015}}}, "plant.actuation.delay"),
     "an environment that is a word": ({"plant.environment": "wall"}, "plant.environment"),

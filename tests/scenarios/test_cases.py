@@ -130,11 +130,11 @@ def test_a_motor_without_electrical_numbers_is_a_curve(tmp_path: Path) -> None:
     assert isinstance(plant.actuation.motor, taut.drives.Motor)
 
 
-def test_sweeps_substeps_and_energy_reach_the_plant(tmp_path: Path) -> None:
-    text = GOOD.replace('kind = "rigid"', 'kind = "rigid"\nsweeps = 7\nsubsteps = 2\nenergy = true')
+def test_substeps_and_energy_reach_the_plant(tmp_path: Path) -> None:
+    text = GOOD.replace('kind = "rigid"', 'kind = "rigid"\nsubsteps = 2\nenergy = true')
     plant = load_scenario(write(tmp_path, text)).experiment.plant
     assert isinstance(plant, taut.RigidPlant)
-    assert (plant.sweeps, plant.substeps, plant.energy) == (7, 2, True)
+    assert (plant.substeps, plant.energy) == (2, True)
 
 
 def test_the_same_joints_move_alike_in_both_plants(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

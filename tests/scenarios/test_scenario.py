@@ -548,7 +548,7 @@ def test_the_demo_makes_a_table_a_picture_a_film_and_a_log(
     assert {path.suffix for path in tmp_path.iterdir()} == {".png", ".gif", ".mcap", ".json"}
     again = taut.load_run(tmp_path / "panda_payload.mcap")
     assert again.outcome.ok
-    assert again.metrics.overall["rms_error"] < 0.02
+    assert again.metrics.overall("rms_error") < 0.02
 
 
 def test_limits_in_words_and_in_a_table(tmp_path: Path) -> None:

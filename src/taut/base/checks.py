@@ -229,15 +229,13 @@ def readable_file(kind: str, path: str | os.PathLike[str]) -> Path:
             raise FileError(f"{kind} '{file}' does not exist{_beside(file)}", name=str(file))
         if not file.is_file():
             raise FileError(f"{kind} '{file}' is not a regular file", name=str(file))
-        if not os.access(file, os.R_OK):
-            raise FileError(f"{kind} '{file}' cannot be read; check its permissions", name=str(file))
         if file.stat().st_size == 0:
             raise FileError(f"{kind} '{file}' is empty", name=str(file))
         with file.open("rb"):  # no file descriptor may be left
             pass
     except FileError:
         raise
-    except OSError as cause:  # a name that is too long, a folder that may not be searched
+    except OSError as cause:  # a name that is too long, no permission
         raise FileError(f"{kind} '{file}' cannot be opened: {cause.strerror}", name=str(file)) from cause
     return file
 

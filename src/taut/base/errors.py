@@ -9,8 +9,10 @@ import copy
 import difflib
 import functools
 import pickle
+import re
 import sys
 import sysconfig
+import traceback
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,7 +22,7 @@ from typing import Any, ClassVar, Final, Self
 
 
 class TautError(Exception):
-    """Base of every error that taut raises. Its class has a `code`, which stays the same in every version.
+    """Base of every error that taut raises. Its class has a `code` after its name: TAUT-SHAPE of ShapeError.
 
     Args:
         message: One sentence: what, rule, actual value, how to fix it.
@@ -31,6 +33,10 @@ class TautError(Exception):
     """
 
     code: ClassVar[str] = "TAUT"
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        cls.code = "TAUT" + re.sub("[A-Z]", r"-\g<0>", cls.__name__.removesuffix("Error")).upper()
 
     def __init__(
         self,
@@ -76,61 +82,41 @@ def _revived(kind: type[TautError], args: tuple[Any, ...], state: Mapping[str, A
 class ShapeError(TautError, ValueError):
     """An array has the wrong number of entries or dimensions, or is no array of numbers."""
 
-    code = "TAUT-SHAPE"
-
 
 class RangeError(TautError, ValueError):
     """A number is not finite, has the wrong sign, or breaks another rule about its value."""
-
-    code = "TAUT-RANGE"
 
 
 class UsageError(TautError, TypeError):
     """Arguments that do not go together, or one that is missing."""
 
-    code = "TAUT-USAGE"
-
 
 class UnknownNameError(TautError, LookupError):
     """A name of a frame, joint, law, parameter or arm that does not exist."""
-
-    code = "TAUT-UNKNOWN-NAME"
 
 
 class MatchError(TautError, ValueError):
     """Two things that do not fit: a law and a plant, a controller and a reference."""
 
-    code = "TAUT-MATCH"
-
 
 class TraceError(TautError, TypeError):
     """Law code does something that cannot be traced; the message names file and line."""
-
-    code = "TAUT-TRACE"
 
 
 class MissingExtraError(TautError, ImportError):
     """A feature needs a package that is not installed."""
 
-    code = "TAUT-MISSING-EXTRA"
-
 
 class FileError(TautError, OSError):
     """A file cannot be read or written, or is not what its name says."""
-
-    code = "TAUT-FILE"
 
 
 class ScenarioError(TautError, ValueError):
     """A scenario file breaks its schema; the message names file and key."""
 
-    code = "TAUT-SCENARIO"
-
 
 class NumericalError(TautError, ArithmeticError):
     """A tick did not give finite numbers."""
-
-    code = "TAUT-NUMERICAL"
 
 
 class StabilityWarning(RuntimeWarning):
@@ -156,8 +142,6 @@ MODEL_FILES: Final = (".urdf", ".xml", ".mjcf")
 
 class ModelError(TautError, ValueError):
     """A robot model breaks a rule; `problems` lists every one of them."""
-
-    code = "TAUT-MODEL"
 
     def __init__(self, source: str, problems: Sequence[Problem]) -> None:
         first = problems[0]
@@ -230,17 +214,13 @@ _CONTROL = _PACKAGE_ROOT / "control"
 
 def user_location() -> str:
     """File and line of the innermost frame of the caller's own code, else of a law of ours."""
-    return _place(_frames_now())
+    return _place(traceback.walk_stack(sys._getframe(1)))
 
 
 def raised_location(error: BaseException) -> str:
     """The same for an error that was caught: the innermost frame that it came through, else one that called us."""
-    frames: list[tuple[FrameType, int]] = []
-    trace = error.__traceback__
-    while trace is not None:
-        frames.insert(0, (trace.tb_frame, trace.tb_lineno))
-        trace = trace.tb_next
-    return _place([*frames, *_frames_now()])
+    through = reversed(list(traceback.walk_tb(error.__traceback__)))
+    return _place([*through, *traceback.walk_stack(sys._getframe(1))])
 
 
 def warn(text: str, kind: type[RuntimeWarning] = RuntimeWarning) -> None:
@@ -251,17 +231,7 @@ def warn(text: str, kind: type[RuntimeWarning] = RuntimeWarning) -> None:
     warnings.warn(text, kind, stacklevel=level)
 
 
-def _frames_now() -> list[tuple[FrameType, int]]:
-    """The frames of this thread with the lines they are at, innermost first."""
-    frames: list[tuple[FrameType, int]] = []
-    frame: FrameType | None = sys._getframe(1)
-    while frame is not None:
-        frames.append((frame, frame.f_lineno))
-        frame = frame.f_back
-    return frames
-
-
-def _place(frames: Sequence[tuple[FrameType, int]]) -> str:
+def _place(frames: Iterable[tuple[FrameType, int]]) -> str:
     """The first of some frames, innermost first, that is no library's."""
     files = [(Path(frame.f_code.co_filename), frame.f_code.co_name, line) for frame, line in frames]
     foreign = [(file, line) for file, code, line in files if not _is_ours_or_generated(file, code)]

@@ -19,30 +19,16 @@ from typing import Any, ClassVar, NoReturn, Self, dataclass_transform
 
 import numpy as np
 
-from taut.base.declarations import (
-    REQUIRED,
-    Choice,
-    Declaration,
-    Field,
-    Part,
-    Parts,
-    Plain,
-    Whole,
-)
+from taut.base.declarations import REQUIRED as REQUIRED
+from taut.base.declarations import Choice as Choice
+from taut.base.declarations import Declaration as Declaration
+from taut.base.declarations import Field as Field
+from taut.base.declarations import Part as Part
+from taut.base.declarations import Parts as Parts
+from taut.base.declarations import Plain as Plain
+from taut.base.declarations import Whole as Whole
 from taut.base.errors import ShapeError, TautError, UsageError, unknown_name
 from taut.base.types import Float64Array
-
-__all__ = [
-    "REQUIRED",
-    "Choice",
-    "Declaration",
-    "Declared",
-    "Field",
-    "Part",
-    "Parts",
-    "Plain",
-    "Whole",
-]
 
 
 @dataclass_transform(kw_only_default=True, frozen_default=True)

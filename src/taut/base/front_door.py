@@ -17,7 +17,7 @@ from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any, Final
 
-from taut.base.errors import FileError, TautError, UsageError, unknown_name
+from taut.base.errors import TautError, UsageError, unknown_name
 
 _IMPORT: Final = re.compile(r"^    from (taut[.\w]*) import (\w+) as \2$", re.MULTILINE)
 _UNCHECKED: Final[dict[str, set[tuple[str, str]]]] = {}  # front doors and names, by the module that defines them
@@ -33,10 +33,7 @@ def lazy_names(module: str, file: str) -> tuple[Callable[[str], Any], Callable[[
     def load(name: str) -> Any:
         if name not in homes:
             raise AttributeError(str(unknown_name(module, "public name", name, names)), name=name, obj=None)
-        try:
-            value = _value(homes[name], name)
-        except OSError as cause:  # no file descriptor left
-            raise FileError(f"{module}.{name} cannot be loaded: {cause.strerror}", name=name) from cause
+        value = _value(homes[name], name)
         if name != "math":  # whose functions are too quick to wrap
             value = _checked(module, name, value)
         vars(sys.modules[module])[name] = value
@@ -66,8 +63,6 @@ def _checked(module: str, name: str, value: Any) -> Any:
 
 
 _CHECKED: Final = "_taut_checked"
-_NAMED = inspect.Parameter.VAR_KEYWORD
-_LISTED = inspect.Parameter.VAR_POSITIONAL
 
 
 def checked_arguments(thing: Any, module: str, name: str) -> Any:
@@ -125,23 +120,16 @@ def _refusing(function: FunctionType) -> FunctionType:
 def _wrong(
     function: Callable[..., Any], name: str, args: tuple[Any, ...], kwargs: dict[str, Any]
 ) -> UsageError | None:
-    parameters = list(inspect.signature(function).parameters.values())
-    if parameters[:1] and parameters[0].name in ("self", "cls"):
-        parameters, args = parameters[1:], args[1:]
-    named = [p.name for p in parameters if p.kind not in (_NAMED, _LISTED, inspect.Parameter.POSITIONAL_ONLY)]
-    open_ended = any(p.kind is _NAMED for p in parameters)
+    signature = inspect.signature(function)
+    parameters = [p for p in signature.parameters.values() if p.name not in ("self", "cls")]
+    named = [p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
+    open_ended = any(p.kind is p.VAR_KEYWORD for p in parameters)
     for word in kwargs:
         if word not in named and not open_ended:
             return UsageError(str(unknown_name(name, "argument", word, named)), name=word, value=kwargs[word])
-    places = [p.name for p in parameters if p.kind < _LISTED]
-    if len(args) > len(places) and not any(p.kind is _LISTED for p in parameters):
-        taken = f"takes {', '.join(places)} by position" if places else "takes its arguments by name"
-        rest = [word for word in named if word not in places and word not in kwargs]
-        how = f"; name the others: {', '.join(f'{word}=' for word in rest)}" if rest else ""
-        return UsageError(f"{name} {taken}; got {len(args)} arguments without a name{how}", name=name)
-    for word in places[: len(args)]:
-        if word in kwargs:
-            return UsageError(f"{name} got {word} twice: by position and by name", name=word)
-    needed = [p.name for p in parameters if p.default is p.empty and p.kind not in (_NAMED, _LISTED)]
-    missing = [word for word in needed if word not in kwargs and word not in places[: len(args)]]
-    return UsageError(f"{name} needs {', '.join(missing)}", name=missing[0]) if missing else None
+    try:
+        signature.bind(*args, **kwargs)
+    except TypeError as cause:
+        shown = (p.name if p.kind < p.KEYWORD_ONLY else f"{p.name}=" for p in parameters)
+        return UsageError(f"{name}({', '.join(shown)}): {cause}", name=name)
+    return None

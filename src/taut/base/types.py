@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Annotated, Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike as ArrayLike
+from numpy.typing import NDArray
 
 Float64Array: TypeAlias = NDArray[np.float64]
 Array: TypeAlias = NDArray[Any]
@@ -22,18 +23,3 @@ Matrix: TypeAlias = Array  # (m, n)
 Rotation: TypeAlias = Array  # (3, 3)
 Twist: TypeAlias = Array  # (6,) linear first [m/s, rad/s]
 Wrench: TypeAlias = Array  # (6,) force first [N, N m]
-
-__all__ = [
-    "Array",
-    "ArrayLike",
-    "Float64Array",
-    "Matrix",
-    "Matrix3",
-    "Matrix6",
-    "Point3",
-    "Rotation",
-    "Twist",
-    "Vector",
-    "Vector3",
-    "Wrench",
-]

@@ -37,7 +37,6 @@ from taut.trajectories import Sine
 LINE_BY_LINE: Final = "the pseudocode, line by line"
 STATE: Final = JointMotion(q=[0.9], v=[0.5], a=[-1.2])  # desired, chosen
 THETA, V = 0.7, 1.3  # [rad], [rad/s] actual, chosen
-FRICTION: Final = "The chapter's h has friction, so that FrictionCompensation stands beside the law."
 FED_FORWARD: Final = FeedForward() + FrictionCompensation(at="ref")
 
 
@@ -48,28 +47,28 @@ def model_torque(theta: float, v: float, a: float, r: float = WRONG_R) -> float:
 
 @entry("eq-10.15", "the controller's model")
 def eq_10_15() -> Shown:
+    """The model of figure 10.10 at theta = 0.7 rad, theta-dot = 1.3 rad/s."""
     x = snapshot(link(r=WRONG_R), [THETA], [V])
     h = x.h[0] + float(x.arm.viscous[0]) * V
     yield row("the model's M [kg m^2]", x.M[0, 0], M, "section 10.2.1")
     yield row("the model's h, with r = 0.08 m [N m]", h, model_torque(THETA, V, 0.0), BY_HAND)
-    yield "The model of figure 10.10 at theta = 0.7 rad, theta-dot = 1.3 rad/s."
 
 
 @entry("eq-10.16", "feedforward control")
 def eq_10_16() -> Shown:
+    """The chapter's h has friction, so that FrictionCompensation stands beside the law."""
     tau = total(ticked(FED_FORWARD, link(r=WRONG_R), [THETA], [V], STATE).terms)[0]
     yield row("torque at theta_d = 0.9, 0.5, -1.2 [N m]", tau, model_torque(0.9, 0.5, -1.2), BY_HAND)
-    yield FRICTION
 
 
 @entry("fig-10.9", "pseudocode of feedforward control")
 def fig_10_9() -> Shown:
+    """Chosen: a sine as trajectory."""
     got = ticks(FED_FORWARD, angles(100), link(r=WRONG_R))
     written = [model_torque(*trajectory(W * 0.01 * k)) for k in range(100)]
     worst = int(np.argmax(np.abs(got - written)))
     yield row("last torque of 100 ticks at 100 Hz [N m]", got[-1], written[-1], LINE_BY_LINE, rel=1e-11)
     yield row("the torque that differs most [N m]", got[worst], written[worst], LINE_BY_LINE)
-    yield "Chosen: a sine as trajectory."
 
 
 CENTRES: Final = {1: -0.5 * math.pi, 2: 0.5 * math.pi}  # [rad] of the tasks of figure 10.10
@@ -112,6 +111,7 @@ def of_run(name: str, run: Run, written: Solved, states: str = "") -> Iterator[R
 
 @entry("fig-10.10", "feedforward control with a wrong model")
 def fig_10_10() -> Shown:
+    """Numbers of the chapter. The chapter's h has friction, so that FrictionCompensation stands beside the law."""
     figure, axes = panels(*((f"Task {number}", "angle [rad]", "t [s]") for number in (1, 2)), height=2.6)
     peaks, wanted_peaks = [], []
     for number, ax in enumerate(axes, 1):
@@ -130,7 +130,6 @@ def fig_10_10() -> Shown:
     name = "Task 2 with r = 0.1 m: largest error [rad]"
     yield row(name, np.abs(exact).max(), 0.0, "the chapter: follows exactly", near=1e-3)
     yield figure
-    yield f"Numbers of the chapter. {FRICTION}"
 
 
 def controllers() -> dict[str, tuple[Law, Callable[..., float]]]:
@@ -157,6 +156,11 @@ def controllers() -> dict[str, tuple[Law, Callable[..., float]]]:
 
 @entry("fig-10.12", "feedforward, feedback, and both")
 def fig_10_12() -> Shown:
+    """Gains of figure 10.6 are torques, and those of 10.19 accelerations.
+
+    Both readings are here, the second with the gains over M. Both confirm the chapter: better tracking than either
+    alone, less effort than feedback alone. FrictionCompensation stands beside the law for the friction in h.
+    """
     titles = (
         ("Task 2", "angle [rad]", "t [s]"), ("tracking error", "error [rad]", "t [s]"),
         ("effort", "integral of tau^2 [(N m)^2 s]", ""),
@@ -189,15 +193,14 @@ def fig_10_12() -> Shown:
             got, wanted = np.divide(of[name], of[other])
             yield row(f"{name}: {measure} over that of {other}", got, wanted, ODE, rel=3e-3, states="below 1")
     yield figure
-    yield (
-        "Gains of figure 10.6 are torques, and those of 10.19 accelerations: both readings are here, the second with "
-        "the gains over M. Both confirm the chapter: better tracking than either alone, less effort than feedback "
-        "alone. " + FRICTION
-    )
 
 
 @entry("eq-10.17", "error dynamics along any trajectory")
 def eq_10_17() -> Shown:
+    """Chosen: Kp = 100, Kd = 20, Ki = 150, 0.8 rad at 0.7 Hz.
+
+    The chapter's h has friction, so that FrictionCompensation stands beside the law.
+    """
     kp, kd, ki, at = 100.0, 20.0, 150.0, 0.3
     law, sine = LINEARISING + FrictionCompensation(at="meas"), Sine(center=[0.3], amplitude=0.8, frequency=0.7)
     first = sine.at(0.0)
@@ -207,7 +210,6 @@ def eq_10_17() -> Shown:
     assert run.error is not None
     name = "error 0.3 s after 0.1 rad, along a sine in gravity [rad]"
     yield row(name, run.error[-1, 0], wanted, "scipy.linalg.expm", near=1e-4)
-    yield f"Chosen: Kp = 100, Kd = 20, Ki = 150, 0.8 rad at 0.7 Hz. {FRICTION}"
 
 
 LINEARISING: Final = ComputedTorque(kp=100.0, kd=20.0, ki=150.0)
@@ -222,31 +224,32 @@ def linearised() -> tuple[dict[str, float], float, float]:
 
 @entry("eq-10.18", "the commanded acceleration")
 def eq_10_18() -> Shown:
+    """Chosen: Kp = 100, Kd = 20, Ki = 150, first tick of 1 ms."""
     terms, a, _ = linearised()
     got = sum(terms[name] for name in ("feedforward", "P", "I", "D")) / M
     yield row("commanded acceleration [rad/s^2]", got, a, BY_HAND)
-    yield "Chosen: Kp = 100, Kd = 20, Ki = 150, first tick of 1 ms."
 
 
 @entry("eq-10.19", "feedback linearisation")
 def eq_10_19() -> Shown:
+    """Numbers of equation 10.18; without friction."""
     terms, _, tau = linearised()
     yield row("torque [N m]", sum(terms.values()), tau, BY_HAND)
-    yield "Numbers of equation 10.18; without friction."
 
 
 @entry("fig-10.11", "block diagram of feedback linearisation")
 def fig_10_11() -> Shown:
+    """Numbers of equation 10.18; without friction."""
     terms, a, tau = linearised()
     yield row("acceleration fed forward [rad/s^2]", terms["feedforward"] / M, -1.2, "theta-ddot_d")
     yield row("acceleration of the feedback [rad/s^2]", sum(terms[name] for name in "PID") / M, a + 1.2, BY_HAND)
     yield row("all terms together [N m]", sum(terms.values()), tau, BY_HAND)
     yield law_diagram(list(terms), "feedback linearisation: the terms of taut.laws.ComputedTorque")
-    yield "Numbers of equation 10.18; without friction."
 
 
 @entry("fig-10.13", "pseudocode of feedback linearisation")
 def fig_10_13() -> Shown:
+    """Chosen: recorded angles, a sine as trajectory, Kp = 100, Kd = 20, Ki = 150."""
     angle, dt = angles(200), 0.01
     got = ticks(LINEARISING + FrictionCompensation(at="meas"), angle, link(r=WRONG_R))
     written, eint, qprev = [], 0.0, float(angle[0])
@@ -260,4 +263,3 @@ def fig_10_13() -> Shown:
     worst = int(np.argmax(np.abs(got - written)))
     yield row("last torque of 200 ticks at 100 Hz [N m]", got[-1], written[-1], LINE_BY_LINE, rel=1e-10)
     yield row("the torque that differs most [N m]", got[worst], written[worst], LINE_BY_LINE, rel=1e-8)
-    yield "Chosen: recorded angles, a sine as trajectory, Kp = 100, Kd = 20, Ki = 150."

@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 import taut
 from taut import Constraint, Pose, RigidContact, Run, TaskForce, snapshot
 from taut.analysis import ConstraintTable, check_specification, natural_constraints
-from taut.base.plot_style import DASHED, INK
-from taut.book.models import TWO_LINKS, in_mujoco, panda, simulated, ticked, total, two_links
+from taut.base.plot_style import INK
+from taut.book.models import in_mujoco, panda, simulated, ticked, total, two, two_links
 from taut.book.multi_joint import TORQUE, Q, V
-from taut.book.page import MUJOCO, Row, Shown, canvas, compared, curve, entry, frame, legend, panels, row, words
+from taut.book.page import MUJOCO, Row, Shown, canvas, compared, entry, frame, row, words
 from taut.book.single_joint import ConstantTorque
 from taut.environments import Damper, Environments, Spring
 from taut.laws import ForceControl
@@ -29,42 +29,44 @@ PRESS: Final = TaskForce(F_app=F)
 
 @entry("eq-10.32", "dynamics of an arm that touches")
 def eq_10_32() -> Shown:
-    """The tool of two links slides on a plane, which takes the force that the dynamics leave."""
+    """The tool of two links slides on a plane, which takes the force that the dynamics leave.
+
+    Chosen: 3 N m at both joints, 0.4 m/s along a frictionless plane; negative presses.
+    """
     q, tau = np.array([0.3, 0.8]), 3.0
-    v = np.linalg.solve(TWO_LINKS.J(q), np.array([0.4, 0.0]))
-    board = Constraint.plane(point=[0.0, 0.0, float(TWO_LINKS.tip(q)[1])], normal=[0.0, 0.0, 1.0])
+    v = np.linalg.solve(two(q).J[[0, 2]], np.array([0.4, 0.0]))
+    m = two(q, v)
+    board = Constraint.plane(point=m.p, normal=[0.0, 0.0, 1.0])
     contact = RigidContact(constraint=board)
     out = simulated(ConstantTorque(tau=tau), two_links(), duration=0.002, q0=q, v0=v, contact=contact)
-    A_q, M = TWO_LINKS.J(q)[1:], TWO_LINKS.M(q)
-    bias, free = TWO_LINKS.Jdot_v(q, v)[1], np.linalg.solve(M, tau - TWO_LINKS.h(q, v))
-    lam = (A_q @ free + bias) / (A_q @ np.linalg.solve(M, A_q.T))[0]
+    A_q, free = m.J[2:3], np.linalg.solve(m.M, tau - m.h)
+    lam = (A_q @ free + m.Jdot_v[2]) / (A_q @ np.linalg.solve(m.M, A_q.T))[0]
     name = "force on a plane that two links slide on [N]"
-    yield row(name, out.extra["contact.lam"][0, 0], lam[0], "10.32, solved by hand", rel=1e-6)
-    yield "Chosen: 3 N m at both joints, 0.4 m/s along a frictionless plane; negative presses."
+    yield row(name, out.extra["contact.lam"][0, 0], lam[0], "10.42 with MuJoCo's M, h and J", rel=1e-6)
 
 
 @entry("eq-10.33", "the same at rest")
 def eq_10_33() -> Shown:
+    """Chosen: the wrench (5, -3, -10) N, (0.3, 0.2, -0.1) N m."""
     x, m = snapshot(panda(), Q), in_mujoco(Q)
     got = np.asarray(x.g) + np.asarray(x.J()).T @ F
     yield from compared("torque of a Panda that presses [N m]", got, m.h + m.J.T @ F, MUJOCO)
-    yield "Chosen: the wrench (5, -3, -10) N, (0.3, 0.2, -0.1) N m."
 
 
 @entry("eq-10.34", "force control by feedforward")
 def eq_10_34() -> Shown:
+    """The wrench of equation 10.33."""
     got = total(ticked(ForceControl(feedback="none", null=None), panda(), Q, np.zeros(7), PRESS).terms)
     m = in_mujoco(Q)
     yield from compared(TORQUE, got, m.h + m.J.T @ F, MUJOCO)
-    yield "The wrench of equation 10.33."
 
 
 @entry("eq-10.35", "force control by feedback")
 def eq_10_35() -> Shown:
+    """Chosen: Kfp = 0.5, Kfi = 3 1/s; 0.8 of the wrench is measured."""
     law, F_e, m = ForceControl(kfp=KFP, kfi=KFI, null=None), F - 0.8 * F, in_mujoco(Q)
     got = total(ticked(law, panda(), Q, np.zeros(7), PRESS, F_app=0.8 * F).terms)
     yield from compared(TORQUE, got, m.h + m.J.T @ (F + KFP * F_e + KFI * F_e * 1e-3), MUJOCO)
-    yield "Chosen: Kfp = 0.5, Kfi = 3 1/s; 0.8 of the wrench is measured."
 
 
 @cache
@@ -82,41 +84,34 @@ def pressing_down(kfi: float) -> tuple[Run, Any]:
 
 @entry("eq-10.36", "its error")
 def eq_10_36() -> Shown:
-    """Without its integral, (1 + Kfp) F_e is what the law does not know: its load's weight."""
+    """Without its integral, (1 + Kfp) F_e is what the law does not know: its load's weight.
+
+    The feedforward F_d was left out: (I + Kfp) F_e + Kfi int(F_e) is what g does not know. A Panda against
+    springs, Kfp = 0.5, with half a kilogram that the law does not know.
+    """
     e, weight = pressing_down(0.0)[1], UNKNOWN * 9.81
     name, states = "vertical error of force at rest, Kfi = 0 [N]", f"slip: Kfp F_e = m g, {weight / KFP:.3g} N"
     yield row(name, e[-1], weight / (1.0 + KFP), "m g / (1 + Kfp)", rel=2e-3, states=states)
-    yield (
-        "The feedforward F_d was left out: (I + Kfp) F_e + Kfi int(F_e) is what g does not know. A Panda against "
-        "springs, Kfp = 0.5, with half a kilogram that the law does not know."
-    )
 
 
 @entry("eq-10.37", "its pole")
 def eq_10_37() -> Shown:
+    """Kfp = 0.5, Kfi = 3 1/s, as in equation 10.36: the pole is -2, not -6 1/s."""
     out, e = pressing_down(KFI)
-    poles = {"-Kfi / (1 + Kfp)": -KFI / (1.0 + KFP), "the chapter: -Kfi / Kfp": -KFI / KFP}
-    (source, wanted), (_, slip) = poles.items()
-    late, there = (out.t > 0.8) & (out.t < 2.0), out.t > 0.3
+    late, wanted = (out.t > 0.8) & (out.t < 2.0), -KFI / (1.0 + KFP)
     found = np.polyfit(out.t[late], np.log(np.abs(e[late])), 1)[0]  # a straight line through its logarithm
-    states = f"slip: -Kfi / Kfp = {slip:g}"
+    states, source = f"slip: -Kfi / Kfp = {-KFI / KFP:g}", "-Kfi / (1 + Kfp)"
     yield row("pole of the error of force [1/s]", found, wanted, source, rel=0.01, states=states)
     yield row("error of force after 3 s [N]", e[-1], 0.0, "the chapter: converges to zero", near=0.01)
-    figure, (ax,) = panels(("error of the vertical force", "|F_e| [N]", "t [s]"))
-    curve(ax, out.t, np.abs(e), "run", 0)
-    k = int(np.searchsorted(out.t, 0.8))
-    for color, (name, pole) in zip((None, 1), poles.items(), strict=True):
-        line = abs(e[k]) * np.exp(pole * (out.t[there] - out.t[k]))
-        curve(ax, out.t[there], line, name, color, linewidth=0.9, linestyle=DASHED)
-    ax.set(yscale="log", ylim=(1e-4, 20.0))
-    legend(ax)
-    yield figure
-    yield "Kfp = 0.5, Kfi = 3 1/s, as in equation 10.36: the pole is -2, not -6 1/s."
 
 
 @entry("eq-10.38", "force control with damping")
 def eq_10_38() -> Shown:
-    """With nothing to press on, the damping bounds the speed."""
+    """With nothing to press on, the damping bounds the speed.
+
+    The damping is that at the end of the tick, (I + Kdamp Lambda^-1 dt)^-1 Kdamp V, which is the chapter's as dt
+    falls. Chosen: Kdamp = (40, 2) and 0.1 about z; the gantry has 10 N and 50 N s/m.
+    """
     V_tool, m, F_e = in_mujoco(Q, V).J @ V, in_mujoco(Q), 0.2 * F
     law = ForceControl(kfp=KFP, kfi=KFI, kdamp=KDAMP, null=None)
     got = total(ticked(law, panda(), Q, V, PRESS, F_app=0.8 * F).terms)
@@ -134,10 +129,6 @@ def eq_10_38() -> Shown:
     name, claim = "speed of a gantry that presses on nothing for 2.5 s", "the robot will accelerate"
     yield row(f"{name} [m/s]", damped, 10.0 / 50.0, "F_d / Kdamp", rel=0.01, states="acceleration is limited")
     yield row(f"{name}, Kdamp = 0 [m/s]", free, 10.0 * 2.5 / mass, "F_d t / m", states=claim)
-    yield (
-        "The damping is that at the end of the tick, (I + Kdamp Lambda^-1 dt)^-1 Kdamp V, which is the chapter's as "
-        "dt falls. Chosen: Kdamp = (40, 2) and 0.1 about z; the gantry has 10 N and 50 N s/m."
-    )
 
 
 B_ENV: Final = [[2.0, 1.0], [1.0, 1.0]]  # the chapter's damper
@@ -145,6 +136,7 @@ B_ENV: Final = [[2.0, 1.0], [1.0, 1.0]]  # the chapter's damper
 
 @entry("sec-10.4", "what may be specified against a damper")
 def sec_10_4() -> Shown:
+    """Chosen: the values of F1 and V1."""
     given = check_specification({"F1": 3.0, "V1": 1.0}, B=B_ENV)
     dependent = check_specification(["F1", "2 V1 + V2"], B=B_ENV).ok
     V2, rank = 3.0 - 2.0 * 1.0, np.linalg.matrix_rank(np.vstack([B_ENV[0], [2.0, 1.0]]))
@@ -154,7 +146,6 @@ def sec_10_4() -> Shown:
     yield row("and F2 is [N]", given.quantities["F2"], 1.0 + V2, "F2 = V1 + V2", states=states)
     name, states = "F1 and 2 V1 + V2 may be chosen [0 or 1]", "no: the same direction"
     yield row(name, dependent, rank == 2, "rank of the two rows", states=states)
-    yield "Chosen: the values of F1 and V1."
 
 
 def eraser() -> Constraint:
@@ -183,6 +174,7 @@ def sec_10_4_1() -> Shown:
 
 @entry("fig-10.16", "the eraser on the chalkboard")
 def fig_10_16() -> Shown:
+    """The frames are as in the chapter: {s} on the board, {b} on the eraser."""
     found = natural_constraints(eraser(), at=Pose([0.4, 0.1, 0.0]))
     yield from counted("eraser", found, 3, 3)
     table = {each.natural: each.artificial for each in found.rows}
@@ -193,7 +185,6 @@ def fig_10_16() -> Shown:
         name, states = f"row {natural} beside {artificial} [0 or 1]", f"{natural}, {artificial} = ..."
         yield row(name, table.get(natural) == artificial, 1.0, "the chapter's table", states=states)
     yield board()
-    yield "The frames are as in the chapter: {s} on the board, {b} on the eraser."
 
 
 def board() -> Any:

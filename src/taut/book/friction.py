@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.optimize import brentq, minimize_scalar
+from scipy.optimize import minimize_scalar
 
 from taut import Arm, Friction, JointMotion, Law, Run, snapshot
-from taut.analysis import plot_friction
 from taut.arm.builtin import one_joint
-from taut.base.plot_style import DASHED, DOTTED, colour
+from taut.base.plot_style import WIDTH, prepared
 from taut.book.models import M, controller, link, on_link
-from taut.book.page import Shown, curve, entry, legend, panels, row
+from taut.book.page import Shown, curve, entry, legend, row
 from taut.book.single_joint import ConstantTorque
 from taut.drives import matched_ratio, reflected_inertia, rotor_share
 from taut.laws import PID, Dither, RaisedGains
+from taut.maths.friction import FrictionValues, dry_limit, friction_torque
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -45,6 +44,11 @@ def torque(panel: str, v: float) -> float:
 
 @entry("fig-10.14", "laws of friction")
 def fig_10_14() -> Shown:
+    """Chosen: b_static = 0.5 N m, b_kinetic = 0.3 N m, b_viscous = 0.2 N m s/rad, a Stribeck speed of 0.1 rad/s.
+
+    To initiate motion the torque on the joint must be |tau| >= b_static, in either direction; the chapter asks it
+    of the friction torque, and without the sign.
+    """
     ctrl = controller(ConstantTorque(tau=1.0), link(gravity=False))
     for panel, friction in LAWS.items():
         arm = link(gravity=False).with_friction(friction)
@@ -62,18 +66,33 @@ def fig_10_14() -> Shown:
         slip = "slip: tau_fric >= |b_static|" if tau < 0.0 and breaks else ""
         name = f"(d): speed after 0.5 s under {tau:g} N m, from rest [rad/s]"
         yield row(name, run.v[-1, 0], wanted, "|tau| >= b_static", rel=1e-3, near=1e-12, states=slip)
-    yield plot_friction(LAWS, speed=1.0)
-    yield (
-        "Chosen: b_static = 0.5 N m, b_kinetic = 0.3 N m, b_viscous = 0.2 N m s/rad, a Stribeck speed of 0.1 rad/s. "
-        "To initiate motion the torque on the joint must be |tau| >= b_static, in either direction; the chapter asks "
-        "it of the friction torque, and without the sign."
-    )
+    yield laws_drawn()
+
+
+def laws_drawn() -> Figure:
+    """Friction over speed, with the sign of the speed that it opposes; at rest all that it can hold."""
+    from matplotlib.figure import Figure as NewFigure
+
+    figure = NewFigure(figsize=(WIDTH, 4.3), dpi=150, layout="constrained")
+    axes = list(figure.subplots(2, 3, sharex=True, sharey=True).flat)
+    v = np.linspace(1e-6, 1.0, 401)
+    none = np.zeros(len(v))
+    for ax, (title, friction) in zip(axes, LAWS.items(), strict=True):
+        prepared(ax, title, "friction [N m]", "v [rad/s]")
+        values = FrictionValues.fixed(friction)
+        torques = -friction_torque(values, v, none, none)
+        hold = float(dry_limit(values, np.zeros(1), np.array([True]), none[:1], none[:1])[0])
+        curve(ax, v, torques, "in motion", 0)
+        curve(ax, -v, -torques, "", 0)
+        curve(ax, [0.0, 0.0], [-hold, hold], "at rest: any value between", 1)
+    legend(axes[0])
+    return figure
 
 
 AMPLITUDE, FREQUENCY = 1.5, 40.0  # [N m], [Hz] chosen: three times b_static
 OMEGA: Final = 2.0 * math.pi * FREQUENCY
 SETTLED_PERIODS, LAST = 20, 40  # periods of the dither after which a mean is taken, and until when
-PUSHES: Final = (0.05, 0.1, 0.2)  # [N m], all below b_kinetic
+PUSHES: Final = (0.05, 0.1, 0.15)  # [N m], all below b_kinetic
 SHAKEN: Final = math.sqrt(AMPLITUDE**2 - (4.0 * KINETIC / math.pi) ** 2) / (OMEGA * M)  # [rad/s]
 GAIN, FACTOR = 5.0, 4.0  # [N m/rad] of PD control near rest, and times that
 
@@ -100,52 +119,13 @@ def mean_speed(push: float) -> float:
     return float((run.q[-1, 0] - run.q[first, 0]) / (run.t[-1] - run.t[first]))
 
 
-def mean_speed_solved(push: float) -> float:
-    """Mean speed by the equation of motion, whose arcs between rests are known functions of time.
-
-    While it slides, M v = M v0 + A (cos(w t0) - cos(w t)) / w + (push - s b_kinetic) (t - t0), s the sign of v. At
-    rest it stays until the torque is b_static.
-    """
-
-    def beyond(u: float) -> float:
-        return abs(push + AMPLITUDE * math.sin(OMEGA * u)) - STATIC
-
-    t, q, marks = 0.0, 0.0, {}
-    while t < LAST / FREQUENCY:
-        t = t if beyond(t) >= 0.0 else _first_root(beyond, t)  # it breaks away
-        s, t0 = math.copysign(1.0, push + AMPLITUDE * math.sin(OMEGA * t)), t
-
-        def momentum(u: float, s: float = s, t0: float = t0) -> float:
-            shaken = AMPLITUDE * (math.cos(OMEGA * t0) - math.cos(OMEGA * u)) / OMEGA
-            return s * (shaken + (push - s * KINETIC) * (u - t0))
-
-        end = _first_root(lambda u: -momentum(u), t, skip=1)  # it is at rest again
-        for k in (SETTLED_PERIODS, LAST):
-            if t <= k / FREQUENCY < end:
-                marks[k] = q + _displacement(t, k / FREQUENCY, push, s)
-            elif k / FREQUENCY < t:
-                marks.setdefault(k, q)
-        q, t = q + _displacement(t, end, push, s), end
-    marks.setdefault(LAST, q)
-    return (marks[LAST] - marks[SETTLED_PERIODS]) * FREQUENCY / (LAST - SETTLED_PERIODS)
-
-
-def _first_root(f: Callable[[float], float], t: float, skip: int = 0) -> float:
-    """First time in the two periods after t at which f is not negative, on a grid that sees each change of sign."""
-    u = [t + 2.0 * k / (400.0 * FREQUENCY) for k in range(401)]
-    k = next(k for k in range(1 + skip, len(u)) if f(u[k]) >= 0.0)
-    return float(brentq(f, u[k - 1], u[k], xtol=1e-15))
-
-
-def _displacement(t: float, end: float, push: float, s: float) -> float:
-    """Displacement while it slides [rad]."""
-    h = end - t
-    shaken = AMPLITUDE / OMEGA * (math.cos(OMEGA * t) * h - (math.sin(OMEGA * end) - math.sin(OMEGA * t)) / OMEGA)
-    return (shaken + 0.5 * (push - s * KINETIC) * h * h) / M
-
-
 @entry("sec-10.2.1.4", "dithering, and larger gains near zero velocity")
 def sec_10_2_1_4() -> Shown:
+    """Chosen: b_static = 0.5 N m and b_kinetic = 0.3 N m as in figure 10.14 d, no other friction.
+
+    A dither of 1.5 N m at 40 Hz shakes the link with V = 0.0115 rad/s. PD control has Kp = 5 N m/rad, and four times
+    that near zero velocity.
+    """
     wave = controller(Dither(amplitude=AMPLITUDE, frequency=FREQUENCY), link(gravity=False))
     run = on_link(wave, plant=link(gravity=False), duration=1.0)
     dither = run.tau[: round(run.rate), 0]
@@ -154,28 +134,19 @@ def sec_10_2_1_4() -> Shown:
     name, states = f"under {PUSHES[-1]:g} N m, from rest, no dither [rad/s]", "some torque without any motion"
     still = pushed(PUSHES[-1], None, 1.0).v[-1, 0]
     yield row(f"speed after 1 s {name}", still, 0.0, "|tau| < b_static", near=1e-12, states=states)
+    source = "viscous friction, (2 b_kinetic / pi) asin(v / V)"
     for push in PUSHES:
-        name, wanted = f"mean speed under {push:g} N m, with dither [rad/s]", mean_speed_solved(push)
-        yield row(name, mean_speed(push), wanted, "M a + tau_fric = tau, arc by arc", rel=0.005)
-    push = PUSHES[0]
-    wanted = push / (SHAKEN * math.sin(0.5 * math.pi * push / KINETIC))
-    name, source = (
-        f"{push:g} N m over that mean speed [N m s/rad]",
-        "viscous friction, (2 b_kinetic / pi) asin(v / V)",
-    )
-    yield row(name, push / mean_speed(push), wanted, source, rel=0.03, states="to smooth the discontinuity")
+        name, wanted = (
+            f"mean speed under {push:g} N m, with dither [rad/s]",
+            SHAKEN * math.sin(0.5 * math.pi * push / KINETIC),
+        )
+        yield row(name, mean_speed(push), wanted, source, rel=0.03, states="to smooth the discontinuity")
     for factor, gains in ((1.0, "gains as they are"), (FACTOR, "four times the gains at rest")):
         for share in (0.99, 1.01):
             e = share * STATIC / (factor * GAIN)
             name = f"PD control, {gains}: moves at an error of {e:.4g} rad [0 or 1]"
             states = "larger gains near rest" if factor > 1.0 and share > 1.0 else ""
             yield row(name, moves(e, factor), share > 1.0, "Kp e > b_static", states=states)
-    yield drawn()
-    yield (
-        "Chosen: b_static = 0.5 N m and b_kinetic = 0.3 N m as in figure 10.14 d, no other friction, a dither of "
-        f"1.5 N m at 40 Hz, that shakes the link with V = {SHAKEN:.3g} rad/s; PD control with Kp = 5 N m/rad, and "
-        "four times that near zero velocity."
-    )
 
 
 def moves(e: float, factor: float) -> bool:
@@ -183,18 +154,6 @@ def moves(e: float, factor: float) -> bool:
     ctrl = controller(RaisedGains(inner=PID(kp=GAIN, kd=1.0), factor=factor, width=0.05), dry())
     run = on_link(ctrl, JointMotion(q=[e]), plant=dry(), duration=0.05, integrator=STICKING)
     return bool(np.abs(run.q[:, 0]).max() > 1e-9)
-
-
-def drawn() -> Figure:
-    """The mean friction over the mean speed, with dither and without."""
-    figure, (ax,) = panels(("friction, on average", "[N m]", "mean speed [rad/s]"))
-    pushes, speeds = np.linspace(-0.27, 0.27, 7), np.linspace(-SHAKEN, SHAKEN, 101)
-    curve(ax, speeds, 2.0 * KINETIC / math.pi * np.arcsin(speeds / SHAKEN), "(2 b / π) asin(v / V)")
-    curve(ax, [mean_speed(push) for push in pushes.tolist()], pushes, "runs with dither", 1, marker="o")
-    step = [-KINETIC, -KINETIC, KINETIC, KINETIC]
-    curve(ax, [-SHAKEN, 0.0, 0.0, SHAKEN], step, "without", 0, linestyle=DASHED, linewidth=1.0)
-    legend(ax)
-    return figure
 
 
 I_LINK, I_MOTOR = 1.0, 1e-3  # [kg m^2] the chapter's example
@@ -220,6 +179,8 @@ def acceleration(ratio: float) -> float:
 
 @entry("sec-10.2.1.5", "the effect of gearing")
 def sec_10_2_1_5() -> Shown:
+    """I_link = 1 kg m^2 and I_motor = 1e-3 kg m^2, as in the chapter."""
+
     def wanted(G: float) -> float:
         return G / (I_LINK + G**2 * I_MOTOR)
 
@@ -244,20 +205,14 @@ def sec_10_2_1_5() -> Shown:
         loaded, empty = (snapshot(geared(G, load=load), [0.0]).M[0, 0] for load in (1.0, 0.0))
         name = f"change of the inertia with a load of 1 kg m^2, G = {G:g} [%]"
         yield row(name, 100.0 * (loaded / empty - 1.0), 100.0 / (I_LINK + G**2 * I_MOTOR), SUMS, states=states)
-    figure, (ax,) = panels(("1 N m of the motor", "acceleration of the link [rad/s²]", "gear ratio G"))
-    ratios, some = np.geomspace(1.0, 300.0, 200), np.array([3.0, 10.0, matched, 100.0])
-    curve(ax, ratios, ratios / (I_LINK + ratios**2 * I_MOTOR), "G tau / (I_link + G² I_motor)")
-    curve(ax, some, [acceleration(G) for G in some.tolist()], "runs", 1, marker="o")
-    ax.axvline(matched, color=colour(0), linewidth=1.0, linestyle=DOTTED, label=f"inertia matched, {matched:.3g}")
-    ax.set_xscale("log")
-    legend(ax)
-    yield figure
-    yield "I_link = 1 kg m^2 and I_motor = 1e-3 kg m^2, as in the chapter."
 
 
-@entry("sec-10.2.1.5", "where friction dominates", part="friction")
+@entry("sec-10.2.1.5", "where friction dominates")
 def first_order() -> Shown:
-    """A joint whose friction dominates is nearer to a viscous system of first order."""
+    """A joint whose friction dominates is nearer to a viscous system of first order.
+
+    Chosen: b = 0.1 N m s/rad in direct drive, and 1000 with G = 100: the motor's friction, times G^2.
+    """
     for G, b in ((1.0, 0.1), (100.0, 1000.0)):
         q = accelerated(geared(G, b=b), 1.0, substeps=10).q[-1, 0]
         tau = (I_LINK + G**2 * I_MOTOR) / b
@@ -266,4 +221,3 @@ def first_order() -> Shown:
         yield row(f"way in 0.1 s under 1 N m, G = {G:g}, b = {b:g} [rad]", q, wanted, source, rel=1e-6)
         name = "of what a first-order system tau = b v would go"
         yield row(name, q * b / 0.1, wanted * b / 0.1, "the same", rel=1e-6)
-    yield "Chosen: b = 0.1 N m s/rad in direct drive, and 1000 with G = 100: the motor's friction, times G^2."

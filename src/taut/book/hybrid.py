@@ -41,6 +41,7 @@ def state() -> tuple[Float64Array, Float64Array, MujocoState]:
 
 @entry("eq-10.39", "constraints on velocity")
 def eq_10_39() -> Shown:
+    """A follows from phi(T) by differentiation. The velocity is chosen along the board."""
     q, v, m = state()
     A = np.asarray(eraser().at(snapshot(taut.load_arm("gantry3"), [0.0, 0.0, 0.2])).A)
     besides = np.linalg.svd(A @ np.linalg.pinv(ERASER_A) @ ERASER_A - A)[1].max()
@@ -49,18 +50,19 @@ def eq_10_39() -> Shown:
     name = "eraser: what A has besides z-dot, phi_x-dot, phi_y-dot"
     yield row(name, besides, 0.0, "the chapter's three rows", near=1e-9)
     yield row("A V of a Panda that moves along a board [m/s]", off, 0.0, "10.39, with MuJoCo's J", near=1e-12)
-    yield "A follows from phi(T) by differentiation. The velocity is chosen along the board."
 
 
 @entry("eq-10.41", "the rate of the constraints")
 def eq_10_41() -> Shown:
-    """A-dot V on a ball: m v^2 / r without the mass, by the motion of a point on a sphere."""
+    """A-dot V on a ball: m v^2 / r without the mass, by the motion of a point on a sphere.
+
+    The rows of phi are distances, so that A-dot V is an acceleration. Velocity as in equation 10.39.
+    """
     q, v, m = state()
     ball = Constraint.sphere(center=m.p - [0.0, 0.0, 0.1], radius=0.1)
     across = (m.J[:3] @ v) * np.array([1.0, 1.0, 0.0])
     got, wanted = ball.at(snapshot(panda(), q, v)).curvature[0], float(across @ across) / 0.1
     yield row("A-dot V of a tool that moves along a ball of 0.1 m [m/s^2]", got, wanted, "|V|^2 / r", rel=1e-6)
-    yield "The rows of phi are distances, so that A-dot V is an acceleration. Velocity as in equation 10.39."
 
 
 MIDDLE: Final = 250  # tick in the middle of the stroke
@@ -81,18 +83,22 @@ def pressed() -> tuple[Run, MujocoState]:
 
 @entry("eq-10.40", "constrained dynamics")
 def eq_10_40() -> Shown:
+    """A Panda that strokes a board, 0.1 m in 0.5 s, and presses with 10 N; negative presses."""
     out, m = pressed()
     A_q, bias = BOARD_A @ m.J, BOARD_A @ m.Jdot_v
     free = np.linalg.solve(m.M, out.tau[MIDDLE] - m.h)
     wanted = np.linalg.solve(A_q @ np.linalg.solve(m.M, A_q.T), A_q @ free + bias)[0]
     name = "force on the board in the middle of a stroke [N]"
     yield row(name, out.extra["contact.lam"][MIDDLE, 0], wanted, "10.42 with MuJoCo's M, h and J", rel=1e-6)
-    yield "A Panda that strokes a board, 0.1 m in 0.5 s, and presses with 10 N; negative presses."
 
 
 @entry("eq-10.42", "the multipliers")
 def eq_10_42() -> Shown:
-    """A law's own estimate, beside equation 10.42 and what a rigid contact takes."""
+    """A law's own estimate, beside equation 10.42 and what a rigid contact takes.
+
+    On curved surfaces A^T (A Lambda^-1 A^T)^-1 A-dot V enters the force: 2.7 of 10 N for 3 kg at 0.3 m/s on a
+    radius of 0.1 m. Equation 10.45 leaves it out; here it is the term `curvature`.
+    """
     lam, taken = (float(pressed()[0].extra[column][MIDDLE, 0]) for column in ("law.lam", "contact.lam"))
     x = snapshot(taut.load_arm("gantry3"), np.zeros(3), [0.0, 0.3, 0.0])
     ball = Constraint.sphere(center=np.asarray(x.T().p) - [0.0, 0.0, 0.1], radius=0.1)
@@ -107,15 +113,14 @@ def eq_10_42() -> Shown:
     yield row("on a ball: multiplier with A-dot V compensated [N]", with_it, -10.0, "as asked: 10 N")
     name, slip = "on a ball: 10.45 as it stands presses less by [N]", "slip: error dynamics inherited, 10 N"
     yield row(name, without - with_it, 3.0 * 0.3**2 / 0.1, "m v^2 / r", states=slip)
-    yield (
-        "On curved surfaces A^T (A Lambda^-1 A^T)^-1 A-dot V enters the force: 2.7 of 10 N for 3 kg at 0.3 m/s on a "
-        "radius of 0.1 m. Equation 10.45 leaves it out; here it is the term `curvature`."
-    )
 
 
 @entry("eq-10.43", "the equations of motion that are left")
 def eq_10_43() -> Shown:
-    """Only P F moves the tool: what is added in the range of A^T changes no acceleration."""
+    """Only P F moves the tool: what is added in the range of A^T changes no acceleration.
+
+    The stroke of equation 10.40; accelerations are differences over a tick of 1 ms.
+    """
     out, m = pressed()
     P = np.asarray(force_projector(BOARD_A, np.linalg.inv(m.Lambda)))
     V_dot = m.J @ ((out.v[MIDDLE + 1] - out.v[MIDDLE]) * out.rate) + m.Jdot_v
@@ -125,7 +130,6 @@ def eq_10_43() -> Shown:
     source = "P (Lambda V-dot + gamma + eta) of the run"
     yield row("P F: length [N]", np.linalg.norm(left[:3]), np.linalg.norm(right[:3]), source, rel=5e-3)
     yield row("P F along the stroke [N]", left[1], right[1], source, rel=5e-3, near=0.02)
-    yield "The stroke of equation 10.40; accelerations are differences over a tick of 1 ms."
 
 
 def projection(A: Float64Array, m: MujocoState) -> Float64Array:
@@ -137,6 +141,10 @@ def projection(A: Float64Array, m: MujocoState) -> Float64Array:
 
 @entry("eq-10.44", "the projection")
 def eq_10_44() -> Shown:
+    """P is orthogonal in the product of Lambda^-1 only: P Lambda is symmetric, and P is not.
+
+    A Panda with the three rows of the eraser.
+    """
     q, v, m = state()
     x, A = snapshot(panda(), q, v), ERASER_A
     J = np.asarray(x.J())
@@ -150,14 +158,11 @@ def eq_10_44() -> Shown:
     yield row(name, np.abs(PL - PL.T).max(), 0.0, source, near=1e-9 * np.abs(PL).max())
     apart, wanted = (np.abs(each - each.T).max() for each in (P, by_hand))
     yield row("P less its transpose", apart, wanted, BY_HAND, states="slip: orthogonal projections, 0")
-    yield (
-        "P is orthogonal in the product of Lambda^-1 only: P Lambda is symmetric, and P is not. A Panda with the "
-        "three rows of the eraser."
-    )
 
 
 @entry("eq-10.45", "hybrid motion-force control")
 def eq_10_45() -> Shown:
+    """The stroke of equation 10.40; then a tick with kp = 100, kd = 20, Kfp = 0.3, Kfi = 10, and 8 N measured."""
     out, _ = pressed()
     force, stroke = out.extra["contact.lam"][-1, 0], out.task.p[-1, 1] - out.task.p[0, 1]
     yield row("force on the board in the end [N]", force, -10.0, "as asked: 10 N", near=0.02)
@@ -178,4 +183,3 @@ def eq_10_45() -> Shown:
     P, gamma = projection(BOARD_A, m), -m.Lambda @ m.Jdot_v
     wanted = m.J.T @ (P @ F_motion + (np.eye(6) - P) @ F_force + gamma) + m.h
     yield from compared(TORQUE, got, wanted, BY_HAND, 1e-6)
-    yield "The stroke of equation 10.40; then a tick with kp = 100, kd = 20, Kfp = 0.3, Kfi = 10, and 8 N measured."

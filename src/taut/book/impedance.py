@@ -15,7 +15,7 @@ import taut
 from taut import Arm, Law, Pose, TaskMotion, linearise, snapshot
 from taut import math as tm
 from taut.analysis import ToolImpedance, check_virtual_wall, tool_impedance
-from taut.base.plot_style import DASHED, INK, SMALL, colour
+from taut.base.plot_style import DASHED, INK, SMALL
 from taut.book.models import (
     FAST,
     REST,
@@ -99,12 +99,12 @@ def answer(force: float, t: float) -> float:
 
 @entry("eq-10.46", "an environment of one direction")
 def eq_10_46() -> Shown:
+    """Chosen: m = 2 kg, b = 20 N s/m, k = 400 N/m; a gantry of 21 kg along x, a wrist sensor, 10 kHz."""
     out = simulated(VIRTUAL, slides(), still(slides()), rate=FAST, duration=0.5, environment=Pushed())
     times = (0.1, 0.2, 0.4)
     got = [out.q[round(t * FAST), 0] - slides().home[0] for t in times]
     wanted = [answer(10.0, t) for t in times]
     yield from rows("where the tool is {:g} s after a push of 10 N [m]", times, got, wanted, CLOSED_FORM, rel=5e-3)
-    yield "Chosen: m = 2 kg, b = 20 N s/m, k = 400 N/m; a gantry of 21 kg along x, a wrist sensor, 10 kHz."
 
 
 def along_x(law: Law, ref: Sample) -> ToolImpedance:
@@ -127,6 +127,8 @@ def swept(w: float) -> complex:
 
 @entry("eq-10.47", "its impedance")
 def eq_10_47() -> Shown:
+    """Numbers of equation 10.46. Linearised by taut.analysis.tool_impedance."""
+
     def asked(w: Any) -> Any:
         return D * (1j * w) ** 2 + B * 1j * w + K
 
@@ -141,16 +143,6 @@ def eq_10_47() -> Shown:
             yield row(f"phase of Z {at} [rad]", *turn, POLYNOMIAL, rel=0.01)
     for name, k, part in (("|Z| at 1.5 rad/s over k", 0, K), ("|Z| at 90 rad/s over m w^2", 4, D * ws[4] ** 2)):
         yield row(name, abs(measured[k]) / part, abs(wanted[k]) / part, POLYNOMIAL, rel=0.01, states="near 1")
-    figure, (ax,) = panels(("impedance at the tool", "|F / X| [N/m]", "w [rad/s]"))
-    fine = np.geomspace(1.0, 120.0, 200)
-    curve(ax, fine, np.abs(asked(fine)), "|m s² + b s + k|")
-    curve(ax, ws, np.abs(measured), "runs", 0, marker="o")
-    ax.axhline(K, color=colour(2), linewidth=0.9, linestyle=DASHED, label="k")
-    curve(ax, fine, D * fine**2, "m w²", 1, linewidth=0.9, linestyle=DASHED)
-    ax.set(xscale="log", yscale="log", ylim=(50.0, 4e4))
-    legend(ax)
-    yield figure
-    yield "Numbers of equation 10.46. Linearised by taut.analysis.tool_impedance."
 
 
 def pushed_panda(law: Law) -> tuple[Any, Iterator[Row]]:
@@ -165,16 +157,21 @@ def pushed_panda(law: Law) -> tuple[Any, Iterator[Row]]:
 
 @entry("eq-10.48", "the behaviour that is asked of an arm")
 def eq_10_48() -> Shown:
+    """D, B and K of equation 10.46 in all directions, (0.05, 0.5, 10) for turning; 1 kHz."""
     moved, shown = pushed_panda(VIRTUAL)
     yield from shown
     yield row("where it comes to rest [m]", moved[-1, 1], 8.0 / K, "K^-1 F_ext", rel=5e-3)
     across = np.abs(moved[-1, [0, 2]]).max()
     yield row("what it moves across, in the end [m]", across, 0.0, "10.48: nothing", near=2e-4)
-    yield "D, B and K of equation 10.46 in all directions, (0.05, 0.5, 10) for turning; 1 kHz."
 
 
 @entry("eq-10.49", "impedance control")
 def eq_10_49() -> Shown:
+    """With a measured acceleration D V-dot is an algebraic loop.
+
+    A tick old it is stable only for 0 < eig(Lambda^-1 D) < 2, and refused elsewhere. Common practice, as the chapter
+    says, leaves the inertia out: the first rows.
+    """
     m, X, twist = in_mujoco(Q, V), np.array([0.02, -0.01, 0.03, 0.0, 0.0, 0.0]), [0.1, 0.2, -0.1, 0.0, 0.0, 0.0]
     ref = TaskMotion(pose=Pose(m.p + X[:3], R=m.R), twist=twist)
     law = Impedance(B=(B, ANGULAR[1]), K=(K, ANGULAR[2]), null=None)
@@ -190,11 +187,6 @@ def eq_10_49() -> Shown:
     for factor in (1.9, 2.1):
         name = f"error of the acceleration, one tick over the last, D = {factor:g} of M"
         yield row(name, echoed(factor), 1.0 - factor, "1 - M^-1 D", rel=1e-6)
-    yield (
-        "With a measured acceleration D V-dot is an algebraic loop; a tick old it is stable only for 0 < "
-        "eig(Lambda^-1 D) < 2, and refused elsewhere. Common practice, as the chapter says, leaves "
-        "the inertia out: the first rows."
-    )
 
 
 class MeasuredInertia(Law):
@@ -236,6 +228,7 @@ def accepted(factor: float) -> bool:
 
 @entry("eq-10.50", "admittance control")
 def eq_10_50() -> Shown:
+    """D, B and K of equation 10.48; the model's own motion is followed with kp = 2500, kd = 100."""
     inner = TaskComputedTorque(kp=2500.0, kd=100.0, singularity="plain")
     law = Admittance(inner=inner, D=(D, ANGULAR[0]), B=(B, ANGULAR[1]), K=(K, ANGULAR[2]))
     arm, first = panda(), []
@@ -250,7 +243,6 @@ def eq_10_50() -> Shown:
     moved, shown = pushed_panda(law)
     yield from shown
     yield row("where it comes to rest [m]", moved[-1, 1], 8.0 / K, "K^-1 F_ext", rel=5e-3)
-    yield "D, B and K of equation 10.48; the model's own motion is followed with kp = 2500, kd = 100."
 
 
 KP, KD = 400.0, 40.0  # [1/s^2], [1/s] of motion control
@@ -258,12 +250,17 @@ KFP, KDAMP = 2.0, 50.0  # [1], [N s/m] of force control
 PLACE: Final = taut.Coordinates.position()
 
 
-@entry("sec-10.5", "high and low impedance", part="kinds")
+@entry("sec-10.5", "high and low impedance")
 def kinds() -> Shown:
-    """Motion control is high impedance, force control low; and what the first does to a disturbance."""
+    """Motion control is high impedance, force control low; and what the first does to a disturbance.
+
+    A gantry of 21 kg along x at 10 kHz, by taut.analysis.tool_impedance. Chosen: motion control with kp = 400, kd
+    = 40; impedance control with K and B of equation 10.46 and the gantry's own inertia; force control of no force
+    with Kfp = 2, Kdamp = 50 N s/m.
+    """
     rest, mass = still(slides()), float(snapshot(slides(), slides().home).M[0, 0])
     hertz = (0.5, 5.0)
-    s, every = 2j * math.pi * np.array(hertz), np.geomspace(0.2, 20.0, 100)
+    s = 2j * math.pi * np.array(hertz)
     motion = TaskComputedTorque(kp=KP, kd=KD, error="coordinates", coordinates=PLACE)
     shown = Impedance(B=(B, 0.5), K=(K, 10.0))
     force, zero = ForceControl(kfp=KFP, kdamp=[KDAMP] * 3 + [1.0] * 3), taut.TaskForce(F_app=np.zeros(6))
@@ -272,31 +269,25 @@ def kinds() -> Shown:
         ("impedance control", shown, rest, mass * s * s + B * s + K, ""),
         ("force control", force, zero, (mass * s * s + KDAMP * s) / (1.0 + KFP), "low impedance"),
     )
-    figure, (ax,) = panels(("impedance of three kinds of control", "|F / X| [N/m]", "frequency [Hz]"))
-    for k, (name, law, ref, wanted, claim) in enumerate(laws):
+    for name, law, ref, wanted, claim in laws:
         tool, source = along_x(law, ref), "the law and m x-ddot = F, written out"
         got = map(abs, tool.Z(s.imag))
         yield from rows(
             f"{name}: |Z| at {{:g}} Hz [N/m]", hertz, got, map(abs, wanted), source, rel=3e-3, states=claim
         )
-        curve(ax, every, np.abs(tool.Z(2.0 * math.pi * every)), name, k)
-    ax.set(xscale="log", yscale="log")
-    legend(ax)
     out = simulated(motion, slides(), rest, rate=FAST, duration=1.0, environment=Pushed())
     moved, name = out.q[-1, 0] - slides().home[0], "motion control: Delta X under a Delta F of 10 N [m]"
     yield row(name, moved, 10.0 / (KP * mass), "Delta F / Z(0)", rel=1e-3, states="Delta X = Y Delta F")
-    yield figure
-    yield (
-        "A gantry of 21 kg along x at 10 kHz, by taut.analysis.tool_impedance. Chosen: motion control with kp = "
-        "400, kd = 40; "
-        "impedance control with K and B of equation 10.46 and the gantry's own inertia; force control of no force "
-        "with Kfp = 2, Kdamp = 50 N s/m."
-    )
 
 
-@entry("sec-10.5", "what impedance and admittance control are good at", part="sides")
+@entry("sec-10.5", "what impedance and admittance control are good at")
 def sides() -> Shown:
-    """A hand holds the tool by a handle: which of the two laws stands a low impedance, and which a stiff one."""
+    """A hand holds the tool by a handle: which of the two laws stands a low impedance, and which a stiff one.
+
+    A hand of 1 kg, 5 N s/m and 300 N/m on the gantry's tool, 1 kHz, by taut.linearise. Chosen: m = 0.1 kg, b = 2
+    N s/m, k = 20 N/m as a low impedance, 20 kg, 200 N s/m, 1e6 N/m as a stiff one; impedance control leaves the
+    arm's own inertia.
+    """
     hand = Hand(mass=1.0, damping=5.0, stiffness=300.0)
     inner = TaskComputedTorque(kp=2500.0, kd=100.0, error="coordinates", coordinates=PLACE)
     for name, mass, damping, stiffness in (("low", 0.1, 2.0, 20.0), ("stiff", 20.0, 200.0, 1e6)):
@@ -313,11 +304,6 @@ def sides() -> Shown:
             )
             states = "good" if name == good else "not as good"
             yield row(f"{what} [0 or 1]", stable, x[-100:].max() < x[:100].max(), source, states=states)
-    yield (
-        "A hand of 1 kg, 5 N s/m and 300 N/m on the gantry's tool, 1 kHz, by taut.linearise. Chosen: m = 0.1 kg, b = "
-        "2 N s/m, k = 20 N/m as a low impedance, 20 kg, 200 N s/m, 1e6 N/m as a stiff one; impedance control leaves "
-        "the arm's own inertia."
-    )
 
 
 MASS, FRICTION_DAMPING, VIRTUAL_DAMPING = 0.2, 1.0, 0.5  # [kg], [N s/m], [N s/m] of the display, chosen
@@ -332,6 +318,10 @@ def radius(stiffness: float, rate: float) -> float:
 
 @entry("fig-10.17", "a virtual mass, spring and damper")
 def fig_10_17() -> Shown:
+    """Chosen: a display of 0.2 kg with 1 N s/m that shows a spring and 0.5 N s/m, with differenced positions.
+
+    More of it is on the page about haptics.
+    """
     rates = np.array([250.0, 500.0, 1000.0, 2000.0, 4000.0])
     display = {"mass": MASS, "damping": FRICTION_DAMPING, "B": VIRTUAL_DAMPING}
     walls = [check_virtual_wall(**display, rate=float(rate), velocity="difference") for rate in rates]
@@ -362,10 +352,6 @@ def fig_10_17() -> Shown:
     right.set_ylim(0.0, None)
     legend(right)
     yield figure
-    yield (
-        "Chosen: a display of 0.2 kg with 1 N s/m that shows a spring and 0.5 N s/m, with differenced positions. "
-        "More of it is on the page about haptics."
-    )
 
 
 def _display(ax: Any) -> None:
@@ -389,9 +375,13 @@ def _display(ax: Any) -> None:
     ax.set(xlim=(-0.1, 4.0), ylim=(-0.1, 2.2))
 
 
-@entry("sec-10.6", "a flexible transmission", part="flexible")
+@entry("sec-10.6", "a flexible transmission")
 def soft_joint() -> Shown:
-    """The link, free, with a spring and a damper between it and its motor."""
+    """The link, free, with a spring and a damper between it and its motor. By taut.linearise.
+
+    Chosen: a gear of 100, a rotor of 1e-4 kg m^2, 2000 N m/rad and 5 N m s/rad between motor and link; no law, no
+    friction, no gravity.
+    """
     gear, rotor, stiffness, damping = 100.0, 1e-4, 2000.0, 5.0  # ratio, [kg m^2], [N m/rad], [N m s/rad] chosen
     arm, free = link(gravity=False, b=0.0).with_gears(gear, rotor), PID(kp=0.0, kd=0.0)
     drive = Actuation(transmission=Transmission(stiffness=stiffness, damping=damping))
@@ -404,7 +394,3 @@ def soft_joint() -> Shown:
     yield row("order of the dynamics, flexible", len(soft.poles), 4, "two masses and a spring", states="increased")
     source = f"{ROOTS} of s^2 + (d s + k)(1 / M + 1 / G^2 I_motor)"
     yield from pole("oscillation of link against motor: {}", found, wanted, source, rel=1e-3)
-    yield (
-        "By taut.linearise. Chosen: a gear of 100, a rotor of 1e-4 kg m^2, 2000 N m/rad and 5 N m s/rad between "
-        "motor and link; no law, no friction, no gravity."
-    )

@@ -61,6 +61,7 @@ def written_10_6(ki: float, times: Float64Array) -> Float64Array:
 
 @entry("eq-10.11", "the link in gravity under PD control")
 def eq_10_11() -> Shown:
+    """The goal is theta = 0; gains of figure 10.6."""
     for kp, name, states in (
         (KP, "error at rest of PD control [rad]", ""),
         (10.0 * KP, "with Kp ten times as large [rad]", "small"),
@@ -68,7 +69,6 @@ def eq_10_11() -> Shown:
         wanted = brentq(lambda e, kp=kp: kp * e - weight(-e), 0.0, 1.0)
         rested = -figure_10_6(0.0, kp).q[-1, 0]
         yield row(name, rested, wanted, "root of Kp e = m g r cos(theta)", rel=1e-6, states=states)
-    yield "The goal is theta = 0; gains of figure 10.6."
 
 
 @cache
@@ -80,6 +80,7 @@ def constant_disturbance(ki: float) -> Run:
 
 @entry("eq-10.12", "a constant disturbance, with an integral")
 def eq_10_12() -> Shown:
+    """Chosen: a slide of 3 kg under its weight, Kp = 300 N/m, Kd = 60 N s/m, Ki = 400 N/(m s)."""
     mass, kp, kd, ki, push, at = 3.0, 300.0, 60.0, 400.0, 3.0 * 9.81, 0.5
     run = constant_disturbance(ki)
     A = np.array([[0, 1, 0, 0], [-kp / mass, -kd / mass, -ki / mass, push / mass], [1, 0, 0, 0], [0, 0, 0, 0]])
@@ -87,19 +88,19 @@ def eq_10_12() -> Shown:
     got = 0.1 - run.q[int(np.searchsorted(run.t, at - 1e-9)), 0]
     name = "error 0.5 s after a step, with a constant disturbance [m]"
     yield row(name, got, wanted, "scipy.linalg.expm", rel=2e-3)
-    yield "Chosen: a slide of 3 kg under its weight, Kp = 300 N/m, Kd = 60 N s/m, Ki = 400 N/(m s)."
 
 
 @entry("eq-10.13", "third-order error dynamics")
 def eq_10_13() -> Shown:
+    """An integral removes what a constant disturbance leaves. Numbers of equation 10.12."""
     with_i, without = (0.1 - constant_disturbance(ki).q[-1, 0] for ki in (400.0, 0.0))
     yield row("error in the end, Ki = 0 [m]", without, 3.0 * 9.81 / 300.0, "tau_dist / Kp", rel=1e-6)
     yield row("error in the end, Ki > 0 [m]", with_i, 0.0, "equation 10.13", near=1e-6)
-    yield "An integral removes what a constant disturbance leaves. Numbers of equation 10.12."
 
 
 @entry("eq-10.14", "their characteristic equation, and the bound of Ki")
 def eq_10_14() -> Shown:
+    """Gains of figure 10.6 but for Ki; runs of 30 s in a horizontal plane."""
     plane, source = link(gravity=False), "(b + Kd) Kp / M"
     largest = second_order(M=M, b=B, kp=KP, kd=KD).largest_ki
     yield row("bound of Ki [N m/(rad s)]", largest, BOUND, source)
@@ -119,11 +120,11 @@ def eq_10_14() -> Shown:
         wanted = np.roots([M, B + KD, KP, factor * BOUND]).real.max()
         name = f"growth of an oscillation, Ki = {factor:g} of the bound [1/s]"
         yield row(name, got, wanted, f"{ROOTS} of 10.14", rel=0.01)
-    yield "Gains of figure 10.6 but for Ki; runs of 30 s in a horizontal plane."
 
 
 @entry("fig-10.6", "PD and PID control in gravity")
 def fig_10_6() -> Shown:
+    """All numbers are the chapter's; ticks of 0.1 ms, 12 s."""
     runs = {"PD": figure_10_6(0.0), "PID": figure_10_6(KI)}
     written = {name: written_10_6(ki, runs["PD"].t[::10]) for name, ki in (("PD", 0.0), ("PID", KI))}
     zeta = second_order(M=M, b=B, kp=KP, kd=KD).zeta
@@ -162,11 +163,12 @@ def fig_10_6() -> Shown:
     words(right, (0.225, -0.14), "g")
     right.set(xlim=(-0.05, 0.26), ylim=(-0.27, 0.06))
     yield figure
-    yield "All numbers are the chapter's; ticks of 0.1 ms, 12 s."
 
 
 @entry("fig-10.7", "root locus over Ki")
 def fig_10_7() -> Shown:
+    """Gains of figure 10.6: both roots of PD control at -2.1 1/s. "1" marks Ki = 1, that of figure 10.6."""
+
     def joint(ki: float) -> LinearSystem:
         return error_dynamics(M=M, b=B, kp=KP, kd=KD, ki=ki)
 
@@ -187,7 +189,6 @@ def fig_10_7() -> Shown:
     figure, (ax,) = panels(("", "", ""), height=3.1)
     found.draw(ax, mark=[KI])
     yield figure
-    yield 'Gains of figure 10.6: both roots of PD control at -2.1 1/s. "1" marks Ki = 1, that of figure 10.6.'
 
 
 SERVO_RATE: Final = 100.0  # [Hz]
@@ -201,30 +202,29 @@ def amplitude(run: Run, w: float) -> float:
     return float(abs(2.0 * np.mean(last.error[:, 0] * np.exp(-1j * w * last.t))))
 
 
-@entry("sec-10.2.1.1", "an integral does not remove the tracking error of a sine", part="sine")
+@entry("sec-10.2.1.1", "an integral does not remove the tracking error of a sine")
 def following() -> Shown:
+    """The chapter: integral control does not eliminate tracking error along arbitrary trajectories.
+
+    Here it even grows. Chosen: 0.5 rad at 2 rad/s in a horizontal plane, gains of figure 10.6.
+    """
     w, size = 2.0, 0.5
     sine = Sine(center=[0.0], amplitude=size, frequency=w / (2.0 * math.pi))
-    figure, (ax,) = panels(("error while a sine is followed", "error [rad]", "t [s]"))
-    for k, ki in enumerate((0.0, KI)):
+    for ki in (0.0, KI):
         run = on_link(PID(kp=KP, kd=KD, ki=ki), sine, plant=link(gravity=False), duration=10.0 * math.pi)
         s = 1j * w
         wanted = size * abs((M * s**2 + B * s) * s / (M * s**3 + (B + KD) * s**2 + KP * s + ki))
         name = f"amplitude of the error, Ki = {ki:g} [rad]"
         yield row(name, amplitude(run, w), wanted, "the transfer function", rel=2e-3)
-        assert run.error is not None
-        curve(ax, run.t[::100], run.error[::100, 0], f"Ki = {ki:g}", k)
-    ax.set_ylim(-0.32, 0.42)
-    legend(ax, ncols=2)
-    yield figure
-    yield (
-        "The chapter: integral control does not eliminate tracking error along arbitrary trajectories. Here it even "
-        "grows. Chosen: 0.5 rad at 2 rad/s in a horizontal plane, gains of figure 10.6."
-    )
 
 
-@entry("sec-10.2.1.1", "delayed feedback destabilises", part="delay")
+@entry("sec-10.2.1.1", "delayed feedback destabilises")
 def delayed() -> Shown:
+    """The chapter: delayed feedback can cause instability.
+
+    Gains of figure 10.6, which are critically damped without a delay, in a horizontal plane at 100 Hz.
+    """
+
     def open_loop(w: float) -> complex:
         return (KP + KD * 1j * w) / (M * (1j * w) ** 2 + B * 1j * w)
 
@@ -241,15 +241,15 @@ def delayed() -> Shown:
         run = on_link(ctrl, plant=plane, duration=24.0, q0=0.1, actuation=Actuation(delay=delay))
         late, early = (float(np.abs(run.between(*ends).q).max()) for ends in ((18.0, 24.0), (10.0, 16.0)))
         yield row(f"it grows with a delay of {delay:g} s [0 or 1]", late > early, factor > 1.0, "that limit")
-    yield (
-        "The chapter: delayed feedback can cause instability. Gains of figure 10.6, which are critically damped "
-        "without a delay, in a horizontal plane at 100 Hz."
-    )
 
 
-@entry("sec-10.2.1.1", "practical bounds on gains", part="bounds")
+@entry("sec-10.2.1.1", "practical bounds on gains")
 def bounded() -> Shown:
-    """Critically damped designs at 100 Hz with differenced positions: in the book any of them is stable."""
+    """Critically damped designs at 100 Hz with differenced positions: in the book any of them is stable.
+
+    According to the simple model Kp and Kd could grow without bound. With a servo of 100 Hz and differenced
+    positions as in figure 10.8 they cannot, even with a torque that has no limits. In a horizontal plane.
+    """
 
     def sampled(omega_n: float) -> LinearSystem:
         return error_dynamics(M=M, b=B, omega_n=omega_n, zeta=1.0, rate=SERVO_RATE, velocity="difference")
@@ -275,7 +275,3 @@ def bounded() -> Shown:
         name, claim = "growth of an oscillation in a tick, omega_n =", "instability due to the finite servo rate"
         name = f"{name} {factor:g} of that"
         yield row(name, got, radius(omega_n), "poles of the held link", rel=1e-4, states=claim)
-    yield (
-        "According to the simple model Kp and Kd could grow without bound. With a servo of 100 Hz and differenced "
-        "positions as in figure 10.8 they cannot, even with a torque that has no limits. In a horizontal plane."
-    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -176,83 +175,15 @@ def held_radius(mass: float, damping: float, K: float, B: float, rate: float) ->
 
 
 @dataclass(frozen=True, kw_only=True)
-class TwoLinks:
-    """Two solid rods on two hinges in a vertical plane, by the equations that every textbook has."""
-
-    m1: float = 4.0  # [kg]
-    m2: float = 2.0
-    L1: float = 0.5  # [m]
-    L2: float = 0.4
-    radius: float = 0.03
-
-    @property
-    def inertias(self) -> tuple[float, float]:
-        """About their own centres [kg m^2]."""
-        about = [m * (3.0 * self.radius**2 + L**2) / 12.0 for m, L in ((self.m1, self.L1), (self.m2, self.L2))]
-        return about[0], about[1]
-
-    def M(self, q: Float64Array) -> Float64Array:
-        I1, I2 = self.inertias
-        c1, c2, cos = 0.5 * self.L1, 0.5 * self.L2, math.cos(q[1])
-        both = I2 + self.m2 * (c2**2 + self.L1 * c2 * cos)
-        first = I1 + self.m1 * c1**2 + I2 + self.m2 * (self.L1**2 + c2**2 + 2.0 * self.L1 * c2 * cos)
-        return np.array([[first, both], [both, I2 + self.m2 * c2**2]])
-
-    def M_rate(self, q: Float64Array, v: Float64Array) -> Float64Array:
-        k = -self.m2 * self.L1 * 0.5 * self.L2 * math.sin(q[1]) * v[1]
-        return np.array([[2.0 * k, k], [k, 0.0]])
-
-    def Cv(self, q: Float64Array, v: Float64Array) -> Float64Array:
-        k = self.m2 * self.L1 * 0.5 * self.L2 * math.sin(q[1])
-        return np.array([-k * (2.0 * v[0] * v[1] + v[1] ** 2), k * v[0] ** 2])
-
-    def g(self, q: Float64Array) -> Float64Array:
-        second = self.m2 * G * 0.5 * self.L2 * math.cos(q[0] + q[1])
-        return np.array([(0.5 * self.m1 + self.m2) * self.L1 * G * math.cos(q[0]) + second, second])
-
-    def h(self, q: Float64Array, v: Float64Array) -> Float64Array:
-        return self.Cv(q, v) + self.g(q)
-
-    def tip(self, q: Float64Array) -> Float64Array:
-        """(2,) x and z of the tool."""
-        a, b = q[0], q[0] + q[1]
-        return np.array(
-            [self.L1 * math.cos(a) + self.L2 * math.cos(b), self.L1 * math.sin(a) + self.L2 * math.sin(b)]
-        )
-
-    def J(self, q: Float64Array) -> Float64Array:
-        """(2, 2) of x and z of the tool."""
-        a, b = q[0], q[0] + q[1]
-        x2, z2 = -self.L2 * math.sin(b), self.L2 * math.cos(b)
-        return np.array([[-self.L1 * math.sin(a) + x2, x2], [self.L1 * math.cos(a) + z2, z2]])
-
-    def Jdot_v(self, q: Float64Array, v: Float64Array) -> Float64Array:
-        a, b, w = q[0], q[0] + q[1], v[0] + v[1]
-        one, two = self.L1 * v[0] ** 2, self.L2 * w**2
-        return np.array([-one * math.cos(a) - two * math.cos(b), -one * math.sin(a) - two * math.sin(b)])
-
-    def ik(self, tip: Float64Array) -> Float64Array:
-        """(2,) the joints, the elbow below the line to the tool."""
-        square = float(tip @ tip)
-        cos = (square - self.L1**2 - self.L2**2) / (2.0 * self.L1 * self.L2)
-        elbow = math.acos(cos)
-        reach = math.atan2(self.L2 * math.sin(elbow), self.L1 + self.L2 * cos)
-        return np.array([math.atan2(tip[1], tip[0]) - reach, elbow])
-
-
-TWO_LINKS: Final = TwoLinks()
-
-
-@dataclass(frozen=True, kw_only=True)
 class MujocoState:
-    """The Panda in MuJoCo at one state; of the tool linear parts first, world axes."""
+    """An arm in MuJoCo at one state; of the tool linear parts first, world axes."""
 
-    M: Float64Array  # (7, 7) mass matrix
-    h: Float64Array  # (7,) C v + g
+    M: Float64Array  # (n, n) mass matrix
+    h: Float64Array  # (n,) C v + g
     p: Float64Array  # (3,) of the tool
     R: Float64Array  # (3, 3)
-    J: Float64Array  # (6, 7)
-    Jdot_v: Float64Array  # (6,) by central differences along the motion
+    J: Float64Array  # (6, n)
+    Jdot_v: Float64Array  # (6,)
 
     @property
     def Lambda(self) -> Float64Array:
@@ -262,31 +193,28 @@ class MujocoState:
 
 
 @cache
-def _mujoco_model() -> Any:
-    return taut.MujocoPlant(panda()).model
+def _mujoco_model(arm: Arm) -> Any:
+    return taut.MujocoPlant(arm).model
 
 
-def in_mujoco(q: ArrayLike, v: ArrayLike = 0.0) -> MujocoState:
-    """The Panda at a state, at rest if no speeds are given."""
+def in_mujoco(q: ArrayLike, v: ArrayLike = 0.0, *, arm: Arm | None = None) -> MujocoState:
+    """The Panda or another arm at a state, at rest if no speeds are given."""
     import mujoco
 
-    model = _mujoco_model()
-
-    def at(q: Any) -> Any:
-        data = mujoco.MjData(model)
-        data.qpos[:], data.qvel[:] = q, v
-        mujoco.mj_forward(model, data)
-        return data
-
-    def jacobian(data: Any) -> Float64Array:
-        linear, angular = np.zeros((3, model.nv)), np.zeros((3, model.nv))
-        mujoco.mj_jacSite(model, data, linear, angular, model.nsite - 1)
-        return np.vstack([linear, angular])
-
-    data, step, M = at(q), 1e-5, np.zeros((model.nv, model.nv))
+    model = _mujoco_model(arm or panda())
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = q, v
+    mujoco.mj_forward(model, data)
+    M, J, rate = np.zeros((model.nv, model.nv)), np.zeros((6, model.nv)), np.zeros((6, model.nv))
     mujoco.mj_fullM(model, data, M)
-    ahead, behind = (jacobian(at(data.qpos + sign * step * data.qvel)) for sign in (1.0, -1.0))
+    mujoco.mj_jacSite(model, data, J[:3], J[3:], model.nsite - 1)
+    mujoco.mj_jacDot(model, data, rate[:3], rate[3:], data.site_xpos[-1], model.site_bodyid[-1])
     return MujocoState(
         M=M, h=np.array(data.qfrc_bias), p=np.array(data.site_xpos[-1]), R=np.array(data.site_xmat[-1]).reshape(3, 3),
-        J=jacobian(data), Jdot_v=(ahead - behind) / (2.0 * step) @ data.qvel,
+        J=J, Jdot_v=rate @ data.qvel,
     )  # fmt: skip
+
+
+def two(q: ArrayLike, v: ArrayLike = 0.0) -> MujocoState:
+    """The two links in MuJoCo at a state, at rest if no speeds are given."""
+    return in_mujoco(q, v, arm=two_links())

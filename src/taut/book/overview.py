@@ -10,9 +10,9 @@ from scipy.signal import butter, lfilter
 
 import taut
 from taut import JointMotion, Sensing
-from taut.base.plot_style import COLOURS, INK, SMALL
+from taut.base.plot_style import COLOURS, SMALL
 from taut.book.models import REST, WRONG_R, B, M, controller, link, on_link, rms, ticked, total, weight
-from taut.book.page import Shown, arrow, block, canvas, curve, entry, legend, panels, row, rows, words
+from taut.book.page import Shown, arrow, block, canvas, entry, row, rows, words
 from taut.laws import PID, ComputedTorque, FrictionCompensation
 from taut.sensors import Difference
 from taut.trajectories import Sine
@@ -27,6 +27,7 @@ SIZE, PACE, LONG = 0.8, 4.0, math.pi  # [rad], [rad/s], [s] of the sine that is 
 
 @entry("fig-10.1", "a robot control system")
 def fig_10_1() -> Shown:
+    """In the controller stand the terms of taut.laws.ComputedTorque."""
     terms = ticked(ComputedTorque(kp=KP, kd=KD, ki=1.0), link(), [0.1], [0.2], JointMotion(q=[0.3])).terms
     a = KP * 0.2 - KD * 0.2 + 0.2 * 1e-3
     name = "torque of the controller drawn, all terms together [N m]"
@@ -35,7 +36,6 @@ def fig_10_1() -> Shown:
     _whole(ax, 3.2, list(terms))
     _simplified(ax, 1.0)
     yield figure
-    yield "In the controller stand the terms of taut.laws.ComputedTorque."
 
 
 def _label(ax: Axes, x: float, y: float, text: str) -> None:
@@ -107,8 +107,13 @@ def written(rate: float) -> float:
     return rms(np.array(errors))
 
 
-@entry("sec-10.1", "higher servo rates stop paying", part="rates")
+@entry("sec-10.1", "higher servo rates stop paying")
 def sec_10_1() -> Shown:
+    """The chapter: higher update rates are of limited benefit. What is left at high rates is the error of the model.
+
+    Chosen: feedback linearisation and FrictionCompensation, Kp = 400, Kd = 40, differenced positions, r = 0.08 m
+    in the model, 0.8 rad at 4 rad/s.
+    """
     sine = Sine(center=[0.0], amplitude=SIZE, frequency=PACE / (2.0 * math.pi))
     law = ComputedTorque(kp=KP, kd=KD) + FrictionCompensation(at="meas")
     got = []
@@ -125,45 +130,25 @@ def sec_10_1() -> Shown:
     ):  # fmt: skip
         name = f"error at {RATES[high]:g} Hz over that at {RATES[low]:g} Hz"
         yield row(name, got[high] / got[low], wanted[high] / wanted[low], source, rel=1e-6, states=states)
-    figure, (ax,) = panels(("following a sine with a model that is 20 % off", "RMS error [mrad]", "servo rate [Hz]"))
-    curve(ax, RATES, 1e3 * np.array(wanted), "tick by tick, written out")
-    curve(ax, RATES, 1e3 * np.array(got), "runs", 0, marker="o")
-    ax.set_xscale("log")
-    ax.set_ylim(0.0, None)
-    ax.set_xticks(RATES, [f"{rate:g}" for rate in RATES])
-    ax.minorticks_off()
-    legend(ax)
-    yield figure
-    yield (
-        "The chapter: higher update rates are of limited benefit. What is left at high rates is the error of the "
-        "model. Chosen: feedback linearisation and FrictionCompensation, Kp = 400, Kd = 40, differenced positions, "
-        "r = 0.08 m in the model, 0.8 rad at 4 rad/s."
-    )
 
 
 STEP, PACE_SLOW, CUTOFF, TICKS = 1e-3, 0.05, 20.0, 2000  # [rad] of an encoder, [rad/s], [Hz], of 1 ms
 
 
-@entry("sec-10.1", "jitter of differenced positions", part="jitter")
+@entry("sec-10.1", "jitter of differenced positions")
 def jitter() -> Shown:
-    """A joint that turns slowly, seen by a coarse encoder, differenced with and without a low-pass."""
+    """A joint that turns slowly, seen by a coarse encoder, differenced with and without a low-pass.
+
+    Chosen: 0.05 rad/s, an encoder of 1 mrad, 1 kHz, a low-pass of 20 Hz.
+    """
     seen, half = STEP * np.round(PACE_SLOW * 1e-3 * np.arange(TICKS) / STEP), TICKS // 2
     raw = np.diff(seen, prepend=seen[0]) * 1e3
     smooth = lfilter(*butter(1, CUTOFF, fs=1e3), raw)
-    title = "velocity by differences, from an encoder of 1 mrad"
-    figure, (ax,) = panels((title, "velocity [rad/s]", "t [s]"), height=2.3)
-    for k, (name, velocity, wanted, source, claim) in enumerate((
+    for name, velocity, wanted, source, claim in (
         ("differenced", Difference(), raw, "NumPy's diff", "high frequency jitter due to quantization"),
         ("with a low-pass", Difference(cutoff=CUTOFF), smooth, "SciPy's butter and lfilter", "to reduce it"),
-    )):  # fmt: skip
+    ):
         ctrl = taut.compile(PID(kp=0.0, kd=1.0), link(), rate=1e3, sensing=Sensing(velocity=velocity))
         got = -np.array([ctrl.step([q], ref=REST)[0] for q in seen])
         what = f"RMS of the velocity's jitter, {name} [rad/s]"
         yield row(what, got[half:].std(), wanted[half:].std(), source, rel=1e-6, states=claim)
-        t = 1e-3 * np.arange(half, half + 200)
-        curve(ax, t, got[half : half + 200], name, k, linewidth=0.8 + 0.8 * k)
-    ax.axhline(PACE_SLOW, color=INK, linewidth=0.9, label="true")
-    ax.set_ylim(-0.1, 1.4)
-    legend(ax, ncols=3)
-    yield figure
-    yield "Chosen: 0.05 rad/s, an encoder of 1 mrad, 1 kHz, a low-pass of 20 Hz."

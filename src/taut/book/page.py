@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -12,6 +13,7 @@ import numpy as np
 
 from taut.base.errors import NumericalError, StabilityWarning
 from taut.base.plot_style import INK, SMALL, WIDTH, colour, prepared
+from taut.base.result import Cell, Table
 from taut.base.types import ArrayLike
 
 if TYPE_CHECKING:
@@ -19,11 +21,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 BY_HAND: Final = "the equation, written out"
-TWO_BY_HAND: Final = "two links, written out"
 ROOTS: Final = "numpy.roots"
 ODE: Final = "SciPy's DOP853 of equation 10.3"
 MUJOCO: Final = "MuJoCo: mj_fullM, qfrc_bias, mj_jacSite"
 """Sources of expected numbers that several entries have."""
+
+COLUMNS: Final = ("quantity", "unit", "computed", "expected", "difference", "expected is", "the chapter")
+ROUNDING_DIFFERENCE: Final = 1e-13  # relative difference that is none
+EXPECTED_ZERO: Final = 1e-9  # expected number to which a difference is not relative
 
 
 @dataclass(frozen=True)
@@ -50,6 +55,18 @@ class Row:
     def json(self, name: str) -> dict[str, Any]:
         keys = ("quantity", "unit", "computed", "expected", "source")
         return {"id": name, **{key: getattr(self, key) for key in keys}}
+
+    def cells(self) -> tuple[Cell, ...]:
+        """The row in a table, by COLUMNS; (!) where the difference is too large."""
+        apart = self.difference
+        if abs(apart) <= ROUNDING_DIFFERENCE * max(abs(self.expected), 1.0):
+            difference = "none"
+        else:
+            relative = abs(self.expected) > EXPECTED_ZERO
+            difference = f"{100.0 * apart / abs(self.expected):+.2g} %" if relative else f"{apart:+.2g}"
+        if not self.ok:
+            difference += " (!)"
+        return self.quantity, self.unit, self.computed, self.expected, difference, self.source, self.states
 
 
 def row(
@@ -112,15 +129,29 @@ def compared(quantity: str, got: Any, wanted: Any, source: str, rel: float = 1e-
 
 @dataclass(frozen=True, kw_only=True)
 class Page:
-    """An entry, computed: its numbers, its picture if it has one, and notes on what was chosen or is a slip."""
+    """An entry, computed: its numbers, and its picture if it is a figure of the chapter."""
 
     entry: Entry
     rows: tuple[Row, ...]
     figure: Figure | None
-    note: str
+
+    @property
+    def title(self) -> str:
+        return f"{self.entry.id}: {self.entry.title}"
+
+    def drawn(self) -> Figure:
+        """The picture of a figure of the chapter."""
+        assert self.figure is not None
+        return self.figure
+
+    def table(self) -> Table:
+        """All rows, with the note of the entry."""
+        return Table(
+            title=self.title, columns=COLUMNS, rows=[each.cells() for each in self.rows], note=self.entry.note
+        )
 
 
-Shown = Iterator["Row | str | Figure"]
+Shown = Iterator["Row | Figure"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,13 +160,12 @@ class Entry:
 
     id: str  # "eq-10.6", "fig-10.6", "sec-10.2.1.5"; a section may have several
     title: str
-    show: Callable[[], Shown]  # yields its rows, its picture and its notes
-    part: str = ""  # of a section, for the name of its picture
+    show: Callable[[], Shown]  # yields its rows and its picture
 
     @property
-    def name(self) -> str:
-        """Name of its picture, without the suffix."""
-        return f"{self.id}-{self.part}" if self.part else self.id
+    def note(self) -> str:
+        """Note on what was chosen and on slips of the chapter: the docstring of the function."""
+        return " ".join((inspect.getdoc(self.show) or "").split())
 
     def page(self) -> Page:
         """The entry, computed. Raises NumericalError."""
@@ -146,20 +176,18 @@ class Entry:
         for each in rows:
             if not (math.isfinite(each.computed) and math.isfinite(each.expected)):
                 raise NumericalError(f"{self.id}: {each.quantity} is {each.computed}, and should be {each.expected}")
-        figures = [each for each in shown if not isinstance(each, Row | str)]
-        note = " ".join(each for each in shown if isinstance(each, str))
-        return Page(entry=self, rows=rows, figure=figures[0] if figures else None, note=note)
+        return Page(entry=self, rows=rows, figure=next((each for each in shown if not isinstance(each, Row)), None))
 
 
 CONTENTS: Final[list[Entry]] = []
 """All entries, in the order of the chapter once `taut.book.contents` is imported."""
 
 
-def entry(id: str, title: str, *, part: str = "") -> Callable[[Callable[[], Shown]], Callable[[], Shown]]:
-    """Makes a function that yields rows, a picture and notes an entry of the book."""
+def entry(id: str, title: str) -> Callable[[Callable[[], Shown]], Callable[[], Shown]]:
+    """Makes a function that yields rows and a picture an entry of the book, with its docstring as note."""
 
     def listed(show: Callable[[], Shown]) -> Callable[[], Shown]:
-        CONTENTS.append(Entry(id=id, title=title, show=show, part=part))
+        CONTENTS.append(Entry(id=id, title=title, show=show))
         return show
 
     return listed

@@ -75,35 +75,38 @@ class ConstantTorque(Law):
 
 @entry("eq-10.1", "the link without friction")
 def eq_10_1() -> Shown:
+    """Chosen: theta = 0.7 rad, theta-dot = 1.3 rad/s, theta-ddot = -0.4 rad/s^2."""
     tau = snapshot(link(), [THETA], [V]).inverse_dynamics(np.array([A]))[0]
     yield row("torque without friction [N m]", tau, M * A + weight(THETA), BY_HAND)
-    yield STATE
 
 
 @entry("eq-10.2", "viscous friction")
 def eq_10_2() -> Shown:
+    """Chosen: theta = 0.7 rad, theta-dot = 1.3 rad/s, theta-ddot = -0.4 rad/s^2."""
     ctrl = ticked(FrictionCompensation(at="meas"), link(), [THETA], [V], JointMotion(q=[THETA]))
     yield row("friction torque [N m]", ctrl.terms["friction"][0], B * V, BY_HAND)
-    yield STATE
 
 
 @entry("eq-10.3", "the link with friction")
 def eq_10_3() -> Shown:
+    """Chosen: a start at 0.7 rad and 1.3 rad/s, and the torque."""
     torque, duration = 0.8, 1.5
     run = on_link(ConstantTorque(tau=torque), duration=duration, q0=THETA, v0=V)
     wanted = solved(lambda *_: torque, np.array([0.0, duration]), q0=THETA, v0=V)
     yield row("angle after 1.5 s under 0.8 N m [rad]", run.q[-1, 0], wanted.theta[-1], ODE)
     yield row("its rate [rad/s]", run.v[-1, 0], wanted.v[-1], ODE, rel=1e-8)
-    yield "Chosen: a start at 0.7 rad and 1.3 rad/s, and the torque."
 
 
 @entry("eq-10.4", "the same in two terms")
 def eq_10_4() -> Shown:
+    """Here x.h is C v + g, and friction a term of its own; the two are the chapter's h.
+
+    Chosen: theta = 0.7 rad, theta-dot = 1.3 rad/s, theta-ddot = -0.4 rad/s^2.
+    """
     x = snapshot(link(), [THETA], [V])
     h = x.h[0] + float(x.arm.viscous[0]) * V
     yield row("M [kg m^2]", x.M[0, 0], M, "section 10.2.1", states="0.5 kg m^2")
     yield row("h: gravity and friction [N m]", h, weight(THETA) + B * V, BY_HAND)
-    yield f"Here x.h is C v + g, and friction a term of its own; the two are the chapter's h. {STATE}"
 
 
 @entry("eq-10.5", "the error")
@@ -138,6 +141,7 @@ def ticks(law: Law, angle: Float64Array, model: taut.Arm) -> Float64Array:
 
 @entry("eq-10.6", "PID control")
 def eq_10_6() -> Shown:
+    """The integral is the sum over ticks of 1 ms, this tick included, as in figure 10.8; gains of 10.6."""
     ref = JointMotion(q=[1.0], v=[0.3])
     ctrl = controller(PID(kp=KP, kd=KD, ki=KI), link(), rate=1000.0)
     e_int = 0.0
@@ -145,11 +149,11 @@ def eq_10_6() -> Shown:
         tau = ctrl.step([theta], [V], ref)[0]
         e_int += (1.0 - theta) * 1e-3
     yield row("torque in the third tick [N m]", tau, KP * (1.0 - 0.31) + KI * e_int + KD * (0.3 - V), BY_HAND)
-    yield "The integral is the sum over ticks of 1 ms, this tick included, as in figure 10.8; gains of 10.6."
 
 
 @entry("eq-10.7", "the closed loop of PD control in a horizontal plane")
 def eq_10_7() -> Shown:
+    """Chosen: PD gains of figure 10.6, 0.5 rad at 0.2 Hz, ticks of 0.1 ms."""
     duration, w = 2.0, 2.0 * math.pi * 0.2
     sine = Sine(center=[0.0], amplitude=0.5, frequency=0.2)
     run = on_link(PID(kp=KP, kd=KD), sine, plant=link(gravity=False), duration=duration)
@@ -160,7 +164,6 @@ def eq_10_7() -> Shown:
     times = np.array([0.0, duration])
     wanted = solved(tau, times, desired=lambda t: 0.5 * np.sin(w * t), q0=0.0, gravity=False).theta[-1]
     yield row("angle after 2 s of following a sine [rad]", run.q[-1, 0], wanted, ODE, rel=SAMPLED)
-    yield "Chosen: PD gains of figure 10.6, 0.5 rad at 0.2 Hz, ticks of 0.1 ms."
 
 
 @entry("eq-10.8", "error dynamics of a set-point")
@@ -173,6 +176,7 @@ def eq_10_8() -> Shown:
 
 @entry("fig-10.2", "the link in gravity")
 def fig_10_2() -> Shown:
+    """Drawn at 35 degrees, from the arm's own frames: the world {s} and the tool {b}."""
     theta = math.radians(35.0)
     x = snapshot(link(), [theta])
     T = x.T("tool")
@@ -205,21 +209,21 @@ def fig_10_2() -> Shown:
     frame(ax, centre, 0.05 * np.asarray(T.R)[np.ix_([0, 2], [0, 2])], "b", aside=-0.022 * along)
     ax.set(xlim=(-0.09, 0.35), ylim=(-0.07, 0.17))
     yield figure
-    yield "Drawn at 35 degrees, from the arm's own frames: the world {s} and the tool {b}."
 
 
 @entry("fig-10.3", "block diagram of PID control")
 def fig_10_3() -> Shown:
+    """Chosen: theta_d = 1.0 rad, theta = 0.2 rad, theta-dot = 1.3 rad/s; gains of figure 10.6."""
     terms, e = ticked(PID(kp=KP, kd=KD, ki=KI), link(), [0.2], [V], JointMotion(q=[1.0])).terms, 0.8
     yield row("term P [N m]", terms["P"][0], KP * e, BY_HAND)
     yield row("term I, after one tick of 1 ms [N m]", terms["I"][0], KI * e * 1e-3, BY_HAND)
     yield row("term D [N m]", terms["D"][0], -KD * V, BY_HAND)
     yield law_diagram(list(terms), "PID: the terms of taut.laws.PID")
-    yield "Chosen: theta_d = 1.0 rad, theta = 0.2 rad, theta-dot = 1.3 rad/s; gains of figure 10.6."
 
 
 @entry("fig-10.8", "pseudocode of PID control")
 def fig_10_8() -> Shown:
+    """Chosen: recorded angles, a sine as trajectory, gains of figure 10.6."""
     angle = angles(200)
     eint, qprev, written, dt = 0.0, angle[0], [], 0.01
     for k, q in enumerate(angle):  # line by line
@@ -234,7 +238,6 @@ def fig_10_8() -> Shown:
     worst, source = int(np.argmax(np.abs(got - written))), "figure 10.8 line by line"
     yield row("last torque of 200 ticks at 100 Hz [N m]", got[-1], written[-1], source, rel=1e-11)
     yield row("the torque that differs most [N m]", got[worst], written[worst], source)
-    yield "Chosen: recorded angles, a sine as trajectory, gains of figure 10.6."
 
 
 FORMULA: Final = "the formula"
@@ -266,20 +269,25 @@ def overshoot(zeta: float) -> float:
 
 @entry("eq-10.9", "the standard second-order form")
 def eq_10_9() -> Shown:
+    """Chosen: Kp = 5 N m/rad, Kd = 2 N m s/rad, which is underdamped."""
     d = second_order(M=M, b=B, kp=5.0, kd=KD)
-    gains: Any = taut.design(PID, link(gravity=False), zeta=1.0, omega_n=(B + KD) / (2.0 * M), friction="arm").law
+    gains: Any = taut.design(PID, link(gravity=False), zeta=1.0, omega_n=(B + KD) / (2.0 * M)).law
     critical = second_order(M=M, b=B, kd=KD, zeta=1.0).kp
     yield row("damping ratio", d.zeta, (B + KD) / (2.0 * math.sqrt(5.0 * M)), FORMULA)
     yield row("natural frequency [rad/s]", d.omega_n, math.sqrt(5.0 / M), FORMULA)
     yield row("Kp for critical damping with Kd = 2 [N m/rad]", critical, 2.205, "figure 10.6", states="2.205")
     name = "the same of taut.design, with omega_n = 2.1 rad/s [N m/rad]"
     yield row(name, gains.kp.as_array()[0], 2.205, "figure 10.6")
-    yield row("and its Kd [N m s/rad]", gains.kd.as_array()[0], 2.0, "figure 10.6", states="2")
-    yield "Chosen: Kp = 5 N m/rad, Kd = 2 N m s/rad, which is underdamped."
+    yield row("and its Kd, less b [N m s/rad]", gains.kd.as_array()[0] - B, 2.0, "figure 10.6", states="2")
 
 
 @entry("eq-10.10", "its roots")
 def eq_10_10() -> Shown:
+    """Underdamped roots are -zeta omega_n +- j omega_d; the chapter leaves the j out.
+
+    The numbers are those of Kp = 5 N m/rad and Kd = 2 N m s/rad.
+    """
+
     def upper(poles: Any) -> complex:
         return complex(poles[poles.imag.argmax()])
 
@@ -293,14 +301,15 @@ def eq_10_10() -> Shown:
     yield from pole("{} of the roots", exact, wanted, ROOTS, imaginary=slip)
     yield from pole("{}, of the loop linearised", mode.s, wanted, ROOTS, rel=1e-3)
     yield from pole("{}, fitted to a run", upper(two_poles(run.q[::10, 0], 1e-3)), wanted, ROOTS, rel=1e-3)
-    yield (
-        "Underdamped roots are -zeta omega_n +- j omega_d; the chapter leaves the j out. The numbers are those of Kp "
-        "= 5 N m/rad and Kd = 2 N m s/rad."
-    )
 
 
 @entry("sec-10.2.1.1", "stability, settling and overshoot")
 def sec_10_2_1_1() -> Shown:
+    """4 tau is a rule for the envelope.
+
+    The exact settling time is 5.83 / omega_n at zeta = 1 and 3.60 / omega_n at 0.78, where 4 tau would be 4 and
+    5.1.
+    """
     third, bound = [M, B + KD, 2.205], (B + KD) * 2.205 / M
     for name, coefficients in (
         ("second order, signs all equal", [1.0, 2.0, 3.0]),
@@ -318,15 +327,14 @@ def sec_10_2_1_1() -> Shown:
     found = [error_dynamics(omega_n=1.0, zeta=zeta).step().overshoot for zeta in zetas]
     source = "exp(-pi zeta / sqrt(1 - zeta^2))"
     yield from rows("overshoot, zeta = {:g} [%]", zetas, found, map(overshoot, zetas), source)
-    yield (
-        "4 tau is a rule for the envelope. The exact settling time is 5.83 / omega_n at zeta = 1 and 3.60 / omega_n "
-        "at 0.78, where 4 tau would be 4 and 5.1."
-    )
 
 
 @entry("fig-10.4", "the response to a step")
 def fig_10_4() -> Shown:
-    """A slide under a constant force stands for the link: its steady-state error is exact, its response linear."""
+    """A slide under a constant force stands for the link: its steady-state error is exact, its response linear.
+
+    Chosen: a slide of 3 kg that its weight pulls down, zeta = 0.25, omega_n = 20 rad/s, a step of 0.2 m.
+    """
     zeta, omega_n, step, start, mass = 0.25, 20.0, 0.2, -0.1, 3.0
     slide = taut.load_arm("gantry3").subset(["z"]).with_joints(viscous=0.0)
     d = second_order(M=mass, zeta=zeta, omega_n=omega_n)
@@ -351,11 +359,15 @@ def fig_10_4() -> Shown:
     legend(ax)
     ax.set_xlim(0.0, 1.5)
     yield figure
-    yield "Chosen: a slide of 3 kg that its weight pulls down, zeta = 0.25, omega_n = 20 rad/s, a step of 0.2 m."
 
 
 @entry("fig-10.5", "root locus over Kp, and three responses")
 def fig_10_5() -> Shown:
+    """Kd = 10 N m s/rad in a horizontal plane.
+
+    The chapter: the settling time is unaffected as Kp is increased beyond critical damping. That is 4 tau; the
+    exact settling time changes, as the rows say.
+    """
     zetas = (1.5, 1.0, 0.5)  # of its roots "1", "2" and "3"
     designs = [second_order(M=M, b=B, kd=STIFF_KD, zeta=zeta) for zeta in zetas]
 
@@ -388,7 +400,3 @@ def fig_10_5() -> Shown:
     right.set_xlim(0.0, 1.5)
     legend(right)
     yield figure
-    yield (
-        "Kd = 10 N m s/rad in a horizontal plane. The chapter: the settling time is unaffected as Kp is increased "
-        "beyond critical damping. That is 4 tau; the exact settling time changes, as the rows say."
-    )

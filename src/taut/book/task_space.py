@@ -12,13 +12,12 @@ from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
 
 import taut
-from taut import Controller, Gain, Law, Pose, Run, Snapshot, TaskMotion, Torque, snapshot
+from taut import Controller, Gain, Law, Pose, Snapshot, TaskMotion, Torque, snapshot
 from taut import math as tm
-from taut.base.plot_style import DASHED, INK
 from taut.base.types import Float64Array
-from taut.book.models import TWO_LINKS, in_mujoco, panda, simulated, ticked, total, two_links, two_poles
+from taut.book.models import in_mujoco, panda, simulated, ticked, total, two, two_links, two_poles
 from taut.book.multi_joint import TORQUE, Q, V
-from taut.book.page import MUJOCO, TWO_BY_HAND, Shown, compared, curve, entry, legend, panels, pole, row, rows
+from taut.book.page import MUJOCO, Shown, compared, entry, pole, row, rows
 from taut.control.laws.task_error import task_error
 from taut.laws import ComputedTorque, TaskComputedTorque
 from taut.maths.spatial import rotated
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
     from taut.control.laws.task_error import ErrorKind
 
 W: Final = 1.5  # [rad/s] of the circle that two links follow
+X_AND_Z: Final = [0, 2]  # rows of the tool of two links
 CENTRE, RADIUS = np.array([0.55, 0.1]), 0.1  # [m] x and z
 
 
@@ -37,13 +37,21 @@ def around(t: float) -> tuple[Float64Array, Float64Array, Float64Array]:
     return CENTRE + RADIUS * np.array([c, s]), RADIUS * W * np.array([-s, c]), -RADIUS * W**2 * np.array([c, s])
 
 
+def by_cosines(tip: Float64Array) -> Float64Array:
+    """(2,) joints of two links by the law of cosines, the elbow below the line to the tool."""
+    L1, L2 = 0.5, 0.4  # [m]
+    elbow = math.acos((float(tip @ tip) - L1**2 - L2**2) / (2.0 * L1 * L2))
+    reach = math.atan2(L2 * math.sin(elbow), L1 + L2 * math.cos(elbow))
+    return np.array([math.atan2(tip[1], tip[0]) - reach, elbow])
+
+
 def joints(t: float) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """(2,) q, v and a of two links on the circle, written out."""
+    """(2,) q, v and a of two links on the circle, with MuJoCo's Jacobian."""
     p, v_tip, a_tip = around(t)
-    q = TWO_LINKS.ik(p)
-    inverse = np.asarray(np.linalg.inv(TWO_LINKS.J(q)), dtype=np.float64)
+    q = by_cosines(p)
+    inverse = np.asarray(np.linalg.inv(two(q).J[X_AND_Z]), dtype=np.float64)
     v: Float64Array = inverse @ v_tip
-    return q, v, inverse @ (a_tip - TWO_LINKS.Jdot_v(q, v))
+    return q, v, inverse @ (a_tip - two(q, v).Jdot_v[X_AND_Z])
 
 
 @cache
@@ -59,36 +67,41 @@ def followed() -> tuple[Controller, tuple[Float64Array, Float64Array, Float64Arr
 
 @entry("eq-10.28", "inverse kinematics")
 def eq_10_28() -> Shown:
+    """Chosen: the tool at (0.65, 0.1) m, then a circle of 0.1 m radius at 1.5 rad/s."""
     p, source = around(0.0)[0], "law of cosines"
     found = taut.inverse_kinematics(
         two_links(), Pose([p[0], 0.0, p[1]]), q0=[0.1, 0.9], directions="position", tolerance=(1e-10, 1e-6)
     ).q
-    yield from rows("joint {} of two links [rad]", (1, 2), found, TWO_LINKS.ik(p), source, near=1e-9)
+    yield from rows("joint {} of two links [rad]", (1, 2), found, by_cosines(p), source, near=1e-9)
     ctrl, (q, _, _) = followed()
     name = "joint {} of a law that follows a circle, after 0.4 s [rad]"
     yield from rows(name, (1, 2), ctrl.memory["law.q_des"], q, source, near=1e-6)
-    yield "Chosen: the tool at (0.65, 0.1) m, then a circle of 0.1 m radius at 1.5 rad/s."
 
 
 @entry("eq-10.29", "joint speeds of a motion of the tool")
 def eq_10_29() -> Shown:
+    """The circle of equation 10.28."""
     ctrl, (_, v, _) = followed()
-    name, source = "speed of joint {} after 0.4 s [rad/s]", f"J^-1 V, {TWO_BY_HAND}"
+    name, source = "speed of joint {} after 0.4 s [rad/s]", "J^-1 V, with MuJoCo's J"
     yield from rows(name, (1, 2), ctrl.memory["law.v_des"], v, source, near=1e-5)
-    yield "The circle of equation 10.28."
 
 
 @entry("eq-10.30", "joint accelerations of a motion of the tool")
 def eq_10_30() -> Shown:
+    """The circle of equation 10.28."""
     ctrl, (_, _, a) = followed()
-    name, source = "acceleration of joint {} after 0.4 s [rad/s^2]", f"J^-1 (V-dot - J-dot v), {TWO_BY_HAND}"
+    name, source = "acceleration of joint {} after 0.4 s [rad/s^2]", "J^-1 (V-dot - J-dot v), with MuJoCo's J"
     yield from rows(name, (1, 2), ctrl.memory["law.a_des"], a, source, near=1e-4)
-    yield "The circle of equation 10.28."
 
 
 @entry("eq-10.31", "computed torque in task space")
 def eq_10_31() -> Shown:
-    """The decoupled error, with Lambda, gamma and eta of MuJoCo."""
+    """The decoupled error, with Lambda, gamma and eta of MuJoCo.
+
+    The chapter speaks of a dynamic singularity where M is singular. M never is: J is singular there, and Lambda
+    is unbounded. Chosen: the error of the third choice, a Panda, kp = 100, kd = 20, ki = 50; h goes to all
+    joints, so that the free motion carries its own weight.
+    """
     m, turn = in_mujoco(Q, V), Rotation.from_rotvec([0.1, -0.05, 0.08]).as_matrix()
     ref = TaskMotion(
         pose=Pose(m.p + np.array([0.02, -0.01, 0.03]), R=turn @ m.R),
@@ -105,16 +118,11 @@ def eq_10_31() -> Shown:
     yield from compared(TORQUE, got, wanted + free, MUJOCO, 1e-6)
     slip = "slip: M is singular at a dynamic singularity"
     for name, q, states in (("stretched", np.array([0.3, 0.0]), slip), ("bent", np.array([0.3, 1.2]), "")):
-        x = snapshot(two_links(), q)
-        got, wanted = (np.linalg.eigvalsh(np.asarray(M))[0] for M in (x.M, TWO_LINKS.M(q)))
-        yield row(f"two links, {name}: least eigenvalue of M [kg m^2]", got, wanted, TWO_BY_HAND, states=states)
-        got, wanted = (np.linalg.svd(J)[1][-1] for J in (np.asarray(x.J())[[0, 2]], TWO_LINKS.J(q)))
-        yield row(f"two links, {name}: least singular value of J [m]", got, wanted, TWO_BY_HAND, near=1e-12)
-    yield (
-        "The chapter speaks of a dynamic singularity where M is singular. M never is: J is singular there, and "
-        "Lambda is unbounded. Chosen: the error of the third choice, a Panda, kp = 100, kd = 20, ki = 50; h "
-        "goes to all joints, so that the free motion carries its own weight."
-    )
+        x, m = snapshot(two_links(), q), two(q)
+        got, wanted = (np.linalg.eigvalsh(np.asarray(M))[0] for M in (x.M, m.M))
+        yield row(f"two links, {name}: least eigenvalue of M [kg m^2]", got, wanted, MUJOCO, states=states)
+        got, wanted = (np.linalg.svd(J)[1][-1] for J in (np.asarray(x.J())[X_AND_Z], m.J[X_AND_Z]))
+        yield row(f"two links, {name}: least singular value of J [m]", got, wanted, MUJOCO, near=1e-12)
 
 
 @dataclass(frozen=True)
@@ -152,8 +160,8 @@ class AsWritten(Law):
 SPIN, KP, KD, TICK = 3.0, 100.0, 16.0, 1e-3  # [rad/s], [1/s^2], [1/s], [s]
 
 
-def spun(law: Law) -> tuple[Run, Any]:
-    """A run about a target that spins about the tool's z axis, and the error across it as complex numbers [rad]."""
+def spun(law: Law) -> Any:
+    """The error across the axis of a target that spins about the tool's z axis, as complex numbers [rad]."""
     arm = panda()
     x = snapshot(arm, arm.home)
     T = x.T()
@@ -165,7 +173,7 @@ def spun(law: Law) -> tuple[Run, Any]:
     for t, R in zip(out.t, out.task.R, strict=True):
         across = Rotation.from_matrix(R.T @ Rotation.from_rotvec(w * t).as_matrix() @ np.asarray(T.R)).as_rotvec()
         errors.append(across[0] + 1j * across[1])
-    return out, np.array(errors)
+    return np.array(errors)
 
 
 def in_order(poles: Any) -> Any:
@@ -173,31 +181,24 @@ def in_order(poles: Any) -> Any:
     return poles[np.argsort(poles.imag)]
 
 
-@entry("sec-10.2.3", "the body error at a target that spins", part="spin")
+@entry("sec-10.2.3", "the body error at a target that spins")
 def transported() -> Shown:
-    title = "error about the tool's x axis, at a target that spins"
-    figure, (ax,) = panels((title, "error [mrad]", "t [s]"), height=2.6)
+    """With the body error the desired acceleration must be transported to the tool, Ad V-dot_d + ad_{V_e}(Ad V_d).
+
+    Fed as it is, a target that spins at 3 rad/s adds +-3j to kd = 16 across its axis. A Panda, kp = 100.
+    """
     well = TaskComputedTorque(kp=KP, kd=KD, error="body", null=None, singularity="plain")
     slip = "slip: V-dot_d fed as it is, the poles as designed"
     laws: tuple[tuple[str, Law, complex, str], ...] = (
         ("transported", well, KD, ""), ("fed as it is", AsWritten(kp=KP, kd=KD), KD + 1j * SPIN, slip),
     )  # fmt: skip
-    for k, (name, law, kd, states) in enumerate(laws):
-        out, errors = spun(law)
+    for name, law, kd, states in laws:
         stepped = np.roots([1.0, kd * TICK + KP * TICK**2 - 2.0, 1.0 - kd * TICK])  # as the plant steps
-        got, wanted = in_order(two_poles(errors, TICK)), in_order(np.log(stepped.astype(complex)) / TICK)
+        got, wanted = in_order(two_poles(spun(law), TICK)), in_order(np.log(stepped.astype(complex)) / TICK)
         for i, design in enumerate(in_order(np.roots([1.0, kd, KP]))):
             source = f"s^2 + {kd:g} s + 100, sampled at 1 kHz; {design:.3g} in continuous time"
             what = f"{name}: pole {i + 1}, {{}}"
             yield from pole(what, got[i], wanted[i], source, rel=0.0, near=0.1, real=states)
-        curve(ax, out.t, 1e3 * errors.real, name, k)
-    ax.axhline(0.0, color=INK, linewidth=0.6)
-    legend(ax)
-    yield figure
-    yield (
-        "With the body error the desired acceleration must be transported to the tool, Ad V-dot_d + ad_{V_e}(Ad "
-        "V_d). Fed as it is, a target that spins at 3 rad/s adds +-3j to kd = 16 across its axis. A Panda, kp = 100."
-    )
 
 
 SHIFT, TURN = np.array([0.05, 0.15, -0.05]), np.array([0.0, 0.7, 0.4])  # [m], rotation vector [rad], chosen
@@ -218,15 +219,18 @@ def aside(way: Float64Array) -> Float64Array:
     return np.asarray(np.linalg.norm(moved - np.outer(moved @ ahead, ahead), axis=1))
 
 
-@entry("sec-10.2.3", "three choices of the error", part="choices")
+@entry("sec-10.2.3", "three choices of the error")
 def choices() -> Shown:
+    """The errors of body and space lead the tool along the screw motion from one pose to the other.
+
+    The third leads it straight ahead. Chosen: a Panda, kp = 100, kd = 20, 0.17 m and 0.81 rad.
+    """
     arm = panda()
     T0 = snapshot(arm, arm.home).T()
     T1 = Pose(np.asarray(T0.p) + SHIFT, R=np.asarray(T0.R) @ Rotation.from_rotvec(TURN).as_matrix())
-    bow, title = aside(screw(T0, T1)).max(), "the tool on its way to another place and orientation"
-    figure, (ax,) = panels((title, "aside of a straight line [mm]", "way [mm]"), height=2.6)
+    bow = aside(screw(T0, T1)).max()
     kinds: tuple[ErrorKind, ...] = ("body", "space", "decoupled")
-    for k, kind in enumerate(kinds):
+    for kind in kinds:
         law = TaskComputedTorque(kp=100.0, kd=20.0, error=kind, null=None, singularity="plain")
         out = simulated(law, arm, TaskMotion(pose=T1), duration=1.5)
         off, name = aside(out.task.p), f"{kind}: farthest from a straight line [m]"
@@ -242,12 +246,3 @@ def choices() -> Shown:
             yield row(f"{kind}: way left after 0.2 s [m]", left, way, ALONE, rel=0.02, states=claim)
         else:
             yield row(name, off.max(), bow, "the screw motion between both poses", rel=0.01)
-        ahead = np.linalg.norm(out.task.p - out.task.p[0], axis=1)
-        curve(ax, 1e3 * ahead, 1e3 * off, kind, k, linestyle=DASHED if k == 1 else "-")
-    ax.axhline(0.0, color=INK, linewidth=0.6)
-    legend(ax)
-    yield figure
-    yield (
-        "The errors of body and space lead the tool along the screw motion from one pose to the other, the third "
-        "straight ahead. Chosen: a Panda, kp = 100, kd = 20, 0.17 m and 0.81 rad."
-    )

@@ -139,10 +139,8 @@ def _design(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
     from taut.arm.load import load_arm
 
     given: dict[str, Any] = {name: value for name in NUMBERS if (value := getattr(arguments, name)) is not None}
-    if arguments.at:
-        given["at"] = [pose if isinstance(pose, list) else [pose] for pose in arguments.at]
-    if arguments.friction:
-        given["friction"] = "arm"
+    if arguments.at is not None:
+        given["at"] = arguments.at if isinstance(arguments.at, list) else [arguments.at]
     if arguments.plant is not None:
         given = _in_file(arguments.plant) | given
     arm = given.pop("arm", None)
@@ -182,12 +180,7 @@ DESIGN: Final = Command(
     arguments={
         "law": {"metavar": "LAW", "help": "a law that `taut laws` lists; one that holds others is written with them"},
         "arm": {"metavar": "ARM", "nargs": "?", "help": "name or file (default: that of --plant, or panda)"},
-        "--at": {
-            "action": "append",
-            "type": numbers,
-            "metavar": "Q",
-            "help": "a pose, such as 0,0.5,-1 [rad | m]; once for each (default: home)",
-        },
+        "--at": {"type": numbers, "metavar": "Q", "help": "the pose, such as 0,0.5,-1 [rad | m] (default: home)"},
         **{f"--{name}": {"type": numbers, "metavar": "X", "help": text} for name, text in NUMBERS.items()},
         "--plant": {
             "metavar": "FILE",
@@ -195,7 +188,6 @@ DESIGN: Final = Command(
             "filters with which the loop is judged",
         },
         "--coupled": {"action": "store_true", "help": "matrices for gains of PID and GravityPID"},
-        "--friction": {"action": "store_true", "help": "the arm's own viscous friction counts as damping"},
     },
     more="""examples:
   taut design PID one_joint --zeta 1 --omega_n 10

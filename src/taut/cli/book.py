@@ -3,19 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import os
-import shutil
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-from taut.base.errors import FileError
 from taut.cli.command import DONE, FAILED, STATUS, Answer, Command, Say
-
-if TYPE_CHECKING:
-    from taut.book.page import Page
-
-LINE_LETTERS: Final = 120  # letters of a line in a file or a pipe
 
 
 def _book(arguments: argparse.Namespace, say: Say) -> Answer:
@@ -27,32 +18,13 @@ def _book(arguments: argparse.Namespace, say: Say) -> Answer:
     for entry in entries:
         say(f"{entry.id}: {entry.title}")
         pages.append(entry.page())
-    rows = [(page.entry.id, each) for page in pages for each in page.rows]
-    missed = [f"{name}: {each.quantity}" for name, each in rows if not each.ok]
-    text, data = [_table(pages)], [each.json(name) for name, each in rows]
-    try:
-        written = contents.write(pages, folder)
-    except FileError as wrong:
-        return Answer(text=text[0], data=data, status=FAILED, remarks=[str(wrong)])
-    text += [f"{page.entry.id}: {page.note}" for page in pages if page.note]
-    text += [f"{name:20} {path}" for name, path in written.items()]
-    text += [f"missed: {each}" for each in missed]
-    text.append(f"{len(rows) - len(missed)} of {len(rows)} numbers are what they should be")
-    return Answer(text="\n".join(text), data=data, status=FAILED if missed else DONE)
-
-
-def _table(pages: Sequence[Page]) -> str:
-    """The table as wide as the terminal, or as COLUMNS says."""
-    from rich.console import Console
-
-    from taut.book import contents
-
-    asked = "COLUMNS" in os.environ or os.isatty(1)
-    width = shutil.get_terminal_size((LINE_LETTERS, 0)).columns if asked else LINE_LETTERS
-    console = Console(color_system=None, width=width)
-    with console.capture() as text:
-        console.print(contents.table(pages))
-    return text.get().rstrip("\n")
+    book = contents.Book(pages=pages)
+    files = contents.write(book, folder)
+    return Answer(
+        text="\n".join([str(book), *map(str, files)]),
+        data=[each.json(page.entry.id) for page in pages for each in page.rows],
+        status=FAILED if book.missed else DONE,
+    )
 
 
 BOOK: Final = Command(
@@ -61,7 +33,7 @@ BOOK: Final = Command(
     run=_book,
     arguments={
         "ids": {"nargs": "*", "metavar": "ID", "help": "eq-10.6, fig-10.6, sec-10.2.1.5; all if left out"},
-        "--out": {"type": Path, "metavar": "DIR", "help": "folder for pictures and tables (default: out/book)"},
+        "--out": {"type": Path, "metavar": "DIR", "help": "folder for book.html and pictures (default: out/book)"},
     },
     more=f"""examples:
   taut book

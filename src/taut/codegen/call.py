@@ -32,14 +32,6 @@ PYARRAY_TYPE, PYARRAY_NEW = 2, 93  # places in NumPy's table of C functions, fix
 
 
 @dataclass(frozen=True)
-class Argument:
-    """One positional argument: an array that fills one field, or an object whose slots fill several."""
-
-    fields: tuple[str, ...]
-    is_object: bool = False
-
-
-@dataclass(frozen=True)
 class Offsets:
     """Where the parts of a NumPy array object stand [bytes]."""
 
@@ -242,12 +234,12 @@ _BLOCKS: Final = ("inputs", "parameters", "memory", "new", "before", "seen", "ou
 class CallPath:
     """LLVM text of the builtins `step` and `tick` around a function `kernel`."""
 
-    arguments: Sequence[Argument] | None  # positional, of `step`; None without a plain call
+    arguments: Sequence[str] | None  # inputs that are arrays by position in `step`; None without a plain call
     inputs: Block
     outputs: Block  # the first field is the result
     memory: Block
     keywords: Sequence[str] = ()
-    slots: Sequence[int] = ()  # of the object argument [bytes]
+    slots: Mapping[str, int]  # of an object behind the arrays: where each of its inputs stands [bytes]
     time: str | None = None  # the input that gets the number of ticks times dt
     guarded: bool = True  # refuses numbers that are not finite
 
@@ -255,7 +247,7 @@ class CallPath:
         """All functions."""
         parts = [self._advance(Writer()), self._tick(Writer())]
         if self.arguments is not None:
-            parts.append(self._step(Writer(), self.arguments))
+            parts.append(self._step(Writer(), [*self.arguments]))
         return "\n".join(parts)
 
     def _advance(self, w: Writer) -> str:
@@ -300,24 +292,23 @@ class CallPath:
             _leave(w, label, "ptr null, i64 0, ptr null")
         return w.function("ptr @tick(ptr %self, ptr %unused) nounwind")
 
-    def _step(self, w: Writer, arguments: Sequence[Argument]) -> str:
+    def _step(self, w: Writer, arguments: Sequence[str]) -> str:
         """The builtin with arguments: arrays in, a new array out."""
         _context(w)
-        w.unless(w.put(f"icmp ne i64 %nargs, {len(arguments)}"), "slow")
+        count = len(arguments) + bool(self.slots)
+        w.unless(w.put(f"icmp ne i64 %nargs, {count}"), "slow")
         self._check_names(w)
         w.unless(w.put(f"icmp ne i64 {_word(w, 'ready', 'i64')}, {READY}"), "slow")
         inputs, ndarray, float64 = _word(w, "inputs"), _word(w, "ndarray"), _word(w, "float64")
-        for i, argument in enumerate(arguments):
-            value = w.load_at("%args", 8 * i)
-            owners = [value]
-            if argument.is_object:
-                kind = w.load_at(value, _at().type_)
-                w.unless(w.put(f"icmp ne ptr {kind}, {_word(w, 'reference')}"), "slow")
-                owners = [w.load_at(value, offset) for offset in self.slots]
-            for path, array in zip(argument.fields, owners, strict=True):
-                self._take(w, path, array, inputs, ndarray, float64)
-        for i, path in enumerate(self.keywords):
-            self._take(w, path, w.load_at("%args", 8 * (len(arguments) + i)), inputs, ndarray, float64)
+        arrays = {path: w.load_at("%args", 8 * i) for i, path in enumerate(arguments)}
+        if self.slots:
+            sample = w.load_at("%args", 8 * len(arguments))
+            kind = w.load_at(sample, _at().type_)
+            w.unless(w.put(f"icmp ne ptr {kind}, {_word(w, 'reference')}"), "slow")
+            arrays |= {path: w.load_at(sample, offset) for path, offset in self.slots.items()}
+        arrays |= {path: w.load_at("%args", 8 * (count + i)) for i, path in enumerate(self.keywords)}
+        for path, array in arrays.items():
+            self._take(w, path, array, inputs, ndarray, float64)
         status = w.put("call i32 @advance(ptr %context)")
         w.unless(w.put(f"icmp ne i32 {status}, 0"), "failed")
         result = self.outputs.fields[0]

@@ -17,7 +17,6 @@ from taut.codegen.call import (
     METH_NOARGS,
     READY,
     TAKEN,
-    Argument,
     CallPath,
     Context,
     layout_key,
@@ -73,10 +72,11 @@ class Alone:
 class Call:
     """How a kernel is called with arrays."""
 
-    arguments: Sequence[Argument]
+    arguments: Sequence[str]  # the inputs that are arrays, by position
     slow: Callable[..., Any]  # takes a call that is not plain
     keywords: tuple[str, ...] = ()
-    reference: type | None = None  # class of the object argument
+    reference: type | None = None  # class of an object behind the arrays
+    slots: Sequence[str] = ()  # the inputs that its slots are, each named as the last part of the path
 
 
 class Kernel:
@@ -116,27 +116,24 @@ class Kernel:
         self.alone = Alone(self._take)
         self.step, self.tick = call.slow if call is not None else _no_step, self._tick
         inputs, parameters, memory, outputs = blocks.layout.values()
+        self._starter = plain(start, inputs, parameters, Block(), new=Block(), outputs=memory)
         if engine == "float":
             self._evaluate = plain(tick, inputs, parameters, memory, new=memory, outputs=outputs)
-            self._starter = plain(start, inputs, parameters, Block(), new=Block(), outputs=memory)
         else:
-            self._compile(Steps(tick, inputs, parameters, memory), start, call, (what, samples), level)
+            self._compile(Steps(tick, inputs, parameters, memory), call, (what, samples), level)
 
     def _compile(
         self,
         steps: Steps,
-        start: Function,
         call: Call | None,
         check: tuple[str, Callable[[], Sequence[Flat]]],
         level: int | None,
     ) -> None:
         program = trace(steps.step, steps.inputs, steps.parameters, steps.memory)
-        starter = trace(start, steps.inputs, steps.parameters, Block())
         self.program, self.operations = program, program.operations
-        reference = None if call is None else call.reference
-        objects = [argument for argument in (() if call is None else call.arguments) if argument.is_object]
-        names = tuple(path.rpartition(".")[2] for argument in objects for path in argument.fields)
-        slots = slot_offsets(reference, names) if reference is not None else ()
+        slots: tuple[int, ...] | None = ()
+        if call is not None and call.reference is not None:
+            slots = slot_offsets(call.reference, tuple(path.rpartition(".")[2] for path in call.slots))
         self.fast = fast = offsets() is not None and slots is not None
         self._time = self._time if self._time is not None and _reads(program, self._time) else None
         path = CallPath(
@@ -145,20 +142,20 @@ class Kernel:
             inputs=program.inputs,
             outputs=program.outputs,
             memory=program.memory,
-            slots=slots or (),
+            slots=dict(zip(call.slots, slots, strict=True)) if call is not None and slots else {},
             time=self._time,
             guarded=self._guarded,
         )
 
         def text() -> str:
-            parts = [declarations(), kernel(program, "kernel"), kernel(starter, "start")]
+            parts = [declarations(), kernel(program, "kernel")]
             return "\n".join([*parts, path.text()] if fast else parts)
 
-        content = b"".join([program.content, starter.content, layout_key(), repr((path, fast)).encode()])
+        content = b"".join([program.content, layout_key(), repr((path, fast)).encode()])
         builtins = (*(("step",) if call is not None else ()), "tick") if fast else ()
         verify = verified(check[0], steps.step, program, check[1])
-        self.module = compiled(content, text, ("kernel", "start", *builtins), verify, level)
-        self._evaluate, self._starter = machine_code(self.module["kernel"]), machine_code(self.module["start"])
+        self.module = compiled(content, text, ("kernel", *builtins), verify, level)
+        self._evaluate = machine_code(self.module["kernel"])
         if not fast:
             return
         blocks = self.blocks
@@ -167,7 +164,7 @@ class Kernel:
             {name: getattr(blocks, name) for name in (*blocks.layout, "before", "seen")},
             result_shape=program.outputs.fields[0].shape,
             dt=self._dt,
-            reference=reference,
+            reference=None if call is None else call.reference,
             keywords=path.keywords,
         )
         for name, function in (("slow", self.step), ("first", self._first), ("failed", self._failed)):
@@ -300,19 +297,16 @@ class NativeFunction:
         def of_blocks(values: Values, parameters: Values, memory: Values) -> tuple[Values, Values]:  # noqa: ARG001
             return {"result": self._function(*(values[name] for name in self._shapes))}, {}
 
-        def nothing(values: Values, parameters: Values, memory: Values) -> tuple[Values, Values]:  # noqa: ARG001
-            return {}, {}
-
         rng = np.random.default_rng(0)
         samples = [(rng.standard_normal(inputs.size), none, none) for _ in range(3)]
         return Kernel(
             "native",
             of_blocks,
-            nothing,
+            lambda *_: ({}, {}),
             Blocks(inputs, empty, empty, trace(of_blocks, inputs, empty, empty).outputs),
             first=_never,
             failed=_never,
-            call=Call(arguments=[Argument((name,)) for name in self._shapes], slow=self._slow),
+            call=Call(arguments=tuple(self._shapes), slow=self._slow),
             what=getattr(self._function, "__name__", "function"),
             samples=lambda: samples,
             guarded=False,

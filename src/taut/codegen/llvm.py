@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import functools
 import math
 import struct
 from collections import Counter
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Sequence, Set
 from typing import Final
 
 from taut.codegen.program import Program
@@ -22,11 +21,30 @@ _DECIDING: Final = frozenset(
 )
 LIBM: Final = ("asin", "acos", "atan2", "log", "tanh")
 
-_BINARY: Final = {Op.ADD: "fadd", Op.SUB: "fsub", Op.MUL: "fmul", Op.DIV: "fdiv"}
-_COMPARE: Final = {Op.LT: "olt", Op.LE: "ole", Op.EQ: "oeq"}
-_INTRINSIC: Final = {Op.SQRT: "sqrt", Op.ABS: "fabs", Op.FLOOR: "floor"}
+_OPERATION: Final = {
+    Op.ADD: "fadd double {0}, {1}",
+    Op.SUB: "fsub double {0}, {1}",
+    Op.MUL: "fmul double {0}, {1}",
+    Op.DIV: "fdiv double {0}, {1}",
+    Op.NEG: "fneg double {0}",
+    Op.SQRT: "call double @llvm.sqrt.f64(double {0})",
+    Op.ABS: "call double @llvm.fabs.f64(double {0})",
+    Op.FLOOR: "call double @llvm.floor.f64(double {0})",
+    Op.ASIN: "call double @asin(double {0})",
+    Op.ACOS: "call double @acos(double {0})",
+    Op.ATAN2: "call double @atan2(double {0}, double {1})",
+    Op.EXP: "call double @expo(double {0})",
+    Op.LOG: "call double @log(double {0})",
+    Op.TANH: "call double @tanh(double {0})",
+    Op.LT: "fcmp olt double {0}, {1}",
+    Op.LE: "fcmp ole double {0}, {1}",
+    Op.EQ: "fcmp oeq double {0}, {1}",
+    Op.AND: "and i1 {0}, {1}",
+    Op.OR: "or i1 {0}, {1}",
+    Op.NOT: "xor i1 {0}, true",
+    Op.SELECT: "select i1 {0}, double {1}, double {2}",
+}
 _FIRST: Final = {Op.MIN: "olt", Op.MAX: "ogt"}
-_CALL: Final = {Op.ASIN: "asin", Op.ACOS: "acos", Op.EXP: "expo", Op.LOG: "log", Op.TANH: "tanh"}
 
 # Sine and cosine from + - * floor: Cody and Waite reduction by pi/2 in three parts, then fdlibm's kernels.
 # 1 ulp of the result for |x| < 1e6, 1 ulp of x beyond, NaN beyond 2^50, where a double has lost the angle. Faster
@@ -68,35 +86,21 @@ def number(value: float) -> str:
     return "0x" + struct.pack(">d", value).hex().upper()
 
 
-@functools.cache
-def _can_fuse() -> bool:
-    """Whether this processor multiplies and adds in one operation; without, LLVM would call a slow function."""
-    import llvmlite.binding as llvm
-
-    return not llvm.get_default_triple().startswith(("x86_64", "i686")) or bool(
-        llvm.get_host_cpu_features().get("fma")
-    )
-
-
 def _multiplied(name: str, a: str, b: str, c: str, *, less: bool = False, minus: bool = False) -> list[str]:
     """Lines that compute a b + c; c - a b where that is to be `less`, a b - c with `minus`."""
-    if not _can_fuse():
-        first, second = (c, f"{name}.p") if less else (f"{name}.p", c)
-        word = "fsub" if less or minus else "fadd"
-        return [f" {name}.p = fmul double {a}, {b}", f" {name} = {word} double {first}, {second}"]
     lines = []
     if less:
         lines, a = [f" {name}.n = fneg double {a}"], f"{name}.n"
     if minus:
         lines, c = [f" {name}.n = fneg double {c}"], f"{name}.n"
-    return [*lines, f" {name} = call double @llvm.fma.f64(double {a}, double {b}, double {c})"]
+    return [*lines, f" {name} = call double @llvm.fmuladd.f64(double {a}, double {b}, double {c})"]
 
 
 def declarations() -> str:
     """What kernels call."""
     one = [f"declare double @llvm.{name}.f64(double)" for name in ("sqrt", "fabs", "floor")]
     libm = [f"declare double @{name}(double{', double' if name == 'atan2' else ''}) #0" for name in LIBM]
-    whole = "declare i64 @llvm.fptosi.sat.i64.f64(double)\ndeclare double @llvm.fma.f64(double, double, double)"
+    whole = "declare i64 @llvm.fptosi.sat.i64.f64(double)\ndeclare double @llvm.fmuladd.f64(double, double, double)"
     return "\n".join([*one, whole, *libm, _sincos(), _exp(), "attributes #0 = { nounwind willreturn memory(none) }"])
 
 
@@ -278,31 +282,20 @@ class _Body:
         return self._graph.ops[i] == Op.LE and self._graph.value[self._graph.b[i]] == LARGEST
 
     def lines(self) -> list[str]:
-        graph = self._graph
-        emit: dict[int, Callable[[int, int], None]] = {int(Op.INPUT): self._input, int(Op.CONST): lambda _i, _a: None}
-        for op, word in _BINARY.items():
-            emit[int(op)] = self._binary(word)
-        for op, word in _COMPARE.items():
-            emit[int(op)] = self._compare(word)
-        for op, word in _INTRINSIC.items():
-            emit[int(op)] = self._function(f"llvm.{word}.f64", 1)
-        for op, word in _FIRST.items():
-            emit[int(op)] = self._extremum(word)
-        for op, word in _CALL.items():
-            emit[int(op)] = self._function(word, 1)
-        emit[int(Op.ATAN2)] = self._function("atan2", 2)
-        emit[int(Op.SIN)] = emit[int(Op.COS)] = self._sincos
-        emit[int(Op.NEG)] = lambda i, a: self._out.append(f" %v{i} = fneg double {self._value(a)}")
-        emit[int(Op.SELECT)] = self._select
-        emit[int(Op.NOT)] = lambda i, a: self._out.append(f" %v{i} = xor i1 {self._value(a)}, true")
-        emit[int(Op.AND)] = self._logic("and")
-        emit[int(Op.OR)] = self._logic("or")
         products = set(self._within.values())
         for i in self._program.live:
+            op = self._graph.ops[i]
             if i in self._within:
                 self._sum_with_product(i, self._within[i])
-            elif i not in products:
-                emit[graph.ops[i]](i, graph.a[i])
+            elif op == Op.INPUT:
+                self._input(i)
+            elif op in (Op.SIN, Op.COS):
+                self._sine_or_cosine(i)
+            elif op in _FIRST:
+                self._extremum(i)
+            elif op != Op.CONST and i not in products:
+                operands = (self._value(x) for x in self._graph.operands(i))
+                self._out.append(f" %v{i} = {_OPERATION[Op(op)].format(*operands)}")
         self._stores("new", self._program.memory_nodes)
         self._stores("outputs", self._program.output_nodes)
         return self._out
@@ -311,8 +304,8 @@ class _Body:
         value = self._graph.value[i]
         return f"%v{i}" if value is None else number(value)
 
-    def _input(self, i: int, index: int) -> None:
-        block, offset = self._program.place_of_input(index)
+    def _input(self, i: int) -> None:
+        block, offset = self._program.place_of_input(self._graph.a[i])
         self._out += [
             f" %p{i} = getelementptr double, ptr %{block}, i64 {offset}",
             f" %v{i} = load double, ptr %p{i}",
@@ -325,66 +318,30 @@ class _Body:
         x, y, c = (self._value(k) for k in (graph.a[product], graph.b[product], other))
         self._out += _multiplied(f"%v{i}", x, y, c, less=less and product == b, minus=less and product == a)
 
-    def _binary(self, word: str) -> Callable[[int, int], None]:
-        def emit(i: int, a: int) -> None:
-            self._out.append(f" %v{i} = {word} double {self._value(a)}, {self._value(self._graph.b[i])}")
-
-        return emit
-
-    def _compare(self, word: str) -> Callable[[int, int], None]:
-        def emit(i: int, a: int) -> None:
-            b = self._graph.b[i]
-            self._out.append(f" %v{i} = fcmp {word} double {self._value(a)}, {self._value(b)}")
-
-        return emit
-
-    def _extremum(self, word: str) -> Callable[[int, int], None]:
+    def _extremum(self, i: int) -> None:
         """The smaller or larger of two, NaN if one is: LLVM's own function takes twice the time to order zeros."""
-
-        def emit(i: int, a: int) -> None:
-            b = self._graph.b[i]
-            a, b = (b, a) if self._graph.value[b] is not None else (a, b)
-            x, y = self._value(a), self._value(b)
-            known, name = self._graph.value[a] is not None, f"%v{i}"  # a constant is never NaN
-            better = name if known else f"{name}.m"
+        a, b = self._graph.operands(i)
+        a, b = (b, a) if self._graph.value[b] is not None else (a, b)
+        x, y, name = self._value(a), self._value(b), f"%v{i}"
+        known = self._graph.value[a] is not None  # a constant is never NaN
+        better = name if known else f"{name}.m"
+        self._out += [
+            f" {name}.f = fcmp {_FIRST[Op(self._graph.ops[i])]} double {x}, {y}",
+            f" {better} = select i1 {name}.f, double {x}, double {y}",
+        ]
+        if not known:
             self._out += [
-                f" {name}.f = fcmp {word} double {x}, {y}",
-                f" {better} = select i1 {name}.f, double {x}, double {y}",
+                f" {name}.n = fcmp uno double {x}, {x}",
+                f" {name} = select i1 {name}.n, double {x}, double {better}",
             ]
-            if not known:
-                self._out += [
-                    f" {name}.n = fcmp uno double {x}, {x}",
-                    f" {name} = select i1 {name}.n, double {x}, double {better}",
-                ]
 
-        return emit
-
-    def _function(self, name: str, count: int) -> Callable[[int, int], None]:
-        def emit(i: int, a: int) -> None:
-            operands = (a, self._graph.b[i])[:count]
-            text = ", ".join(f"double {self._value(x)}" for x in operands)
-            self._out.append(f" %v{i} = call double @{name}({text})")
-
-        return emit
-
-    def _logic(self, word: str) -> Callable[[int, int], None]:
-        def emit(i: int, a: int) -> None:
-            self._out.append(f" %v{i} = {word} i1 {self._value(a)}, {self._value(self._graph.b[i])}")
-
-        return emit
-
-    def _sincos(self, i: int, a: int) -> None:
+    def _sine_or_cosine(self, i: int) -> None:
+        a = self._graph.a[i]
         if a not in self._paired:
             self._paired.add(a)
             self._out += [f" %t{a} = call {{ double, double }} @sincos(double {self._value(a)})"]
         part = 0 if self._graph.ops[i] == Op.SIN else 1
         self._out.append(f" %v{i} = extractvalue {{ double, double }} %t{a}, {part}")
-
-    def _select(self, i: int, condition: int) -> None:
-        a, b = self._graph.b[i], self._graph.c[i]
-        self._out.append(
-            f" %v{i} = select i1 {self._value(condition)}, double {self._value(a)}, double {self._value(b)}"
-        )
 
     def _stores(self, block: str, nodes: tuple[int, ...]) -> None:
         for offset, i in enumerate(nodes):

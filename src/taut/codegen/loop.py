@@ -12,7 +12,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from taut.base.types import Float64Array
-from taut.codegen.engine import Engine, Flat, Steps, verified
+from taut.codegen.engine import Engine, Flat, Steps, plain, verified
 from taut.codegen.llvm import Writer, declarations, kernel
 from taut.codegen.native import NativeModule, compiled, level_for
 from taut.codegen.program import Block, Field, Program, trace
@@ -67,10 +67,13 @@ class StepLoop:
         if engine == "native":
             self._compile(TracedSteps(steps), tuple(part.copy() for part in example), ticks)
         else:
-            blocks = zip((steps.inputs, steps.parameters, steps.memory), example, strict=True)
+            blocks = steps.inputs, steps.parameters, steps.memory
             with np.errstate(all="ignore"):
-                record, _ = steps.step(*(_copied(block.views(flat)) for block, flat in blocks))
+                record, _ = steps.step(*(b.views(flat.copy()) for b, flat in zip(blocks, example, strict=True)))
             self.outputs = Block.of({path: np.shape(value) for path, value in record.items()})
+            self._step = plain(steps.step, *blocks, new=steps.memory, outputs=self.outputs)
+            if steps.substep is not None:
+                self._substep = plain(steps.substep, *blocks, new=steps.memory, outputs=Block())
 
     def run(self, inputs: Float64Array, parameters: Float64Array, memory: Float64Array, outputs: Float64Array) -> int:
         """Ticks with one row of inputs and of outputs each; the number of them that ended in finite memory.
@@ -122,21 +125,17 @@ class StepLoop:
     def _plain_run(
         self, inputs: Float64Array, parameters: Float64Array, memory: Float64Array, outputs: Float64Array
     ) -> int:
-        steps, values = self._steps, self._steps.parameters.views(parameters)
-        self.raised = None
+        self.raised, new = None, memory.copy()
         for k in range(len(inputs)):
-            row = steps.inputs.views(inputs[k])
             try:
-                with np.errstate(all="ignore"):
-                    record, after = steps.step(row, values, _copied(steps.memory.views(memory)))
-                    for _ in range(steps.repeats if steps.substep is not None else 0):
-                        _, after = steps.substep(row, values, after)  # type: ignore[misc]  # there is one
+                self._step(inputs[k], parameters, memory, new, outputs[k])
+                for _ in range(self._steps.repeats):
+                    self._substep(inputs[k], parameters, new, new, np.zeros(0))
             except Exception as error:
                 self.raised = error
                 return k
-            self.outputs.pack(record, outputs[k])
-            new = steps.memory.pack(after)
-            if not (np.isfinite(new).all() and np.isfinite(record.get(COMMAND, 0.0)).all()):
+            command = self.outputs.views(outputs[k]).get(COMMAND, 0.0)
+            if not (np.isfinite(new).all() and np.isfinite(command).all()):
                 return k
             memory[:] = new
         return len(inputs)
@@ -157,10 +156,6 @@ def compiled_loop(loop: Loop, blocks: tuple[Block, Block, Block], example: Flat)
     steps = Steps(twin.step, *blocks, twin.substep, loop.plant.substeps - 1)
     _COMPILED[loop] = made = StepLoop(steps, example, engine=loop.engine, ticks=loop.ticks)
     return made
-
-
-def _copied(values: dict[str, Float64Array]) -> dict[str, Float64Array]:
-    return {path: value.copy() if value.ndim else value[()] for path, value in values.items()}
 
 
 def _native_run(address: int) -> Run:

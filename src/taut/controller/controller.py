@@ -18,7 +18,16 @@ from taut.control.lawside import LawSide
 from taut.control.limits import Limits
 from taut.control.sensing import Sensing
 from taut.control.trajectories.reference import Sample
-from taut.controller.kernel import SideFunctions, kernel_of, recording_kernel, reference_shapes
+from taut.controller.kernel import (
+    BoundKernel,
+    SideFunctions,
+    checked_arguments,
+    kernel_of,
+    recording_kernel,
+    reference_shapes,
+    sample_arguments,
+    step_arguments,
+)
 from taut.controller.parameters import ControllerParameters, StateMachine
 from taut.maths.model import Adds
 
@@ -26,7 +35,6 @@ if TYPE_CHECKING:
     from taut.control.tasks.feed import TaskSteps
     from taut.control.tasks.phase import Phase
     from taut.control.tasks.task import Task
-    from taut.controller.calls import BoundKernel
 
 
 class Controller:
@@ -178,8 +186,6 @@ class Controller:
 
     def _slow(self, *args: Any, **kwargs: Any) -> Any:
         """A tick with whatever was passed: checked in words, converted, started where needed."""
-        from taut.controller.calls import checked_arguments, sample_arguments, step_arguments
-
         given, ref = step_arguments(self.side, args, kwargs)
         kernel, tick = self._kernel, self.ticks if self._machine.started else 0
         with kernel.alone:
@@ -223,8 +229,6 @@ class Controller:
                 "its phases begin: take ctrl.step",
                 name="bind",
             )
-        from taut.controller.calls import BoundKernel
-
         return BoundKernel(self._kernel, self.law.reference)
 
     @property

@@ -9,7 +9,7 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from taut.base.errors import NumericalError, RangeError
+from taut.base.errors import NumericalError, RangeError, TautError
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.loop import compiled_loop
@@ -130,7 +130,15 @@ class FusedRun(OngoingRun):
         views, parameters = self._inputs.views(first), self._numbers
         self._draw(views)
         row, plant = self._inputs.views(first[0]), self._loop.plant_at_start(q, v, parameters)
-        self._feed.fill(subtree(views, "ref"), 0, lambda: self._seen(plant, None, row))
+        reference = subtree(views, "ref")
+        try:
+            self._feed.fill(reference, 0, lambda: self._seen(plant, None, row))
+        except TautError:
+            raise
+        except Exception:  # of a function of the user's, which ends the run when the first tick asks it again
+            rest = self._loop.side.at_rest(q)
+            for name, view in reference.items():
+                view[...] = getattr(rest, name)
         return self._loop.start(q, v, row, parameters)
 
     def _apply(self, tick: int) -> Float64Array | None:

@@ -56,7 +56,7 @@ def run(
 
     Model plants are fused with the controller into one native loop; engines are stepped tick by tick. A run that
     diverges, or in which the plant or a function of yours (a source, a trajectory, a guard, a law in plain Python)
-    raises after the first tick, ends with that outcome and keeps what came before.
+    raises, ends with that outcome and keeps what came before.
 
     Args:
         ctrl: A controller from `taut.compile`, or a whole `taut.Loop` (then leave plant, ref and duration out); or a
@@ -97,17 +97,14 @@ def run(
     changes = listed(events or ())
     q, v = state_at_start(target.arm, q0, v0)
     law = side.law.bound(subtree(made.parameters, "law"))  # with the gains of this run
+    parameters = _arrays({**target.parameters, **made.parameters})
+    schedule = Schedule(side, target, parameters, changes, ticks)
+    stability = _judged(judge_start(made, target, q, schedule.at(0)), target)
     going: FusedRun | HostedRun
     if isinstance(made, Loop):
-        parameters = _arrays(made.parameters)
-        schedule = Schedule(side, target, parameters, changes, ticks)
         going = FusedRun(made, q, v, seed, schedule)
-        stability = _judged(judge_start(made, target, q, schedule.at(0)), target)
     else:
         assert isinstance(target, PlantBase)
-        parameters = _arrays({**made.parameters, **target.parameters})
-        schedule = Schedule(side, target, parameters, changes, ticks)
-        stability = _judged(judge_start(made, target, q, schedule.at(0)), target)
         going = HostedRun(made, target, reference, ticks, q, v, seed, schedule)
     going.tape.unstable = stability.message if stability.stable is False else ""
     going.tape.info = RunInfo(
@@ -187,7 +184,7 @@ def _judged(verdict: Judgement | str, plant: Plant) -> Stability:
         if isinstance(plant, PlantBase) and plant.real:
             raise RangeError(f"{verdict.message} (plant '{plant.name}' is a real arm: nothing was sent)", name="law")
         warn(verdict.message, StabilityWarning)
-    return Stability(**verdict.record())
+    return Stability(**{field.name: getattr(verdict, field.name) for field in dataclasses.fields(Stability)})
 
 
 def _recorded(going: FusedRun | HostedRun, log: str | os.PathLike[str] | None, progress: bool | None) -> Run:

@@ -1,4 +1,4 @@
-"""A run while it goes on: OngoingRun, which takes it to its end, and Tape, its rows and the Run that they make."""
+"""Tape: the rows of a run while it goes on, its outcome, and the Run that they make."""
 
 from __future__ import annotations
 
@@ -195,8 +195,8 @@ class Tape:
         return Outcome(kind="diverged", message=message, tick=tick - 1, joint=error.joint)
 
     def failed(self, tick: int, error: Exception) -> Outcome:
-        """The outcome where a function or the plant fails before a tick; in the first tick the error is raised."""
-        if tick == 0:
+        """The outcome where a function or the plant fails before a tick; a refusal in the first tick is raised."""
+        if tick == 0 and isinstance(error, TautError):
             raise error
         how = str(error) if isinstance(error, TautError) else failure(error)
         message = f"stopped at t = {self.inputs['t'][tick]:.6g} s (tick {tick}): {how}"

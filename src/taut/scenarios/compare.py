@@ -29,7 +29,7 @@ def compare(
     *,
     case: str | None = None,
     by: str | Sequence[str] = (),
-    noise: Mapping[str, ArrayLike] | None = None,
+    noise: bool = True,
     model: WrongModel | None = USUAL,
     references: Mapping[str, object] | None = None,
     parameters: Mapping[str, ArrayLike] | None = None,
@@ -52,9 +52,8 @@ def compare(
         case: Which of the scenario's cases, where it has any.
         by: A figure to rank by, or several, of which the next decides between equals: "rms_error", "effort",
             "noise_chatter", "model_worst", ..., or any metric of a run; the smallest is the best.
-        noise: Standard deviation by sensor, {"position": 1e-5}, to compare with the plant as it is; if left out the
-            plant's own noise against none, or where that has none, 1e-5 rad of positions and 1e-3 rad/s of
-            velocities. {} leaves these figures out.
+        noise: Whether to compare the plant's own noise with none; or where it has none, 1e-5 rad of positions and
+            1e-3 rad/s of velocities.
         model: By how much the true arm may differ; 20 % in masses and friction if left out; None: no such figures.
         references: References of laws that follow another kind, by the law's name.
         parameters: Values by path that every loop gets, such as {"plant.payload.mass": 1.0}.
@@ -65,12 +64,12 @@ def compare(
     Raises:
         UsageError: Two laws of one name, more than eight, nothing to compare; a recorded run too short, or of a
             task; a law that cannot be compiled or does not fit.
-        UnknownNameError: No such scenario, case, law, figure or sensor.
+        UnknownNameError: No such scenario, case, law or figure.
 
     Example:
         >>> import taut
         >>> both = ["PID(kp=2.205, kd=2)", "GravityPID(kp=2.205, kd=2)"]
-        >>> table = compare(both, "one_joint_pid", by="rms_error", model=None, noise={})
+        >>> table = compare(both, "one_joint_pid", by="rms_error", model=None, noise=False)
         >>> table.ranking
         ('GravityPID(kp=2.205, kd=2)', 'PID(kp=2.205, kd=2)')
         >>> sorted(table.entries["PID(kp=2.205, kd=2)"].numbers)[:3]

@@ -46,7 +46,7 @@ MAX_CASES: Final = 200
 MAX_NAME: Final = 200  # bytes of a file's name; systems take 255, and a file is written under a longer one first
 FILES: Final = {
     "plot": (".png", ".pdf", ".svg"),
-    "video": (".gif", ".mp4"),
+    "video": (".gif",),
     "log": (".mcap",),
 }
 

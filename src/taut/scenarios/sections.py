@@ -13,7 +13,7 @@ import numpy as np
 
 from taut import laws as all_laws
 from taut.arm.builtin import BUILT_IN, one_joint_tree
-from taut.arm.catalogue import CATALOGUE, PATTERN
+from taut.arm.catalogue import CATALOGUE
 from taut.arm.change import joints_replaced
 from taut.arm.description import Arm
 from taut.arm.friction import Friction
@@ -221,8 +221,11 @@ def read_arm(table: Table) -> Arm:
         tree = read(one_joint_tree, link)
     else:
         raise table.error(f"is for the model 'one_joint'; got model '{model}'", "link")
-    others = ("model", "link", "tool_offset", *CHANGES)
+    others = ("model", "link", "joints", "tool_offset", *CHANGES)
     arm: Arm = read(load_arm, table, others=others, blame="model", model=tree)
+    if "joints" in table:
+        with table.blamed("joints"):
+            arm = arm.subset(table.texts("joints", example='["joint1"]') or ())
     if friction_word(table, "none") == "none":
         arm = arm.with_friction(Friction())
     if "tool_offset" in table:
@@ -246,12 +249,6 @@ def _model(table: Table) -> str:
     name = table.text("model")
     path = Path(name)
     there = os.path.exists(table.folder / path)  # noqa: PTH110  (long names)
-    if not there and PATTERN.match(name):
-        raise table.error(
-            f"'{name}' is of the package robot_descriptions, which downloads it when asked, and a scenario downloads "
-            "nothing; name the path of its file",
-            "model",
-        )
     is_file = (
         name and name not in BUILT_IN and name not in CATALOGUE and (path.suffix or len(path.parts) > 1 or there)
     )

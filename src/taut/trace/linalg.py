@@ -97,51 +97,16 @@ class LTDL:
                 out[i][j] = out[j][i] = total
         return _back([x for row in out for x in row], (n, n))
 
-    # With U = L^T sqrt(D), A = U U^T.
-
-    def root(self) -> list[Any]:
-        """Diagonal of sqrt(D)."""
-        return [np.sqrt(d) for d in self.d]
-
-    def times_root_transposed(self, x: Array) -> Array:
-        """U^T x."""
-        n, L, root = len(self.d), self._l, self.root()
-        values = list(x)
-        out = []
-        for k in range(n):
-            total = values[k]
-            for i in range(k):
-                total = total + L[k][i] * values[i]
-            out.append(total * root[k])
-        return _back(out, (n,))
-
-    def times_root(self, x: Array) -> Array:
-        """U x."""
-        n, L = len(self.d), self._l
-        scaled = [entry * root for entry, root in zip(x, self.root(), strict=True)]
-        out = []
-        for i in range(n):
-            total = scaled[i]
-            for k in range(i + 1, n):
-                total = total + L[k][i] * scaled[k]
-            out.append(total)
-        return _back(out, (n,))
+    def root(self) -> Matrix:
+        """The upper triangular U with A = U U^T: L^T sqrt(D)."""
+        n, L, d = len(self.d), self._l, [np.sqrt(d) for d in self.d]
+        rows = [[d[k] * (L[k][i] if i < k else float(i == k)) for k in range(n)] for i in range(n)]
+        return _back([x for row in rows for x in row], (n, n))
 
     def between_roots(self, K: Matrix) -> Matrix:
         """U^-1 K U^-T of a symmetric K: its own eigenvalues are those of K x = l A x."""
-        n, root = len(self.d), [1.0 / r for r in self.root()]
-
-        def half(columns: list[list[Any]]) -> list[list[Any]]:
-            for x in columns:
-                for k in range(n - 1, -1, -1):
-                    for i in range(k):
-                        x[i] = x[i] - self._l[k][i] * x[k]
-                    x[k] = x[k] * root[k]
-            return columns
-
-        once = half([list(column) for column in _entries(K).T.tolist()])
-        twice = half([[once[j][i] for j in range(n)] for i in range(n)])
-        return _back([entry for row in twice for entry in row], (n, n))
+        inverse_root = _back([1.0 / np.sqrt(d) for d in self.d], (len(self.d), 1))
+        return self.half((self.half(K) * inverse_root).T) * inverse_root
 
     def least_direction(self) -> tuple[Array, Any]:
         """A unit vector u near the eigenvector of the smallest eigenvalue, and u . A u, by one inverse iteration.

@@ -18,7 +18,6 @@ from taut.trace.pose import Pose
 
 if TYPE_CHECKING:
     from taut.arm.description import Arm
-    from taut.arm.load import PinocchioModel
 
 UNIT: Final = 1e-6  # how far a screw axis may be from unit length and from zero pitch
 BASE: Final = "base"
@@ -135,7 +134,7 @@ KINDS: Final[dict[str, JointKind]] = {
 }
 
 
-def pinocchio_tree(model: PinocchioModel) -> Tree:
+def pinocchio_tree(model: Any) -> Tree:
     """A Pinocchio model; rotor inertia is `armature`, or rotorInertia rotorGearRatio^2 where that is zero."""
     tree = Tree(name=model.name or "arm", source="a Pinocchio model", words=WORDS)
     tree.gravity = np.array(model.gravity.linear)
@@ -152,7 +151,7 @@ def pinocchio_tree(model: PinocchioModel) -> Tree:
     return tree
 
 
-def _joint(tree: Tree, model: PinocchioModel, i: int, name: str) -> Joint:
+def _joint(tree: Tree, model: Any, i: int, name: str) -> Joint:
     joint, placement = model.joints[i], _pose(model.jointPlacements[i])
     type_name = joint.shortname()
     kind = KINDS.get(type_name)
@@ -198,7 +197,7 @@ def _pose(placement: Any) -> Pose:
     return Pose(np.array(placement.translation), R=np.array(placement.rotation))
 
 
-def _frames(model: PinocchioModel, links: list[str]) -> Iterator[tuple[str, str, Pose]]:
+def _frames(model: Any, links: list[str]) -> Iterator[tuple[str, str, Pose]]:
     """The model's frames; where a body and a joint share a name, the first one."""
     taken = set(links)
     for frame in model.frames:
@@ -207,7 +206,7 @@ def _frames(model: PinocchioModel, links: list[str]) -> Iterator[tuple[str, str,
             yield frame.name, links[frame.parentJoint], _pose(frame.placement)
 
 
-def _leaves(model: PinocchioModel, links: list[str]) -> list[str]:
+def _leaves(model: Any, links: list[str]) -> list[str]:
     """The frames at the ends: those that carry no other one; the last joints where there are no frames."""
     carrying = {frame.parentFrame for frame in model.frames[1:]}
     leaves = [f.name for i, f in enumerate(model.frames) if i and i not in carrying and f.parentJoint > 0]

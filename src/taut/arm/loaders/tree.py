@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -24,7 +24,7 @@ from taut.arm.rules import (
     structure_problems,
     wrong_mass,
 )
-from taut.base.checks import finite_scalar, vector
+from taut.base.checks import entry_names, finite_scalar, vector
 from taut.base.errors import ModelError, Problem, RangeError, UsageError, quoted_list, unknown_name
 from taut.base.types import ArrayLike, Float64Array
 from taut.trace.pose import Pose, axis_angle
@@ -93,7 +93,7 @@ class Tree:
     notes: list[str] = field(default_factory=list)
     gravity: ArrayLike | None = None  # (3,) [m/s^2] where the file states it
     home: dict[str, float] = field(default_factory=dict)  # joint positions where the file states them
-    locked: dict[str, float] = field(default_factory=dict)  # joints that do not move, with their positions [rad | m]
+    locked: Mapping[str, float | None] = field(default_factory=dict)  # positions of joints held [rad | m]; None: free
     tool: str | None = None  # the frame that carries the payload, where it is known
     commands: tuple[CommandKind, ...] = ("torque",)  # what the real arm takes
     leaves: list[str] | None = None  # frames at the ends, where links alone do not tell
@@ -175,6 +175,8 @@ def _checked_locks(tree: Tree) -> dict[str, float]:
         joint, at = joints[name], f"locked['{name}']"
         if joint.kind == "fixed":
             raise UsageError(f"joint '{name}' is fixed in the file already; leave it out of locked=", name=at)
+        if value is None:
+            continue
         locked[name] = finite_scalar(at, value, unit=joint.unit)
         one_position = joint.kind not in OTHER_KINDS and np.linalg.norm(joint.axis) > AXIS_TOLERANCE
         if locked[name] != 0.0 and not one_position:
@@ -185,11 +187,11 @@ def _checked_locks(tree: Tree) -> dict[str, float]:
                 joint=name,
                 value=locked[name],
             )
-        require_within_limits(at, locked[name], joint)
+        _require_within_limits(at, locked[name], joint)
     return locked
 
 
-def require_within_limits(at: str, value: float, joint: Joint) -> None:
+def _require_within_limits(at: str, value: float, joint: Joint) -> None:
     """Refuse a position out of the joint's limits, called `at` in the message."""
     slack = 1e-9 * max(1.0, abs(value))
     if joint.lower < joint.upper and not joint.lower - slack <= value <= joint.upper + slack:
@@ -235,20 +237,25 @@ def _tool(tree: Tree, lumps: _Lumps, names: list[str]) -> str:
 
 def _home(tree: Tree, joints: list[Joint], home: Mapping[str, float] | ArrayLike | None) -> Float64Array:
     """The pose that was asked for, else the file's, else zero or what of it the limits allow."""
-    names = [joint.name for joint in joints]
     by_name = tree.home if home is None else home
     if isinstance(by_name, Mapping):
         for name in by_name:
             if name not in {joint.name for joint in tree.joints}:
-                raise unknown_name(f"model '{tree.name}'", "joint", name, names)
-        by_name = [by_name.get(joint.name, rest_position(joint)) for joint in joints]
-    q = vector("home", by_name, len(joints), joints=names)
+                raise unknown_name(f"model '{tree.name}'", "joint", name, [joint.name for joint in joints])
+        by_name = [by_name.get(joint.name, _rest_position(joint)) for joint in joints]
+    return positions_within_limits("home", by_name, joints)
+
+
+def positions_within_limits(name: str, q: ArrayLike, joints: Sequence[Joint]) -> Float64Array:
+    """(n,) positions that the joints can have [rad | m], called `name` in messages. Raises ShapeError, RangeError."""
+    names = [joint.name for joint in joints]
+    positions = vector(name, q, len(joints), joints=names)
     for i, joint in enumerate(joints):
-        require_within_limits(f"home[{i}] (joint '{joint.name}')", float(q[i]), joint)
-    return q
+        _require_within_limits(entry_names(name, [i], names), float(positions[i]), joint)
+    return positions
 
 
-def rest_position(joint: Joint) -> float:
+def _rest_position(joint: Joint) -> float:
     """Zero, or where the limits leave it out, the middle between them [rad | m]."""
     if joint.lower <= 0.0 <= joint.upper or math.isnan(joint.lower) or math.isnan(joint.upper):
         return 0.0

@@ -138,8 +138,8 @@ def modal_damping(inertia: LTDL, K: Matrix, zeta: Any, V: Vector) -> Vector:
 
     Source: Albu-Schaffer, Ott and Hirzinger (2003), IEEE ICRA, double diagonalisation.
     """
-    mapped = times_square_root(inertia.between_roots(K), inertia.times_root_transposed(V))
-    out: Vector = 2.0 * zeta * inertia.times_root(mapped)
+    U = inertia.root()
+    out: Vector = 2.0 * zeta * (U @ times_square_root(inertia.between_roots(K), U.T @ V))
     return out
 
 

@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from taut.arm.description import Arm, CommandKind, Friction, Payload
+from taut.arm.description import Arm, CommandKind, Payload
 from taut.base.checks import positive_scalar, read_only
 from taut.base.errors import UsageError
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
-from taut.maths import dynamics as dyn
-from taut.maths.dynamics import compensation
-from taut.maths.model import Adds, PayloadValues, model_of
+from taut.maths.model import Adds
 from taut.plant.actuation import Actuation, delayed
 from taut.plant.environments.environment import Environment
 from taut.plant.motion import WORK_OF_IT
@@ -26,7 +24,7 @@ from taut.runtime.robots.mujoco.attached import AttachedPlant, attached
 from taut.runtime.robots.mujoco.model import SpringTip, ToolShape, built, put_parameters, put_timestep
 from taut.runtime.robots.mujoco.rig import PRESSED, Normals, PlantInMujoco, index, whole_steps
 from taut.runtime.robots.mujoco.scene import SceneView, read_scene
-from taut.runtime.robots.mujoco.stages import Compensation, EnvironmentStage, JointStage, LinkTorque, SensorStage
+from taut.runtime.robots.mujoco.stages import ForceStage, SensorStage
 from taut.trace.pose import Pose
 
 if TYPE_CHECKING:
@@ -145,8 +143,6 @@ class MujocoPlant(PlantInMujoco):
             environment=environment,
             scene=True,
         )
-        train = numbers.drivetrain
-        left = train.friction
         tool = ToolShape(
             radius=positive_scalar("tool_radius", tool_radius, unit="m"),
             length=None if tool_length is None else positive_scalar("tool_length", tool_length, unit="m"),
@@ -159,18 +155,7 @@ class MujocoPlant(PlantInMujoco):
         self._parts, self._values = numbers, {path: read_only(value) for path, value in numbers.values.items()}
         self.friction, self.takes, self.actuation, self.sensors = friction, takes, drives, seen
         self.measures, self.distorts = seen.measures(touched=True), seen.distorts(touched=True)
-        self._stage = None
-        if (
-            drives.acts
-            or train.compliant
-            or train.lossy
-            or (isinstance(left, Friction) and (left.falls or left.loaded))
-        ):
-            self._stage = JointStage(rig, numbers)
-        self._touching = None if environment is None else EnvironmentStage(rig, numbers)
-        adds_torque = (adds.gravity or adds.coriolis) and self._stage is None
-        self._compensation = Compensation(arm, adds) if adds_torque else None
-        self._link, self._readings = LinkTorque(rig), SensorStage(arm, seen)
+        self._forces, self._readings = ForceStage(rig, numbers), SensorStage(arm, seen)
         self._ctrl = rig.data.ctrl
         motors = (rig.model.actuator(name).id for name in arm.joint_names)
         self._motors = index([int(rig.model.actuator_ctrladr[motor]) for motor in motors])
@@ -204,7 +189,6 @@ class MujocoPlant(PlantInMujoco):
             UsageError: Not a model, its data and an arm.
             UnknownNameError: A joint that the model does not have.
             MatchError: Another arm, or actuators that do not take torques.
-            RangeError: The model or its state is not finite.
         """
         return attached(model, data, arm, prefix)
 
@@ -243,9 +227,8 @@ class MujocoPlant(PlantInMujoco):
         self.check_together({**self.parameters, **checked})
         self._values = {**self._values, **checked}
         put_parameters(self._rig, self._parts, self._values, checked)
-        for stage in (self._stage, self._touching, self._readings):
-            if stage is not None:
-                stage.take(self._values)
+        for stage in (self._forces, self._readings):
+            stage.take(self._values)
 
     def reset(self, q: Float64Array, v: Float64Array, dt: float, seed: int = 0) -> None:
         """Put the arm into a state, and prepare for control periods of dt [s]; the noise comes from the seed.
@@ -262,23 +245,15 @@ class MujocoPlant(PlantInMujoco):
         self._ctrl[self._motors] = 0.0
         self._put_state(q, v)
         self._line = None
+        self._h, self._dt = dt / self._substeps, dt
+        self._forces.start(q, v, self._values, dt, self._substeps)
+        self._tau, self._tau_link = (self._forces.memory[name].copy() for name in ("held", "tau_link"))
         taps = self.actuation.taps(dt)
-        values = self._values
-        payload = PayloadValues.of(subtree(values, "plant.payload"))
-        model = model_of(rig.arm)
-        weight = dyn.gravity_torque(model, q, payload)
-        self._tau_link = weight
-        self._tau = weight - compensation(model, self.adds, q, np.zeros(len(q)), payload)
         if taps:
             first = {"torque": self._tau, "velocity": np.zeros(len(q)), "position": q}[self.takes]
             self._line = np.stack([first] * taps)
-        self._h, self._dt = dt / self._substeps, dt
-        if self._stage is not None:
-            self._stage.start(q, v, values, dt, self._substeps)
-        if self._touching is not None:
-            self._touching.start(q, v, values, dt, self._substeps)
-            self._F_ext = self._touching.wrench
-        self._readings.start(seed, self._true(), values)
+        self._F_ext = self._from_outside()
+        self._readings.start(seed, self._true(), self._values)
         self._saturated = {name: np.zeros(()) for name in self._readings.saturating}
 
     def _steps_in(self, dt: float) -> int:
@@ -300,86 +275,38 @@ class MujocoPlant(PlantInMujoco):
             true["a"] = self._a
         if self.sensors.weighs:
             true |= {f"payload.{name}": x for name, x in subtree(self._values, "plant.payload").items()}
-        memory = {} if self._stage is None else self._stage.memory
-        return true | {name: memory[name] for name in ("q_motor", "v_motor") if name in memory}
+        return true | {name: x for name, x in self._forces.memory.items() if name in ("q_motor", "v_motor")}
 
     def advance(self, command: Float64Array) -> Float64Array:
         """One control period under a command (n,); (n,) the torque that acted on the joints."""
+        rig, forces = self._rig, self._forces
         held, self._line = delayed(command, self._line)
-        if self._touching is not None:
-            self._work = self._touching.work
-            self._touching.at(self._ticks * self._dt)
+        self._work = forces.work
+        forces.hold(held, self._ticks * self._dt)
         self._ticks += 1
         with self._guard:
-            if self._stage is None:
-                self._step_plainly(held)
-            else:
-                self._step_through(self._stage, held)
-        self._F_ext = self._contact = self._wrench.of_environment()
-        if self._touching is not None:
-            self._F_ext = self._contact + self._touching.wrench
+            for _ in range(self._substeps):
+                v = self._qvel[rig.v].copy()
+                self._ctrl[self._motors] = forces.before(self._qpos[rig.q], v, self._contact)
+                self._mj_step(rig.model, rig.data)
+                forces.after(self._qpos[rig.q], self._qvel[rig.v])
+        self._a = (self._qvel[rig.v] - v) / self._h
+        self._tau, self._tau_link = forces.last("tau"), forces.memory["tau_link"].copy()
+        self._contact = self._wrench.of_environment()
+        self._F_ext = self._from_outside()
+        if self.takes != "torque":
+            self._cut = forces.last("cut")
+            self._warn_of_cut("the effort of its joints", "slower motions, or an arm that has more")
         return self._tau
 
-    def _step_plainly(self, held: Float64Array) -> None:
-        """The steps of a period in which the torque itself stands at the joints."""
-        rig, last = self._rig, self._substeps - 1
-        self._ctrl[self._motors] = held
-        if last and self._compensation is None and self._touching is None:
-            self._mj_step(rig.model, rig.data, last)
-        elif last:
-            for _ in range(last):
-                self._apply()
-                self._mj_step(rig.model, rig.data)
-                self._applied()
-        torque = held + self._apply()
-        v = self._qvel[rig.v].copy()
-        self._mj_step(rig.model, rig.data)
-        self._applied()
-        v_end = self._qvel[rig.v]
-        self._tau, self._a = held.copy(), (v_end - v) / self._h
-        self._tau_link = self._link.of_step(torque, self._link.friction(), v_end, self._a)
-
-    def _step_through(self, stage: JointStage, held: Float64Array) -> None:
-        """The steps of a period in which motors, gears and friction stand before the joints."""
-        rig = self._rig
-        stage.memory["held"][...] = held
-        for _ in range(self._substeps):
-            v = self._qvel[rig.v].copy()
-            self._apply()
-            F_ext = self._F_ext if self._touching is None else self._contact + self._touching.wrench
-            self._ctrl[self._motors] = stage.before(self._qpos[rig.q], v, F_ext)
-            self._mj_step(rig.model, rig.data)
-            self._applied()
-            stage.after(self._qpos[rig.q], self._qvel[rig.v])
-        self._a = (self._qvel[rig.v] - v) / self._h
-        self._tau, self._tau_link = stage.tau, stage.memory["tau_link"].copy()
-        if self.takes != "torque":
-            self._cut = stage.cut
-            self._warn_of_cut("the effort of its joints", "slower motions, or an arm that has more")
-
-    def _apply(self) -> Any:
-        """(n,) what the plant adds itself, at the state of this very step; what touches the tool comes with it."""
-        if self._compensation is None and self._touching is None:
-            return 0.0
-        q, v = self.state()
-        added: Any = 0.0
-        if self._compensation is not None:
-            added = self._compensation.torque(q, v, self._values)
-        touching = 0.0 if self._touching is None else self._touching.before(q, v)
-        self._rig.data.qfrc_applied[self._rig.v] = added + touching
-        return added
-
-    def _applied(self) -> None:
-        """After a step: what it did to the arm."""
-        if self._touching is not None:
-            self._touching.after(self._qvel[self._rig.v])
+    def _from_outside(self) -> Float64Array:
+        """(6,) what touched the tool in the last step, in the scene and besides it."""
+        return self._contact if self._parts.environment is None else self._contact + self._forces.last("wrench")
 
     def trouble(self) -> tuple[str, int | None] | None:
         """What went wrong in the last period, in words, and the joint; None if nothing did."""
-        if self._stage is not None and not self._stage.sane:
-            return "its drives gave numbers that are not finite", None
-        if self._touching is not None and not self._touching.sane:
-            return "what touches its tool gave numbers that are not finite", None
+        if not self._forces.sane:
+            return "its drives, or what touches its tool, gave numbers that are not finite", None
         return super().trouble()
 
     def extra(self) -> dict[str, Any]:
@@ -387,7 +314,7 @@ class MujocoPlant(PlantInMujoco):
 
         With a scene (3,) `contact.normal_force` and (m, 7) `scene.poses`, see the class.
         """
-        work = {} if self._touching is None else {WORK_OF_IT: np.asarray(self._work)}
+        work = {} if self._parts.environment is None else {WORK_OF_IT: np.asarray(self._work)}
         normal = {} if self._normals is None else {PRESSED: self._normals.of_contacts()}
         cut = {} if self.takes == "torque" else {"tau_cut": self._cut}
         return {"F_ext": self._F_ext, **cut, **work, **normal, **self._saturated, **self._poses()}

@@ -1,4 +1,4 @@
-"""What runs beside MuJoCo, in native code: drives, gears and friction before its joints, environments, sensors."""
+"""What runs beside MuJoCo, in native code: the forces on its joints before each step, and sensors."""
 
 from __future__ import annotations
 
@@ -12,14 +12,12 @@ import numpy as np
 from taut.arm.description import Arm, CommandKind, Friction
 from taut.base.paths import subtree
 from taut.base.types import Array, Float64Array, Vector
-from taut.codegen import native as native_code
 from taut.codegen.engine import Steps, best_engine
-from taut.codegen.kernel import native
 from taut.codegen.loop import StepLoop
 from taut.codegen.program import Block
 from taut.maths import dynamics as dyn
 from taut.maths.dynamics import compensation
-from taut.maths.model import Adds, Model, PayloadValues, model_of
+from taut.maths.model import Model, PayloadValues, model_of
 from taut.plant.actuation import aim
 from taut.plant.environments.environment import touch
 from taut.plant.parts import PlantParts
@@ -72,35 +70,6 @@ class Stage(ABC):
         done = self._loop.run(self._row, self._values, self._flat, self._out)
         self.sane = self.sane and done == 1
         return self._given
-
-
-class LinkTorque:
-    """What arrives at the links of torques that were given to MuJoCo's joints: friction and rotors take theirs."""
-
-    def __init__(self, rig: Rig) -> None:
-        import mujoco
-
-        self._rig = rig
-        self._of_joints = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
-        self._dofs = np.array(rig.dofs, dtype=np.intp)
-        self._place = np.full(rig.model.nv, -1, dtype=np.intp)  # of a degree of freedom: the arm's joint, or none
-        self._place[self._dofs] = np.arange(rig.arm.n)
-
-    def friction(self) -> Float64Array:
-        """(n,) dry friction of the last step."""
-        data = self._rig.data
-        f = np.zeros(self._rig.arm.n)
-        rows = np.arange(data.ne, data.ne + data.nf)
-        rows = rows[data.efc_type[rows] == self._of_joints]
-        joints = self._place[data.efc_id[rows]]
-        f[joints[joints >= 0]] = data.efc_force[rows[joints >= 0]]
-        return f
-
-    def of_step(self, given: Float64Array, f: Float64Array, v: Float64Array, a: Float64Array) -> Float64Array:
-        """(n,) of torques given, dry friction f, velocities v after the step and its accelerations."""
-        model = self._rig.model
-        arrived: Float64Array = given + f - model.dof_damping[self._dofs] * v - model.dof_armature[self._dofs] * a
-        return arrived
 
 
 INNER: Final = 10.0  # bandwidths of the drive: how fast its inner loop is
@@ -166,15 +135,18 @@ def _within(tau: Vector, effort: Float64Array) -> Vector:
     return tm.array(parts)
 
 
-class JointStage(Stage):
-    """What stands between a torque command and MuJoCo's joints.
+class ForceStage(Stage):
+    """What acts on MuJoCo's joints in each of its steps: drives, gears and friction, and an environment at the tool.
 
     MuJoCo knows a dry friction that is the same at rest and in motion. Its limit is given anew before each step, as
     the law says at that speed and load; where it differs with the direction, its middle goes with the motor's torque.
     A joint whose transmission gives way or has play has its rotor here, and gets the torque of spring and teeth.
+    An environment acts as generalised forces J^T F.
     """
 
     def __init__(self, rig: Rig, parts: PlantParts) -> None:
+        import mujoco
+
         self._rig, self._parts, self._train = rig, parts, parts.drivetrain
         self._model = model_of(rig.arm)
         self._links = model_of(rig.arm.with_joints(rotor_inertia=0.0))
@@ -183,12 +155,17 @@ class JointStage(Stage):
             self._follower = Follower(arm=rig.arm, takes=parts.takes, model=self._links)
         self._rigid = np.array(self._train.rigid, dtype=np.intp)
         self._dofs = np.array(rig.dofs, dtype=np.intp)
-        self._arrived = LinkTorque(rig)
+        self._joint_of = np.full(rig.model.nv, -1, dtype=np.intp)  # of a degree of freedom: the arm's joint, or none
+        self._joint_of[self._dofs] = np.arange(rig.arm.n)
+        self._dry = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
 
     def _step(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:
         train, dt = self._train, parameters["dt"]
-        q, v = inputs["q"], inputs["v"]
+        q, v, outside = inputs["q"], inputs["v"], inputs["F_ext"]
         q_m, v_m = memory.get("q_motor", q), memory.get("v_motor", v)
+        touched, J_T = self._touched(inputs, parameters, memory), dyn.jacobian(self._model, q).T
+        if touched is not None:
+            outside = outside + touched[0]
         payload = PayloadValues.of(subtree(parameters, "plant.payload"))
         added = compensation(self._model, self._parts.adds, q, v, payload)
         cut: Any = np.zeros(self._rig.arm.n)
@@ -201,7 +178,7 @@ class JointStage(Stage):
         tau = asked + added
         load: Any = np.zeros(self._rig.arm.n)
         if train.lossy or (isinstance(train.friction, Friction) and np.any(train.friction.load_external_static)):
-            load = dyn.jacobian(self._model, q).T @ inputs["F_ext"] - dyn.bias(self._model, q, v, payload)
+            load = J_T @ outside - dyn.bias(self._model, q, v, payload)
         spring = train.spring(q, v, memory, parameters) if train.compliant else tau
         values = train.values(parameters)
         onto, half, limits = tau, np.zeros(self._rig.arm.n), None
@@ -219,98 +196,86 @@ class JointStage(Stage):
                 out["at_rest"] = train.merged(memory["at_rest"], moved.at_rest)
             onto = train.merged(onto, spring)
             half = train.merged(half, np.zeros(self._rig.arm.n))
-        return {"tau": asked, "onto": onto, "half": half, "cut": cut}, out
+        forces = {"tau": asked, "onto": onto, "half": half, "cut": cut}
+        if touched is not None:
+            forces |= {"wrench": touched[0], "of_wrench": J_T @ touched[0]}
+            out |= {f"environment.{name}": value for name, value in touched[1].items()}
+        return forces, out
+
+    def _touched(self, inputs: Values, parameters: Values, memory: Values) -> tuple[Array, dict[str, Any]] | None:
+        """(6,) what the environment exerts in a step, and its memory after it."""
+        environment = self._parts.environment
+        if environment is None:
+            return None
+        before, numbers = subtree(memory, "environment"), subtree(parameters, "environment")
+        return touch(
+            environment, self._model, inputs["q"], inputs["v"], before, numbers, inputs["t"], parameters["dt"]
+        )
 
     def start(self, q: Float64Array, v: Float64Array, parameters: Values, dt: float, steps: int) -> None:
         """Memory at the start of a run, for control periods of dt [s], each of so many steps."""
-        arm = self._rig.arm
+        arm, parts, division = self._rig.arm, self._parts, Division(dt, steps)
         payload = PayloadValues.of(subtree(parameters, "plant.payload"))
         full = dyn.gravity_torque(self._model, q, payload)
-        weight = full - compensation(self._model, self._parts.adds, q, np.zeros(arm.n), payload)
+        weight = full - compensation(self._model, parts.adds, q, np.zeros(arm.n), payload)
         memory = {"held": weight, "tau_link": full}
         if self._follower is None:
-            memory |= self._parts.actuation.start(arm, weight, parameters)
+            memory |= parts.actuation.start(arm, weight, parameters)
         else:
-            memory |= self._follower.start(q, v, parameters, Division(dt, steps))
+            memory |= self._follower.start(q, v, parameters, division)
         started = self._train.start(q, v, full, parameters)
         memory |= {name: value for name, value in started.items() if name != "friction"}
-        self._parts.require_short_steps(parameters, Division(dt, steps))
-        self._begin({"q": q, "v": np.zeros(arm.n), "F_ext": np.zeros(6)}, parameters, memory, dt / steps)
+        parts.require_short_steps(parameters, division)
+        if parts.environment is not None:
+            parts.require_short_contact(q, parameters, division)
+            touched = parts.environment.start(dyn.pose(self._model, q))
+            memory |= {f"environment.{name}": value for name, value in touched.items()}
+        first = {"q": q, "v": v, "F_ext": np.zeros(6), "t": 0.0}
+        self._begin({**first, "v": np.zeros(arm.n)}, parameters, memory, division.dt)
+        self.work = 0.0
+        kept = self._flat.copy()
+        self._call(first)  # the wrench that a sensor gives in the first tick
+        self._flat[:] = kept
+
+    def hold(self, command: Float64Array, t: float) -> None:
+        """A control period begins at time t [s], with the command that stands at the drives."""
+        self.memory["held"][...], self._t = command, t
 
     def before(self, q: Float64Array, v: Float64Array, F_ext: Float64Array) -> Float64Array:
-        """(n,) the torques for MuJoCo's next step, whose friction limits are put into the model."""
-        given = self._call({"q": q, "v": v, "F_ext": F_ext})
+        """(n,) the torques for MuJoCo's next step; friction limits and forces from outside are put into it."""
+        given = self._call({"q": q, "v": v, "F_ext": F_ext, "t": self._t})
+        self._t += self._h
         self._rig.model.dof_frictionloss[self._dofs] = given["half"]
+        if "of_wrench" in given:
+            self._rig.data.qfrc_applied[self._rig.v] = given["of_wrench"]
         self._v = v.copy()
         return given["onto"]
 
     def after(self, q: Float64Array, v: Float64Array) -> None:
-        """What MuJoCo's step did that the next one depends on: motion, and friction."""
-        rigid, f = self._rigid, self._arrived.friction()
+        """What MuJoCo's step did that the next one depends on: motion, and friction; and the environment's work."""
+        rigid, f, model = self._rigid, self._friction(), self._rig.model
         if self._train.compliant:
             self.memory["q_motor"][rigid], self.memory["v_motor"][rigid] = q[rigid], v[rigid]
-        arrived = self._arrived.of_step(self._given["onto"], f, v, (v - self._v) / self._h)
-        self.memory["tau_link"][rigid] = arrived[rigid]
+        lost = model.dof_damping[self._dofs] * v + model.dof_armature[self._dofs] * (v - self._v) / self._h
+        self.memory["tau_link"][rigid] = (self._given["onto"] + f - lost)[rigid]  # friction and rotors take theirs
         if "at_rest" in self.memory:
             self.memory["at_rest"][rigid] = (np.abs(f) < HELD * self._given["half"])[rigid]
+        if "of_wrench" in self._given:  # that of the mean speed, as in RigidPlant
+            self.work += 0.5 * self._h * float(self._given["of_wrench"] @ (self._v + v))
 
-    @property
-    def tau(self) -> Float64Array:
-        """(n,) torques of the motors in the last step."""
-        tau: Float64Array = self._given["tau"].copy()
-        return tau
+    def _friction(self) -> Float64Array:
+        """(n,) MuJoCo's dry friction in the last step."""
+        data, f = self._rig.data, np.zeros(self._rig.arm.n)
+        rows = np.arange(data.ne, data.ne + data.nf)
+        rows = rows[data.efc_type[rows] == self._dry]
+        joints = self._joint_of[data.efc_id[rows]]
+        f[joints[joints >= 0]] = data.efc_force[rows[joints >= 0]]
+        return f
 
-    @property
-    def cut(self) -> Float64Array:
-        """(n,) what the effort of drives that follow by themselves cut off in the last step."""
-        cut: Float64Array = self._given["cut"].copy()
-        return cut
-
-
-class EnvironmentStage(Stage):
-    """An environment that acts at the tool in each of MuJoCo's steps, as generalised forces J^T F."""
-
-    def __init__(self, rig: Rig, parts: PlantParts) -> None:
-        assert parts.environment is not None
-        self._rig, self._parts, self._environment = rig, parts, parts.environment
-        self._model = model_of(rig.arm)
-
-    def _step(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:
-        """The wrench at a state, as a force on the joints, and memory after a step."""
-        q, v, numbers = inputs["q"], inputs["v"], subtree(parameters, "environment")
-        wrench, after = touch(self._environment, self._model, q, v, memory, numbers, inputs["t"], parameters["dt"])
-        return {"wrench": wrench, "force": dyn.jacobian(self._model, q).T @ wrench}, after
-
-    def start(self, q: Float64Array, v: Float64Array, parameters: Values, dt: float, steps: int) -> None:
-        """Memory at the start of a run, for periods of dt [s] of so many steps; RangeError if they are too long."""
-        self._parts.require_short_contact(q, parameters, Division(dt, steps))
-        memory = self._environment.start(dyn.pose(self._model, q))
-        self._begin({"q": q, "v": np.zeros(len(q)), "t": 0.0}, parameters, memory, dt / steps)
-        self._t = self.work = 0.0
-        kept = self._flat.copy()
-        self.before(q, v)  # what a sensor gives in the first tick
-        self._flat[:], self._t = kept, 0.0
-
-    def at(self, t: float) -> None:
-        """A control period begins at time t [s]."""
-        self._t = t
-
-    def before(self, q: Float64Array, v: Float64Array) -> Float64Array:
-        """(n,) the force on the joints in MuJoCo's next step."""
-        given = self._call({"q": q, "v": v, "t": self._t})
-        self._t += self._h
-        self._v = v.copy()
-        return given["force"]
-
-    def after(self, v: Float64Array) -> None:
-        """What MuJoCo's step did: the work is that of the mean speed, as in RigidPlant."""
-        self.work += 0.5 * self._h * float(self._given["force"] @ (self._v + v))
-
-    @property
-    def wrench(self) -> Float64Array:
-        """(6,) F_ext in the last step."""
-        wrench: Float64Array = self._given["wrench"].copy()
-        return wrench
+    def last(self, name: str) -> Float64Array:
+        """What acted in the last step: (n,) `tau` of the motors, (n,) `cut` off by their effort, (6,) `wrench`."""
+        value: Float64Array = self._given[name].copy()
+        return value
 
 
 class SensorStage(Stage):
@@ -340,22 +305,3 @@ class SensorStage(Stage):
         """What the sensors give in this tick, with fresh noise."""
         noise = {f"noise.{name}": rng.standard_normal(self._shapes[name]) for name, rng in self._noise.items()}
         return {name: np.array(value) for name, value in self._call({**true, **noise}).items()}
-
-
-class Compensation:
-    """What a plant adds to every torque command itself, by the Arm's own formulas: gravity and Coriolis torques."""
-
-    def __init__(self, arm: Arm, adds: Adds) -> None:
-        self._adds, self._model = adds, model_of(arm)
-        n = arm.n
-        self._call: Any = self._torque
-        if native_code.available():
-            self._call = native(self._torque, q=n, v=n, mass=(), com=3, inertia=6)
-
-    def torque(self, q: Float64Array, v: Float64Array, parameters: Values) -> Float64Array:
-        """(n,) at a state."""
-        total: Float64Array = self._call(q, v, *subtree(parameters, "plant.payload").values())
-        return total
-
-    def _torque(self, q: Array, v: Array, mass: Any, com: Array, inertia: Array) -> Array:
-        return compensation(self._model, self._adds, q, v, PayloadValues(mass=mass, com=com, inertia=inertia))
