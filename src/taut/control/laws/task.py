@@ -136,27 +136,7 @@ def settling(kd: GainValue) -> Any:
     return most
 
 
-class DriveLaw(Law, abstract=True):
-    """Base of the laws of task space for drives that close the velocity or the position loop."""
-
-    reference = TaskMotion
-    kp: Gain = task_gain(unit="1/s", shape=6, accepts=ANY)
-    lead: Gain = Gain(0.0, unit="s", shape="scalar")
-    damping: Gain = Gain(0.01, unit="m, 1", shape="scalar", above=0.0)
-    tool: str | None = None
-
-    def check_rate(self, rate: float) -> None:
-        """Feedback must not correct an error faster than the rate [Hz]."""
-        values = np.asarray(self.kp.as_array(), dtype=np.float64)
-        largest = np.linalg.eigvalsh(values) if values.ndim == 2 else values
-        require_at_most("kp", largest, rate, "1/s", "the rate, with which the error is gone in one tick")
-
-    def closed_loop(self, x: Snapshot) -> ClosedLoop:
-        """X_e-dot + kp X_e = 0."""
-        return tool_loop(self, x, lambda g: replace(self, kp=g.D), inertia=np.eye(6), single_pole="always")
-
-
-class TaskVelocity(DriveLaw):
+class TaskVelocity(Law):
     """Task-space motion by joint velocities: feedforward plus P, for arms whose drives close the velocity loop.
 
     Law:          v_cmd = J^+ (V_des + lead a_des + kp X_e),  J^+ = J^T (J J^T + damping^2)^-1
@@ -175,13 +155,26 @@ class TaskVelocity(DriveLaw):
         Lynch and Park, Modern Robotics (2017), section 11.3; Wampler (1986), IEEE Trans. SMC 16 (1), on the damping.
     """
 
+    reference = TaskMotion
+    kp: Gain = task_gain(unit="1/s", shape=6, accepts=ANY)
+    lead: Gain = Gain(0.0, unit="s", shape="scalar")
+    damping: Gain = Gain(0.01, unit="m, 1", shape="scalar", above=0.0)
+    tool: str | None = None
+
+    def check_rate(self, rate: float) -> None:
+        check_feedback(self.kp, rate)
+
+    def closed_loop(self, x: Snapshot) -> ClosedLoop:
+        """X_e-dot + kp X_e = 0."""
+        return tool_loop(self, x, lambda g: replace(self, kp=g.D), inertia=np.eye(6), single_pole="always")
+
     def command(self, x: Snapshot, ref: TaskMotion) -> Command:
         error = task_error(x, ref, self.tool)
         V = Terms(feedforward=ref.twist, lead=self.lead.as_array() * ref.acceleration, P=self.kp @ error.X)
         return Velocity(_joint_speeds(error.J, self.damping, V))
 
 
-class TaskPosition(DriveLaw):
+class TaskPosition(Law):
     """Task-space motion by joint positions: one damped Newton step of inverse kinematics a tick, for position drives.
 
     Law:          v_cmd = J^+(q_cmd) (V_des + kp X_e(q_cmd)),  J^+ = J^T (J J^T + damping^2)^-1
@@ -199,10 +192,22 @@ class TaskPosition(DriveLaw):
         Section 10.2.3, equations 10.28 and 10.29; Wampler (1986), IEEE Trans. SMC 16 (1), on the damping.
     """
 
+    reference = TaskMotion
+    kp: Gain = task_gain(unit="1/s", shape=6, accepts=ANY)
+    lead: Gain = Gain(0.0, unit="s", shape="scalar")
+    damping: Gain = Gain(0.01, unit="m, 1", shape="scalar", above=0.0)
+    tool: str | None = None
     q = Memory(unit="rad | m", doc="the positions that are commanded")
+
+    def check_rate(self, rate: float) -> None:
+        check_feedback(self.kp, rate)
 
     def start(self, x: Snapshot, ref: TaskMotion) -> Mapping[str, Vector]:  # noqa: ARG002
         return {"q": x.q}
+
+    def closed_loop(self, x: Snapshot) -> ClosedLoop:
+        """X_e-dot + kp X_e = 0."""
+        return tool_loop(self, x, lambda g: replace(self, kp=g.D), inertia=np.eye(6), single_pole="always")
 
     def command(self, x: Snapshot, ref: TaskMotion, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
         error = task_error(x.at(memory.q, np.zeros(x.n)), ref, self.tool)
@@ -216,3 +221,10 @@ def _joint_speeds(J: Any, damping: GainValue, V: Terms) -> Terms:
     """J^+ V, by damped least squares."""
     factors = tm.factor_spd(J @ J.T + damping.as_array() ** 2 * tm.eye(6))
     return V.mapped(lambda part: J.T @ factors.solve(part))
+
+
+def check_feedback(kp: GainValue, rate: float) -> None:
+    """Feedback must not correct an error faster than the rate [Hz]."""
+    values = np.asarray(kp.as_array(), dtype=np.float64)
+    largest = np.linalg.eigvalsh(values) if values.ndim == 2 else values
+    require_at_most("kp", largest, rate, "1/s", "the rate, with which the error is gone in one tick")

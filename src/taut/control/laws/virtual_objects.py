@@ -22,16 +22,7 @@ from taut.trace import math as tm
 NEAR: Final = 1e-9  # [m] from the centre of a ball, where no direction leads out
 
 
-class VirtualObject(Law, abstract=True):
-    """Base of virtual objects: stiffness and damping, and the frame whose origin they act on."""
-
-    ignores_reference = True
-    K: Gain = Gain(shape="scalar", unit="N/m")
-    B: Gain = Gain(0.0, shape="scalar", unit="N s/m")
-    tool: str | None = None
-
-
-class VirtualWall(VirtualObject):
+class VirtualWall(Law):
     """A wall in the air: it pushes the tool back, out of the half-space behind it. Add it to another law.
 
     Law:          tau = J^T n max(0, K d - B s n . v),  d = n . (point - p) the depth, s = min(d / fade, 1)
@@ -56,9 +47,13 @@ class VirtualWall(VirtualObject):
         of Robotic Systems 14 (1), on passivity.
     """
 
+    ignores_reference = True
     point: Gain = Gain(unit="m", shape=3, accepts=(), minimum=-np.inf)
     normal: Gain = Gain(unit="1", shape=3, accepts=(), minimum=-np.inf)
+    K: Gain = Gain(shape="scalar", unit="N/m")
+    B: Gain = Gain(0.0, shape="scalar", unit="N s/m")
     fade: Gain = Gain(1e-3, unit="m", shape="scalar", above=0.0)
+    tool: str | None = None
 
     def check(self) -> None:
         _check_direction(self, "normal")
@@ -69,7 +64,7 @@ class VirtualWall(VirtualObject):
         return _pushed(x, self.tool, n, depth, self.K, self.B, self.fade, "wall")
 
 
-class VirtualGroove(VirtualObject):
+class VirtualGroove(Law):
     """A groove in the air: it draws the tool to a line, along which it is free. Add it to another law.
 
     Law:          tau = -J^T P (K (p - point) + B v),  P = I - u u^T across the direction u
@@ -87,8 +82,12 @@ class VirtualGroove(VirtualObject):
         Section 10.5 impedance control. Rosenberg (1993), IEEE VRAIS, virtual fixtures.
     """
 
+    ignores_reference = True
     point: Gain = Gain(unit="m", shape=3, accepts=(), minimum=-np.inf)
     direction: Gain = Gain(unit="1", shape=3, accepts=(), minimum=-np.inf)
+    K: Gain = Gain(shape="scalar", unit="N/m")
+    B: Gain = Gain(0.0, shape="scalar", unit="N s/m")
+    tool: str | None = None
 
     def check(self) -> None:
         _check_direction(self, "direction")
@@ -101,7 +100,7 @@ class VirtualGroove(VirtualObject):
         return Torque(J.T @ Terms(groove=spring, groove_damping=damper))
 
 
-class VirtualBall(VirtualObject):
+class VirtualBall(Law):
     """A soft ball in the air: it keeps the tool's origin out of it, or in it with inside=True. Add it to another law.
 
     Law:          tau = J^T n max(0, K d - B s n . v),  d = radius - r at the distance r from the center, n outwards
@@ -123,10 +122,14 @@ class VirtualBall(VirtualObject):
         Section 10.5 impedance control, the virtual environments of figure 10.17.
     """
 
+    ignores_reference = True
     center: Gain = Gain(unit="m", shape=3, accepts=(), minimum=-np.inf)
     radius: Gain = Gain(shape="scalar", unit="m")
+    K: Gain = Gain(shape="scalar", unit="N/m")
+    B: Gain = Gain(0.0, shape="scalar", unit="N s/m")
     fade: Gain = Gain(1e-3, unit="m", shape="scalar", above=0.0)
     inside: bool = False
+    tool: str | None = None
 
     def command(self, x: Snapshot, ref: Sample) -> Command:  # noqa: ARG002
         offset = x.T(self.tool).p - self.center.as_array()
