@@ -139,7 +139,7 @@ def modal_damping(inertia: LTDL, K: Matrix, zeta: Any, V: Vector) -> Vector:
     Source: Albu-Schaffer, Ott and Hirzinger (2003), IEEE ICRA, double diagonalisation.
     """
     U = inertia.root()
-    out: Vector = 2.0 * zeta * (U @ times_square_root(inertia.between_roots(K), U.T @ V))
+    out: Vector = 2.0 * zeta * (U @ times_square_root(inertia.half(inertia.half(K).T), U.T @ V))
     return out
 
 
