@@ -15,7 +15,7 @@ import numpy as np
 
 from taut.arm.description import Arm
 from taut.base.errors import TautError, UsageError, count_of, unknown_name
-from taut.base.fields import Declared, Field
+from taut.base.fields import Declared, Field, Whole
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike
 from taut.codegen.engine import EngineChoice
@@ -82,21 +82,18 @@ class WrongModel(Declared):
     inertia: Field = Field(0.0, minimum=0.0, maximum=1.0)  # relative spread of the sizes of the bodies
     friction: Field = Field(0.0, minimum=0.0, maximum=1.0)  # relative spread of viscous and dry friction
     payload: Field = Field(0.0, unit="kg", minimum=0.0)  # largest additional payload
-    trials: Field = Field(5, minimum=1.0, maximum=1000.0)  # number of arms that are drawn
-    seed: Field = Field(0, minimum=0.0)  # of the first arm
+    trials: Whole = Whole(5, minimum=1, maximum=1000)  # number of arms that are drawn
+    seed: Whole = Whole(0)  # of the first arm
 
     def check(self) -> None:
-        """Whole numbers, and a difference."""
-        for name in ("trials", "seed"):
-            if getattr(self, name) % 1.0:
-                self.refuse(name, "must be a whole number")
+        """A difference."""
         if not any((self.mass, self.com, self.inertia, self.friction, self.payload)):
             self.refuse("", "needs one of mass, com, inertia, friction and payload above zero")
 
     def arms(self, arm: Arm) -> Iterator[Arm]:
         """The true arm of each trial."""
         spreads = {name: float(getattr(self, name)) for name in ("mass", "com", "inertia", "friction")}
-        for seed in range(int(self.seed), int(self.seed + self.trials)):
+        for seed in range(self.seed, self.seed + self.trials):
             more = float(self.payload * np.random.default_rng([seed, 1]).random())
             load, true = arm.payload, arm.perturbed(seed=seed, **spreads)
             yield true.with_payload(load.mass + more, load.com, load.inertia) if self.payload else true

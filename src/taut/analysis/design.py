@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from taut.analysis.design_achieved import Achieved, Limit, Requirement, Steps
+from taut.analysis.design_achieved import Achieved, Limit, Requirement, Steps, closed_loop_of
 from taut.analysis.design_specification import Specification, place_poles, square
 from taut.arm.description import Arm
 from taut.arm.parts import require_radians
@@ -18,7 +18,6 @@ from taut.base.errors import RangeError, TautError, UsageError
 from taut.base.plot_style import INK, SMALL, WIDTH, colour, prepared
 from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.closed_loop import ClosedLoop
 from taut.control.gains import Gain
 from taut.control.law import Law
 from taut.control.sensing import Sensing
@@ -27,8 +26,7 @@ from taut.linear.judgement import judge
 from taut.linear.linear_system import LinearSystem
 from taut.linear.linearise import linearise
 from taut.loop import Loop
-from taut.maths.model import Adds
-from taut.maths.snapshot import Snapshot, snapshot
+from taut.maths.snapshot import snapshot
 from taut.plant.actuation import Actuation
 from taut.plant.environments.kinds import Push, Spring
 from taut.plant.rigid import RigidPlant
@@ -242,7 +240,7 @@ def design(
     moving = closed_loop_of(made, stated.x).alone or made
     ctrl = compile(moving, arm, rate=rate, sensing=sensing, adds=() if plant is None else plant.adds)
     loop = Loop(ctrl, plant_for(ctrl, specification) if plant is None else plant, duration=1.0)
-    found = achieved(made, loop, q, specification)
+    found = Achieved(law=made, loop=loop, system=linearise(loop, at=q, within=ANYWHERE), specification=specification)
     stable = found.system.stable
     unstable, limits = ("", list(found.limits())) if stable else blamed(loop, q, found.system)
     return Design(
@@ -276,18 +274,6 @@ def with_any_gains(law: type[Law]) -> Law:
                 name="law",
             )
     return law(**gains)
-
-
-def closed_loop_of(law: Law, x: Snapshot) -> ClosedLoop:
-    """The closed loop that a law states at rest; UsageError if it states none."""
-    stated = law.closed_loop(x)
-    if stated is None:
-        raise UsageError(
-            f"{type(law).__name__} states no closed loop to place poles in; find its gains with taut.tune, or design "
-            "the feedback beside it: taut.design(taut.laws.FeedForward() + taut.laws.PID(kp=1.0), arm, ...)",
-            name="law",
-        )
-    return stated
 
 
 def pose_of(arm: Arm, at: ArrayLike | None) -> Float64Array:
@@ -333,22 +319,6 @@ def plant_for(ctrl: Controller, specification: Specification) -> RigidPlant:
         arm, friction=None, environment=environment, integrator="rk4",
         substeps=min(max(substeps, 1), MAX_DESIGN_SUBSTEPS),
     )  # fmt: skip
-
-
-def achieved(law: Law, loop: Loop, q: Float64Array, specification: Specification) -> Achieved:
-    """The linear model of the loop about its equilibrium at a pose, and the closed loop that its law states there."""
-    system, plant = linearise(loop, at=q, within=ANYWHERE), loop.plant
-    assert isinstance(plant, RigidPlant)
-    x, drives = snapshot(loop.side.arm, system.point.q), loop.side.probe.kind != "torque"
-    carries = Adds.of(plant.adds).gravity
-    return Achieved(
-        law=loop.side.single_law,
-        stated=closed_loop_of(law, x),
-        system=system,
-        specification=specification,
-        delay=float(plant.actuation.delay),
-        hold=None if drives else np.zeros(x.n) if carries else np.asarray(x.g),
-    )
 
 
 def blamed(loop: Loop, q: Float64Array, system: LinearSystem) -> tuple[str, list[Limit]]:

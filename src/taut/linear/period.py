@@ -27,7 +27,7 @@ from taut.codegen.loop import compiled_loop
 from taut.codegen.program import Block
 from taut.codegen.tangent import TANGENT, StepTangent
 from taut.control.lawside import LawSide
-from taut.control.trajectories.feed import ReferenceFeed
+from taut.control.tasks.feed import ReferenceFeed
 from taut.control.trajectories.reference import Hold, Reference
 from taut.loop import DT, AnyPlant, Loop, Values
 from taut.maths import dynamics as dyn
