@@ -12,7 +12,7 @@ from taut.analysis.design_achieved import Achieved, Limit, Requirement, Steps, c
 from taut.analysis.design_specification import Specification, place_poles, square
 from taut.arm.description import Arm
 from taut.arm.parts import require_radians
-from taut.base.checks import finite_array, rate_in_hertz
+from taut.base.checks import finite_array, instance_of, rate_in_hertz
 from taut.base.declarations import REQUIRED
 from taut.base.errors import RangeError, TautError, UsageError
 from taut.base.plot_style import INK, SMALL, WIDTH, colour, prepared
@@ -227,8 +227,7 @@ def design(
         zeta=zeta, overshoot=overshoot, omega_n=omega_n, settling=settling, K=K, contact=contact, force=force,
         integral=integral,
     )  # fmt: skip
-    if plant is not None and not isinstance(plant, RigidPlant):  # callers without a type checker
-        raise UsageError(f"plant must be a taut.RigidPlant; got {type(plant).__name__}", name="plant")
+    instance_of("plant", plant, RigidPlant | None, "a taut.RigidPlant")
     q, rate = pose_of(arm, at), rate_in_hertz(rate)
     given = law if isinstance(law, Law) else with_any_gains(law)
     stated = closed_loop_of(given, snapshot(arm, q))
@@ -279,8 +278,7 @@ def with_any_gains(law: type[Law]) -> Law:
 
 def pose_of(arm: Arm, at: ArrayLike | None) -> Float64Array:
     """(n,) the pose to design for [rad | m]; home if left out."""
-    if not isinstance(arm, Arm):  # callers without a type checker
-        raise UsageError(f"design takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
+    instance_of("arm", arm, Arm, "an Arm from taut.load_arm")
     q = arm.home if at is None else finite_array("at", at, shape=(arm.n,), joints=arm.joint_names, unit="rad | m")
     require_radians("at", q, arm)
     outside = np.flatnonzero((q < arm.lower) | (q > arm.upper))
