@@ -68,7 +68,7 @@ FIGURES: Final = (*(name for pair in ERRORS.items() for name in pair), *SPENT, *
 
 
 class WrongModel(Declared):
-    """By how much the true arm may differ from the one that the controllers know.
+    """Spread of the true arm about the model that the controllers have.
 
     The arm of trial k, from 0 on, is `arm.perturbed(seed=seed + k, mass=mass, ...)` with up to `payload` kg more.
 
@@ -86,7 +86,7 @@ class WrongModel(Declared):
     seed: Whole = Whole(0)  # of the first arm
 
     def check(self) -> None:
-        """A difference."""
+        """At least one spread is above zero."""
         if not any((self.mass, self.com, self.inertia, self.friction, self.payload)):
             self.refuse("", "needs one of mass, com, inertia, friction and payload above zero")
 
@@ -101,7 +101,7 @@ class WrongModel(Declared):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Experiment:
-    """All of a closed loop but its law."""
+    """Everything in a closed loop except its law."""
 
     name: str  # for messages
     arm: Arm  # as the controllers know it
@@ -120,7 +120,7 @@ class Experiment:
 
     @classmethod
     def of(cls, loop: Loop) -> Experiment:
-        """The experiment of a loop, with the parameters that were changed in it but those of its law."""
+        """The experiment of a loop, with its changed parameters except those of its law."""
         side, plant = loop.side, loop.plant
         before = {**side.parameters, **plant.parameters}
         changed = {

@@ -22,9 +22,9 @@ from taut.base.errors import (
     unknown_name,
 )
 from taut.base.fields import Declared, Field, Plain, Whole
+from taut.control.combine import SideBySide
 from taut.control.law import Law
 from taut.control.lawside import LawSide
-from taut.control.side_by_side import SideBySide
 from taut.control.tasks.feed import feed_of
 from taut.control.tasks.task import Task
 from taut.control.trajectories.reference import Reference

@@ -22,11 +22,10 @@ from taut.base.errors import UsageError, unknown_name
 from taut.base.fields import Declared, Field, Part, Whole
 from taut.base.plot_style import short
 from taut.base.types import Float64Array
-from taut.control.combine import Wrapper, law_classes
+from taut.control.combine import SideBySide, Wrapper, law_classes
 from taut.control.law import Law
 from taut.control.limits import Limits
 from taut.control.sensing import Difference, Kalman, LowPass, Sensing
-from taut.control.side_by_side import SideBySide
 from taut.drives import ElectricMotor, Motor, MotorModel
 from taut.environments import (
     Damper,
