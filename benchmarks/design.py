@@ -1,4 +1,4 @@
-"""Draw docs/images/design_impedance.png and tune_panda.png, and print the tables of docs/design.md.
+"""Draw docs/images/design_impedance.png, and print the tables of docs/design.md.
 
 Run it in this folder: `python design.py [FOLDER]`.
 """
@@ -49,11 +49,9 @@ def main(folder: Path) -> None:
         bounds=BOUNDS,
         limits=taut.Limits.of(arm, rate=True),
         chatter=0.99,
-        held_out=loops(11, 5),
         seeds=(0, 1, 2),
     )
     print(tuned)
-    tuned.plot().savefig(folder / "tune_panda.png", dpi=150)
 
 
 if __name__ == "__main__":

@@ -75,7 +75,8 @@ def maps() -> Figure:
         np.geomspace(5.0, 1000.0, 13),
         labels=("rate [Hz]", "kd [N m s/rad]"),
     )
-    found.draw(left, log=True)
+    found.draw(left)
+    left.set(xscale="log", yscale="log")
     rate = np.array([20.0, 1000.0])
     left.plot(rate, rate, color=COLOURS[1], linewidth=1.0, linestyle=DASHED, label="2 M / dt, measured velocity")
     left.set_title("differenced velocity, zeta = 1", fontsize=SMALL, loc="left", color=INK)
@@ -86,7 +87,8 @@ def maps() -> Figure:
         np.geomspace(10.0, 1000.0, 13),
         labels=("delay [ms]", "kd [N m s/rad]"),
     )
-    found.draw(right, log=True)
+    found.draw(right)
+    right.set(xscale="log", yscale="log")
     right.set_title("1 kHz, delayed, zeta = 1", fontsize=SMALL, loc="left", color=INK)
     return figure
 

@@ -84,7 +84,7 @@ def main() -> None:
             taut.linearise(loop)
         each = (user() - begin) / REPEATS
         made = loop_map(loop)
-        point = rest_of(loop, made, None, 0.5).point
+        point = rest_of(loop, made, None, 0.5).at
         states = [made.state_coordinates.names.index(state) for state in lin.states]
         size = np.abs(lin.A).max()
         errors = [np.abs(differences(made, point, h, states) - lin.A).max() / size for h in STEPS]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import math
 import pickle
 from collections.abc import Callable, Iterator
@@ -141,7 +142,7 @@ DOORS: list[tuple[str, Callable[[Any], Any], tuple[Any, ...]]] = [
         (-np.eye(3), np.diag([1.0, 1.0, 3.0]), NAN * np.eye(3), np.eye(2), [[1.0, 2, 0], [0, 1, 0], [0, 0, 1]]),
     ),
     ("gravity", lambda value: ARM.with_gravity(value), VECTOR_3),
-    ("home", lambda value: ARM.with_home(value), VECTOR_2),
+    ("home", lambda value: taut.load_arm("planar2", home=value), VECTOR_2),
     *(
         (name, joint_value(name), (NAN, -1.0, [1.0] * 3, "x"))
         for name in ("viscous", "coulomb", "rotor_inertia", "effort", "velocity")
@@ -348,8 +349,7 @@ MISUSE: list[tuple[str, Callable[[], Any], str]] = [
         lambda: simulate().extra["F_ext"],
         "the run has no further column 'F_ext'; it has none",
     ),
-    ("a metric", lambda: simulate().metrics.overall["rms"], "a run has no metric 'rms'; "),
-    ("a group of joints", lambda: simulate().metrics.groups["deg"], "a run has no group of joints, by unit, 'deg'"),
+    ("a metric", lambda: simulate().metrics.overall("rms"), "a run has no metric 'rms'; "),
     ("a frame's name", lambda: ARM.frame("tol"), "did you mean 'tool'"),
     ("a joint's name", lambda: ARM.joint_index("joint3"), "did you mean 'joint[12]'"),
     ("a joint of a subset", lambda: ARM.subset(["joint7"]), "joint7"),
@@ -411,7 +411,6 @@ MISUSE: list[tuple[str, Callable[[], Any], str]] = [
     ),
     ("a tolerance in percent", lambda: taut.analysis.grade(CTRL.law, CTRL.law, LOOP, tolerance=5), r"5 % is 0\.05"),
     ("a home in degrees", lambda: taut.load_arm("planar2", home=[90, 45]), r"np\.radians"),
-    ("another home in degrees", lambda: ARM.with_home([0.0, 45.0]), r"np\.radians"),
     ("a sample by another name", lambda: HOME.theta, "it has 'a', 'motion', 'q', 'v'"),
     ("a sample, no velocity", lambda: CTRL.step(ARM.home, HOME), "needs v"),
     (
@@ -467,7 +466,7 @@ def test_angles_that_could_be_meant_are_taken(q: list[float]) -> None:
 def test_a_law_that_adds_gravity_once_is_taken_wherever_home_is(
     law: taut.Law, home: list[float], gravity: list[float]
 ) -> None:
-    arm = RUBBING.with_home(home).with_gravity(gravity)
+    arm = dataclasses.replace(RUBBING, home=np.array(home)).with_gravity(gravity)
     assert taut.compile(law, arm, engine="float").arm is arm
 
 

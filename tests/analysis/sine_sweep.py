@@ -27,7 +27,7 @@ def measured_Z(tip: taut.analysis.ToolImpedance, omega: ArrayLike) -> NDArray[np
     map_ = loop_map(loop)
     # The reference is held at the start of the model's own search, not where a law with a steady-state error rests.
     within = WITHIN + float(np.abs(lin.point.moved).max())
-    point = rest_of(loop, map_, lin.point.q - lin.point.moved, within).point
+    point = rest_of(loop, map_, lin.point.q - lin.point.moved, within).at
     period = StepLoop(map_.period, (point.inputs, point.parameters, point.memory), engine=loop.engine)
     rest = map_.recorded(map_.derivative(point))
     decaying = np.abs(lin.poles)[np.abs(lin.poles) < NO_DECAY]

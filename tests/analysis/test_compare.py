@@ -77,11 +77,11 @@ def test_wrong_models_are_the_arms_of_the_stated_seeds(table: taut.analysis.Comp
         true = believed.perturbed(seed=seed, mass=0.3).with_payload(load.mass + more, load.com, load.inertia)
         ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), believed, limits=planar.side.limits)
         run = taut.run(ctrl, taut.RigidPlant(true), planar.ref, duration=1.0)
-        errors.append(run.metrics.overall["rms_error"])
+        errors.append(run.metrics.overall("rms_error"))
     numbers = table.entries["exact"].numbers
     assert numbers["model_median"]["rad"] == sorted(errors)[1]
     assert numbers["model_worst"]["rad"] == max(errors)
-    assert "WrongModel(mass=0.3, payload=1.0, trials=3.0, seed=7.0)" in str(table)
+    assert "WrongModel(mass=0.3, payload=1.0, trials=3, seed=7)" in str(table)
 
 
 def test_noise_of_positions_makes_the_chatter_that_white_noise_makes() -> None:
@@ -91,9 +91,12 @@ def test_noise_of_positions_makes_the_chatter_that_white_noise_makes() -> None:
     """
     arm = taut.load_arm("one_joint")
     ctrl = taut.compile(taut.laws.GravityPID(kp=2.0, kd=0.0), arm, rate=500.0)
-    loop = taut.Loop(ctrl, taut.RigidPlant(arm, friction=None), taut.JointMotion(q=[0.0]), duration=10.0)
+    sensors = taut.sensors.Sensors(position=taut.sensors.Encoder(noise=1e-4))
+    loop = taut.Loop(
+        ctrl, taut.RigidPlant(arm, friction=None, sensors=sensors), taut.JointMotion(q=[0.0]), duration=10.0
+    )
     loop.parameters["law.kp"] = 3.0  # of the loop's own law, which is not compared
-    told = taut.compare(["GravityPID(kp=2, kd=0.5)"], loop, noise={"position": 1e-4}, model=None)
+    told = taut.compare(["GravityPID(kp=2, kd=0.5)"], loop, model=None)
     found = next(iter(told.entries.values())).numbers["noise_chatter"]["N m/s"]
     assert found == pytest.approx(500.0 * 2.0 * 1e-4 * 2.0 / math.sqrt(math.pi), rel=0.03)
 
@@ -104,15 +107,15 @@ def test_noise_that_the_plant_has_is_compared_with_none() -> None:
     sensors = taut.sensors.Sensors(position=taut.sensors.Encoder(noise=1e-4, resolution=1e-5))
     plant = taut.RigidPlant(arm, sensors=sensors)
     loop = taut.Loop(ctrl, plant, taut.JointMotion(q=[0.0]), duration=0.5)
-    told = taut.compare({"PD": taut.laws.PID(kp=2.0, kd=0.5)}, loop, model=None, seed=3)
+    told = taut.compare({"PD": taut.laws.PID(kp=2.0, kd=0.5)}, loop, model=None)
     runs = [
-        taut.run(ctrl, p, loop.ref, duration=0.5, seed=3)
+        taut.run(ctrl, p, loop.ref, duration=0.5)
         for p in (
             plant,
             taut.RigidPlant(arm, sensors=taut.sensors.Sensors(position=taut.sensors.Encoder(resolution=1e-5))),
         )
     ]
-    more = runs[0].metrics.overall["chatter"] - runs[1].metrics.overall["chatter"]
+    more = runs[0].metrics.overall("chatter") - runs[1].metrics.overall("chatter")
     assert told.entries["PD"].numbers["noise_chatter"]["N m/s"] == more
     assert "the sensors as they are, against the same without noise" in str(told)
 
@@ -120,21 +123,15 @@ def test_noise_that_the_plant_has_is_compared_with_none() -> None:
 def test_changed_parameters_of_a_loop_hold_for_every_law(planar: taut.Loop) -> None:
     loop = taut.Loop(taut.compile(planar.side.law, planar.side.arm), planar.plant, planar.ref, duration=0.3)
     loop.parameters["plant.payload.mass"] = 2.0
-    told = taut.compare({"same": planar.side.law}, loop, noise={}, model=None)
+    told = taut.compare({"same": planar.side.law}, loop, noise=False, model=None)
     assert np.array_equal(told.runs["same"].q, taut.run(loop).q)
-    set_here = taut.compare(
-        {"same": planar.side.law}, planar, noise={}, model=None, parameters={"plant.payload.mass": 2.0}
-    )
-    assert not np.array_equal(
-        set_here.runs["same"].q, taut.compare({"same": planar.side.law}, planar, noise={}, model=None).runs["same"].q
-    )
 
 
 def test_every_run_starts_where_it_is_told_to(planar: taut.Loop) -> None:
-    told = taut.compare({"same": planar.side.law}, planar, noise={}, model=None, q0=[0.3, 0.1], v0=[0.2, 0.0])
+    told = taut.compare({"same": planar.side.law}, planar, noise=False, model=None, q0=[0.3, 0.1], v0=[0.2, 0.0])
     assert told.runs["same"].q[0].tolist() == [0.3, 0.1]
     graded = taut.analysis.grade("PID(kp=200)", "PID(kp=200, kd=1)", planar, q0=[0.3, 0.1], v0=[0.2, 0.0])
-    assert graded.reference_run.v[0].tolist() == graded.run.v[0].tolist() == [0.2, 0.0]
+    assert [run.v[0].tolist() for run in runs_of(graded)] == [[0.2, 0.0]] * 2
 
 
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
@@ -153,16 +150,6 @@ def without_limits(loop: taut.Loop) -> taut.Loop:
     return taut.Loop(taut.compile(loop.side.law, loop.side.arm), loop.plant, loop.ref, duration=0.3)
 
 
-def test_a_law_of_the_tool_may_have_its_own_reference(planar: taut.Loop) -> None:
-    arm = planar.side.arm
-    goal = taut.TaskMotion(pose=taut.snapshot(arm, [0.3, 0.5]).T())
-    laws = {"joints": "PID(kp=200, kd=20)", "tool": "ViaJointSpace(inner=PID(kp=200, kd=20), directions='position')"}
-    told = taut.compare(laws, without_limits(planar), references={"tool": goal}, noise={}, model=None)
-    assert set(told.entries["joints"].numbers) - set(told.entries["tool"].numbers) == {"rms_error", "peak_error"}
-    assert "task_rms" in told.entries["tool"].numbers
-    assert told.plot().axes
-
-
 def test_the_picture_has_errors_left_and_torques_right(table: taut.analysis.Comparison) -> None:
     axes = [ax for ax in table.plot().axes if ax.get_visible()]
     assert [ax.get_title(loc="left") for ax in axes[:2]] == ["norm of the tracking error", "norm of the torques"]
@@ -175,19 +162,23 @@ def test_the_picture_has_errors_left_and_torques_right(table: taut.analysis.Comp
 # -------------------------------------------------------------------- grading
 
 
+def runs_of(grade: taut.analysis.Grade) -> list[taut.Run]:
+    """Of the law, and of the reference."""
+    return list(grade.comparison.runs.values())
+
+
 def test_a_wrong_term_is_found_with_its_joint_and_time(planar: taut.Loop) -> None:
     loop = without_limits(planar)
     told = taut.analysis.grade(NoCoriolis(kp=100.0, kd=20.0), "ComputedTorque(kp=100, kd=20)", loop, tolerance=0.01)
-    states = [
-        taut.snapshot(loop.side.arm, q, v) for q, v in zip(told.reference_run.q, told.reference_run.v, strict=True)
-    ]
+    run = runs_of(told)[1]
+    states = [taut.snapshot(loop.side.arm, q, v) for q, v in zip(run.q, run.v, strict=True)]
     coriolis = np.array([np.asarray(x.h) - np.asarray(x.g) for x in states])
     k, i = np.unravel_index(np.argmax(np.abs(coriolis)), coriolis.shape)
     assert not told.ok
     assert told.wrong_term == "nonlinear"
     assert [one.what for one in told.terms] == ["nonlinear"]
     assert told.command.size == pytest.approx(abs(coriolis[k, i]), rel=1e-9)
-    assert (told.command.t, told.command.joint) == (told.reference_run.t[k], loop.side.arm.joint_names[i])
+    assert (told.command.t, told.command.joint) == (run.t[k], loop.side.arm.joint_names[i])
 
 
 class Wrong(taut.Law):
@@ -242,7 +233,7 @@ def test_laws_side_by_side_have_the_errors_of_the_worst() -> None:
     }
     ref = taut.together(one=taut.JointMotion(q=arm.home[:1] + 0.1), others=taut.JointMotion(q=arm.home[1:] + 0.01))
     loop = taut.Loop(taut.compile(laws["soft"], arm), taut.RigidPlant(arm), ref, duration=0.5)
-    told = taut.compare(laws, loop, by="rms_error", noise={}, model=None)
+    told = taut.compare(laws, loop, by="rms_error", noise=False, model=None)
     assert told.ranking == ("stiff", "soft")
     for entry in told.entries.values():
         each = [math.sqrt(np.mean(np.sum(entry.run.part(p).error ** 2, axis=1))) for p in ("one", "others")]
@@ -262,7 +253,8 @@ def test_a_figure_fails_to_either_side_of_the_tolerance(planar: taut.Loop) -> No
     better, worse = taut.analysis.grade(stiff, soft, planar), taut.analysis.grade(soft, stiff, planar)
     off = {mark.figure: mark.off for mark in better.marks}
     assert off["rms_error"] == pytest.approx(
-        better.run.metrics.overall["rms_error"] / worse.run.metrics.overall["rms_error"] - 1.0, rel=1e-9
+        runs_of(better)[0].metrics.overall("rms_error") / runs_of(worse)[0].metrics.overall("rms_error") - 1.0,
+        rel=1e-9,
     )
     assert off["rms_error"] < -0.05
     assert not better.ok
@@ -272,7 +264,7 @@ def test_a_figure_fails_to_either_side_of_the_tolerance(planar: taut.Loop) -> No
 
 def test_a_memory_runs_along_with_the_reference_states(planar: taut.Loop) -> None:
     told = taut.analysis.grade("PID(kp=200, kd=20, ki=50)", "PID(kp=200, kd=20, ki=100)", planar)
-    run = told.reference_run
+    run = runs_of(told)[1]
     e_int = np.cumsum(run.reference.q - run.q, axis=0) * 1e-3
     assert told.wrong_term == "I"
     assert told.terms[0].size == pytest.approx(50.0 * np.abs(e_int).max(), rel=1e-9)
@@ -332,11 +324,7 @@ def test_what_cannot_be_compared_is_one_sentence(table: taut.analysis.Comparison
         (["PD"], {}, UnknownNameError, "the experiment has no law 'PD'"),
         (law, {}, UsageError, "laws are given in a list or by name"),
         ([law], {"by": "rms"}, UnknownNameError, "a comparison has no figure 'rms'"),
-        ([law], {"noise": {"torqe": 1.0}}, UnknownNameError, "a plant has no sensor 'torqe'; did you mean 'torque'"),
-        ([law], {"noise": {"tip": 1.0}}, UsageError, "the plant has no sensor 'tip', which noise is given for"),
         ([law], {"case": "x"}, UsageError, "case is for a scenario that has cases"),
-        ([law], {"references": {"P": 1}}, UnknownNameError, "the comparison has no law 'P'"),
-        ([law], {"parameters": {"plant.mass": 1}}, UsageError, "law 'PID': .* has no parameter 'plant.mass'"),
         (["TaskComputedTorque(kp=1, kd=1)"], {}, UsageError, "the law follows TaskMotion"),
         (["PID(kp=[1, 2, 3])"], {}, UsageError, r"law 'PID\(kp=\[1, 2, 3\]\)': kp must be"),
     ):

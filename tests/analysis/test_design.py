@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -42,9 +40,9 @@ def loop_poles(x: taut.Snapshot, K: np.ndarray, D: np.ndarray) -> np.ndarray:
 
 def test_gains_of_a_single_joint_are_those_of_the_chapter() -> None:
     arm = taut.load_arm("one_joint").with_gravity([0.0, 0.0, 0.0])  # which the chapter leaves out here
-    d = taut.design(laws.PID, arm, zeta=1.0, omega_n=2.1, friction="arm")  # M = 0.5, b = 0.1
+    d = taut.design(laws.PID, arm, zeta=1.0, omega_n=2.1)  # M = 0.5
     assert gain(d, "kp") == pytest.approx([2.205], rel=1e-14)
-    assert gain(d, "kd") == pytest.approx([2.0], rel=1e-14)
+    assert gain(d, "kd") == pytest.approx([2.1], rel=1e-14)
     assert d.met
 
 
@@ -98,9 +96,8 @@ def test_coupled_joints_miss_what_matrices_meet() -> None:
     assert alike.got("zeta") == pytest.approx(0.7, rel=SAMPLED)
 
 
-@pytest.mark.parametrize("name", ["panda", "ur10"])
-def test_impedance_keeps_its_stiffness_and_stiffness_control_gets_damping_for_every_mode(name: str) -> None:
-    arm = taut.load_arm(name)
+def test_impedance_keeps_its_stiffness_and_stiffness_control_gets_damping_for_every_mode() -> None:
+    arm = taut.load_arm("panda")
     x = taut.snapshot(arm, arm.home)
     for law in (laws.Impedance, laws.Stiffness):
         d = taut.design(law, arm, at=arm.home, K=(800, 30), zeta=0.7, rate=1000.0)
@@ -110,34 +107,19 @@ def test_impedance_keeps_its_stiffness_and_stiffness_control_gets_damping_for_ev
             poles = loop_poles(x, J.T @ np.diag(gain(d, "K")) @ J, gain(d, "kd"))
             swinging = poles[np.abs(poles.imag) > 1e-6 * np.abs(poles)]
             assert -swinging.real / np.abs(swinging) == pytest.approx(0.7, rel=1e-6)
-        if name == "panda":
-            assert d.met
-            assert d.got("K") == pytest.approx([800.0] * 3 + [30.0] * 3, rel=1e-6)
+        assert d.met
+        assert d.got("K") == pytest.approx([800.0] * 3 + [30.0] * 3, rel=1e-6)
 
 
-def test_impedance_from_a_speed_has_the_arms_own_inertia_at_every_pose() -> None:
-    arm = taut.load_arm("planar3")
-    poses = [[0.3, 0.8, 0.4], [0.3, 1.0, 0.4]]
-    d = taut.design(laws.Impedance, arm, at=poses, zeta=0.7, omega_n=10.0)
+def test_impedance_from_a_speed_has_the_arms_own_inertia() -> None:
+    arm, q = taut.load_arm("planar3"), [0.3, 0.8, 0.4]
+    d = taut.design(laws.Impedance, arm, at=q, zeta=0.7, omega_n=10.0)
     assert gain(d, "zeta") == 0.7
-    assert sorted({row.pose for row in d.requirements}) == [0, 1]
-    alone = taut.design(laws.Impedance, arm, at=poses[0], zeta=0.7, omega_n=10.0)
-    x = taut.snapshot(arm, poses[0])
+    x = taut.snapshot(arm, q)
     J = np.asarray(x.J())[[0, 2, 4]]
     Lambda = np.linalg.inv(J @ np.linalg.solve(np.asarray(x.M), J.T))
-    assert gain(alone, "K")[np.ix_([0, 2, 4], [0, 2, 4])] == pytest.approx(100.0 * Lambda, rel=1e-9)
-    assert alone.met
-
-
-def test_over_several_poses_the_heaviest_counts() -> None:
-    arm = taut.load_arm("planar2")
-    poses = np.array([[0.3, 0.1], [0.3, 1.5], [0.3, 2.9]])
-    d = taut.design(laws.GravityPID, arm, at=poses, zeta=0.8, omega_n=6.0)
-    heaviest = np.max([np.diag(taut.snapshot(arm, q).M) for q in poses], axis=0)
-    assert gain(d, "kp") == pytest.approx(36.0 * heaviest, rel=1e-12)
-    assert len(d.requirements) == 3 * 4
-    alone = taut.load_arm("gantry3")
-    assert taut.design(laws.GravityPID, alone, at=[[0.0] * 3, [0.1] * 3], zeta=0.8, settling=0.6).met
+    assert gain(d, "K")[np.ix_([0, 2, 4], [0, 2, 4])] == pytest.approx(100.0 * Lambda, rel=1e-9)
+    assert d.met
 
 
 # -------------------------------------------------------------------- asked, got, met against simulation
@@ -160,7 +142,7 @@ def off_in_simulation(d: taut.analysis.Design, arm: taut.Arm, q: np.ndarray, joi
         arm, friction=None if takes == "torque" else "arm", takes=takes,  # type: ignore[arg-type]
         actuation=drives, integrator="rk4" if takes == "torque" else "semi-implicit-euler",
     )  # fmt: skip
-    rest, target = d.systems[0].point.q, q.copy()
+    rest, target = d.system.point.q, q.copy()
     target[joint] += SMALL
     ctrl, seconds = taut.compile(d.law, arm), float(d.steps.t[-1])
     run = taut.run(ctrl, plant, taut.JointMotion(q=target), q0=rest, duration=seconds, progress=False)
@@ -256,7 +238,7 @@ def test_what_can_be_is_met(make: Callable[[], Any], name: str, asked: dict[str,
 def test_a_stiffness_that_the_weight_changes_is_reported() -> None:
     arm = taut.load_arm("one_joint")
     d = taut.design(laws.PID, arm, at=[-1.2], zeta=1.0, K=10.0)
-    q = d.systems[0].point.q[0]
+    q = d.system.point.q[0]
     g = [float(taut.snapshot(arm, [q + s * 1e-5]).g[0]) for s in (1.0, -1.0)]
     assert d.got("K")[0] == pytest.approx(10.0 + (g[0] - g[1]) / 2e-5, rel=1e-5)
     assert not d.met
@@ -338,7 +320,7 @@ def test_what_the_rate_takes_is_missed_and_what_it_cannot_bear_is_blamed() -> No
     unstable = taut.design(laws.ComputedTorque, arm, zeta=1.0, omega_n=150.0, rate=100.0)
     assert not unstable.stable
     assert not unstable.met
-    assert unstable.systems[0].radius == pytest.approx(taut.linearise(loop, at=arm.home).radius, rel=1e-4)
+    assert unstable.system.radius == pytest.approx(taut.linearise(loop, at=arm.home).radius, rel=1e-4)
     assert np.isnan(unstable.got("zeta")).all()
     factor = unstable.limit("largest factor")
     assert factor.where == "law.kd"
@@ -361,7 +343,7 @@ def test_the_largest_step_is_the_one_that_takes_all_the_torque() -> None:
     for law in (laws.ComputedTorque, laws.PID):
         d = taut.design(law, arm, at=q, zeta=0.7, omega_n=40.0)  # small steps, as good as linear
         ctrl = taut.compile(d.law, arm, limits=taut.Limits(tau=arm.effort))
-        plant, rest = taut.RigidPlant(arm, friction=None), d.systems[0].point.q
+        plant, rest = taut.RigidPlant(arm, friction=None), d.system.point.q
         limit = d.limit("largest step")
         for share, cut in ((0.97, False), (1.03, True)):
             saturated = []
@@ -450,12 +432,6 @@ def test_what_says_too_little_or_too_much_is_refused_by_name(
     assert refused.value.name == name  # type: ignore[attr-defined]
 
 
-def test_friction_that_damps_more_than_is_asked_for_is_refused() -> None:
-    arm = taut.load_arm("one_joint").with_friction(taut.Friction(viscous=50.0))
-    with pytest.raises(taut.errors.RangeError, match="friction"):
-        taut.design(laws.PID, arm, zeta=0.7, omega_n=5.0, friction="arm")
-
-
 def test_poses_that_cannot_be_are_refused_by_name() -> None:
     with pytest.raises(taut.errors.RangeError) as outside:
         taut.design(laws.PID, taut.load_arm("panda"), at=np.zeros(7), zeta=1.0, omega_n=5.0)
@@ -463,7 +439,7 @@ def test_poses_that_cannot_be_are_refused_by_name() -> None:
     with pytest.raises(taut.errors.RangeError, match=r"'planar3' is singular") as singular:
         taut.design(laws.Impedance, taut.load_arm("planar3"), at=[0.3, 0.0, 0.0], zeta=1.0, K=(100.0, 1.0))
     assert singular.value.name == "at"
-    with pytest.raises(taut.errors.UsageError, match="design takes an Arm"):
+    with pytest.raises(taut.errors.UsageError, match="arm must be an Arm"):
         taut.design(laws.PID, "panda", zeta=1.0, omega_n=5.0)  # type: ignore[arg-type]
 
 
@@ -480,14 +456,3 @@ def test_a_design_describes_itself(tmp_path: Path) -> None:
     page = taut.report(d, tmp_path / "d.html").read_text(encoding="utf-8")
     assert "asked and got" in page
     assert "<img" in page
-
-
-def test_a_design_passes_few_modules_of_analysis() -> None:
-    code = (
-        "import sys, taut; d = taut.design(taut.laws.PID, taut.load_arm('one_joint'), zeta=1, omega_n=10); "
-        "print(d.met, sum(m.startswith('taut.analysis.') for m in sys.modules))"
-    )
-    out = subprocess.run([sys.executable, "-W", "ignore", "-c", code], capture_output=True, text=True, check=True)
-    met, count = out.stdout.split()
-    assert met == "True"
-    assert int(count) <= 12

@@ -75,15 +75,6 @@ def test_the_gradient_is_that_of_central_differences(noisy: tuple[taut.Loop, tau
         assert along.cost_slopes[i].mean() == pytest.approx(differences, rel=1e-6)
 
 
-def test_a_cost_of_ticks_written_by_the_user_has_the_same_gradient(noisy: tuple[taut.Loop, taut.Arm]) -> None:
-    loop, _ = noisy
-    q, ways = np.array([0.3, 0.8]), {"law.kd": np.ones(1)}
-    own = RunGradient(loop, ("law.kd",), lambda tick: tick.e @ tick.e + 1e-5 * (tick.tau @ tick.tau))
-    ours = RunGradient(loop, ("law.kd",), {"tracking": 1.0, "effort": 1e-5})
-    ways_own, ways_ours = (each.at({}, ways, q, np.zeros(2), 1).cost_slopes for each in (own, ours))
-    assert ways_own == pytest.approx(ways_ours, rel=1e-12, abs=1e-18)
-
-
 def test_the_tool_has_the_same_cost_by_ticks_and_by_runs() -> None:
     arm = taut.load_arm("planar3")
     ctrl = taut.compile(laws.TaskComputedTorque(kp=80.0, kd=10.0), arm)
@@ -154,13 +145,6 @@ def test_a_limit_of_the_torque_rate_is_kept_where_the_controller_has_none(loop: 
 # -------------------------------------------------------------------- what goes wrong on the way
 
 
-def test_a_cost_that_goes_with_no_symbols_is_refused_with_what_it_is_a_function_of(loop: taut.Loop) -> None:
-    with pytest.raises(
-        taut.errors.UsageError, match=r"a function of a taut.analysis.Tick .* write it with taut.math"
-    ):
-        taut.tune(loop, ("law.kd",), cost=lambda tick: tick.q[0].item() ** 2, q0=[0.0])
-
-
 @pytest.mark.parametrize(
     ("asked", "words"),
     [
@@ -192,13 +176,12 @@ def test_what_ends_at_a_bound_is_told() -> None:
     assert one.notes == ("law.kd[0] ends at its high bound; bounds= moves it",)
 
 
-def test_what_was_tuned_is_text_data_and_a_figure(loop: taut.Loop) -> None:
+def test_what_was_tuned_is_text_and_data(loop: taut.Loop) -> None:
     tuned = taut.tune(loop, ("law.kd",), q0=[0.0], evaluations=2)
     assert "after 2 trials" in str(tuned)
     assert tuned.notes[0] == "ended after 2 trials, which evaluations= allows"
     rows = tuned.json()["tables"]["loops"]
     assert [row["cost"] for row in rows] == [tuned.before[0].cost, tuned.after[0].cost]
-    assert len(tuned.plot().axes) == 1
 
 
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
@@ -222,12 +205,9 @@ def test_runs_that_diverge_are_told_and_never_best() -> None:
         ({"bounds": {"law.kd": (3.0, 4.0)}}, "bounds of law.kd must have low < high and the start 2.0 between"),
         ({"bounds": {"law.kd": (4.0, 3.0)}}, "bounds of law.kd must have low < high"),
         ({"bounds": {"law.kp": (1.0, 2.0)}}, "paths has no parameter to bound 'law.kp'"),
-        ({"cost": "traking"}, "taut.tune has no cost 'traking'; did you mean 'tracking'"),
-        ({"cost": "rotation"}, "cost 'rotation' is of a motion of the tool"),
-        (
-            {"cost": lambda tick: -(tick.e @ tick.e)},
-            "the start needs a finite cost above 0: the cost of 'loop' is -",
-        ),
+        ({"cost": "traking"}, "has no cost 'traking'; did you mean 'tracking'"),
+        ({"cost": "rotation"}, "a law that follows a JointMotion has no cost 'rotation'"),
+        ({"cost": {"tracking": -1.0}}, "the start needs a finite cost above 0: the cost of 'loop' is -"),
         ({"evaluations": 0}, "evaluations must be a whole number >= 1"),
         ({"seeds": ()}, "seeds must have one number at least"),
         ({"seeds": (-1,)}, "seeds must be a whole number >= 0"),
@@ -262,7 +242,7 @@ def test_a_law_of_forces_is_tuned_by_its_effort_and_has_no_tracking_error() -> N
     )
     tuned = taut.tune(loop, ("law.kdamp",), cost="effort", q0=[0.3, 0.8], evaluations=2)
     assert np.isnan(tuned.before[0].rms_error)
-    with pytest.raises(taut.errors.UsageError, match="cost 'tracking' is of a motion of the tool"):
+    with pytest.raises(taut.errors.UnknownNameError, match="has no cost 'tracking'"):
         taut.tune(loop, ("law.kdamp",), q0=[0.3, 0.8])
 
 
@@ -295,10 +275,16 @@ def panda_loops(first: int, count: int, *, measured: bool) -> dict[str, taut.Loo
     return loops
 
 
-def with_parameters(loop: taut.Loop, values: Any) -> taut.Loop:
-    for path, value in values.items():
-        loop.parameters[path] = value
-    return loop
+def runs_before_and_after(
+    tuned: taut.analysis.Tuned, loop: taut.Loop, seeds: tuple[int, ...]
+) -> list[tuple[taut.Run, taut.Run]]:
+    """Runs of a loop that was in no tuning, with the parameters of the start and with those found."""
+    runs = []
+    for values in (tuned.start, tuned.parameters):
+        for path, value in values.items():
+            loop.parameters[path] = value
+        runs.append([taut.run(loop, q0=loop.ref.at(0.0).q, seed=seed, progress=False) for seed in seeds])
+    return list(zip(*runs, strict=True))
 
 
 @pytest.mark.bars
@@ -310,27 +296,22 @@ def test_the_tracking_error_of_a_panda_with_an_unknown_payload_falls(share: Call
         tuned = taut.tune(
             panda_loops(1, 3 if whole else 1, measured=measured), tuple(bounds), bounds=bounds,
             limits=limits, chatter=0.99, seeds=(0, 1, 2) if whole and not measured else (0,),
-            held_out=panda_loops(11, 5 if whole else 1, measured=measured), evaluations=40 if whole else 6,
+            evaluations=40 if whole else 6,
         )  # fmt: skip
         for before, after in zip(tuned.before, tuned.after, strict=True):
             assert after.torque <= 1.0
             assert after.rate <= 1.0 + 1e-9
-            if not (measured and after.held_out):  # there it is the motion's own, by 4 % at most
-                assert after.chatter <= before.chatter
+            assert after.chatter <= before.chatter
         if whole and not measured:  # paths and noise that were in no tuning, nor looked at
             for name, loop in panda_loops(21, 10, measured=False).items():
-                before, after = (
-                    [
-                        taut.run(with_parameters(loop, values), q0=loop.ref.at(0.0).q, seed=seed, progress=False)
-                        for seed in (7, 8)
-                    ]
-                    for values in (tuned.start, tuned.parameters)
-                )
-                for b, a in zip(before, after, strict=True):
+                for b, a in runs_before_and_after(tuned, loop, (7, 8)):
                     assert np.sum(a.error**2) < 0.8 * np.sum(b.error**2), name
                     assert a.metrics.chatter.sum() <= b.metrics.chatter.sum(), name
-        told = max(tuned.ratios[each.name] for each in tuned.after if not each.held_out)
-        others = max(tuned.ratios[each.name] for each in tuned.after if each.held_out)
+        told, others = max(tuned.ratios.values()), 0.0
+        for loop in panda_loops(11, 5 if whole else 1, measured=measured).values():
+            ((b, a),) = runs_before_and_after(tuned, loop, (0,))
+            others = max(others, float(np.sum(a.error**2) / np.sum(b.error**2)))
+            assert measured or a.metrics.chatter.sum() <= b.metrics.chatter.sum()  # there it is the motion's own
         assert told <= 0.7
         assert others <= 0.8
         how = "measured velocity, 21 gains" if measured else "differenced velocity, 3 gains"

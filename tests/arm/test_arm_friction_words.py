@@ -114,7 +114,7 @@ class TestTransmissions:
         text = with_transmissions(("shoulder", "<mechanicalReduction>50</mechanicalReduction>"))
         report = check_model(written(tmp_path, text))
         (head,) = [line for line in report.text().splitlines() if line.startswith("joint ")]
-        assert head.split()[-3:] == ["gear", "rotor", "unit"]
+        assert head.split()[-4:] == ["gear", "rotor", "inertia", "unit"]
         assert "gear" not in check_model("planar2").text()
         joints = report.json()["joints"]
         assert [joint["gear"] for joint in joints] == [50.0, 1.0]  # type: ignore[union-attr,index,call-overload]
@@ -123,6 +123,6 @@ class TestTransmissions:
 def test_an_arms_friction_is_a_table() -> None:
     arm = taut.load_arm("planar2").with_joints(coulomb=0.1, static={"joint1": 0.4}, stribeck={"joint1": 0.05})
     head, first, second = str(joint_table(arm.joints)).splitlines()
-    assert head.split()[-5:-1] == ["friction", "static", "stribeck", "rotor"]
+    assert head.split()[-6:-1] == ["coulomb", "static", "stribeck", "rotor", "inertia"]
     assert first.split()[10:13] == ["0.1", "0.4", "0.05"]
     assert second.split()[10:13] == ["0.1", "same", "0"]

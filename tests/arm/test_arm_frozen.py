@@ -76,7 +76,6 @@ def made_in_every_way(tmp_path: Path) -> Iterator[tuple[str, Arm]]:
     yield "tool", arm.with_tool("panda_link8", Pose([0.1, 0.2, 0.3]))
     yield "gravity", arm.with_gravity(np.array([0.0, 1.0, -9.0]))
     yield "payload", arm.with_payload(1.0, com=np.array([0.1, 0.0, 0.0]), inertia=0.01 * np.eye(3))
-    yield "home", arm.with_home(np.array(arm.home))
     yield "subset", arm.subset(arm.joint_names[2:5])
     yield "perturbed", arm.perturbed(seed=1, mass=0.1, com=0.01, inertia=0.1, friction=0.1)
     yield "body", arm.with_body("panda_joint3", com=np.array([0.0, 0.1, 0.0]), inertia=0.1 * np.eye(3))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,6 @@ from arm_models import DUO
 from taut.arm.load import load_arm
 from taut.base.errors import (
     FileError,
-    MissingExtraError,
     ModelError,
     RangeError,
     ShapeError,
@@ -36,12 +34,6 @@ HINT = " (taut arms lists them; a file is named with its suffix, .urdf or .xml)"
         (7, UsageError, "model must be a name or a path; got int"),
         (None, UsageError, "model must be a name or a path; got NoneType"),
         ("a\0b", UsageError, "model must be a name or a path; got 'a\\x00b'"),
-        (
-            "some_arm_description",
-            MissingExtraError,
-            "the name 'some_arm_description' needs the package 'robot_descriptions', which is not installed; "
-            "pip install robot_descriptions installs it, and taut arms lists the names that need no download",
-        ),
     ],
 )
 def test_what_is_no_model_is_refused_in_one_sentence(model: object, error: type[TautError], message: str) -> None:
@@ -112,22 +104,12 @@ def test_a_locked_joint_is_where_it_was_locked() -> None:
     assert less.total_mass == pytest.approx(whole.total_mass)
 
 
-def test_named_joints_move_and_the_others_are_held_at_home() -> None:
-    arm = load_arm("planar3", joints=["joint1", "joint3"])
-    assert arm.joint_names == ("joint1", "joint3")
-    np.testing.assert_allclose(arm.joints[1].placement.p, (0.4 + 0.3 * 0.5, 0, 0.3 * math.sqrt(3) / 2), atol=1e-15)
-    arm = load_arm("planar3", joints=["joint1", "joint3"], home={"joint2": 0.0})
-    np.testing.assert_allclose(arm.joints[1].placement.p, (0.7, 0, 0), atol=1e-15)
-    assert load_arm("panda", joints=["panda_joint1", "panda_finger_joint1"]).n == 2
-    assert load_arm("planar3", joints="joint2").joint_names == ("joint2",)
-
-
-def test_what_is_left_out_needs_no_limits(tmp_path: Path) -> None:
+def test_what_is_locked_needs_no_limits(tmp_path: Path) -> None:
     file = tmp_path / "duo.urdf"
     file.write_text(DUO.replace('    <limit lower="-2" upper="2" velocity="3" effort="40"/>\n', ""))
     with pytest.raises(ModelError):
         load_arm(file)
-    assert load_arm(file, joints=["elbow"]).joint_names == ("elbow",)
+    assert load_arm(file, locked={"shoulder": 0.0}).joint_names == ("elbow",)
 
 
 def test_home_is_given_by_name_or_as_a_list() -> None:
@@ -147,14 +129,8 @@ def test_home_is_given_by_name_or_as_a_list() -> None:
         ({"locked": {"<tool>": 0.0}}, UsageError, "joint '<tool>' is fixed in the file already; leave it out of locked="),
         ({"locked": ["joint1"]}, UsageError, "locked must be joint names with positions, {'joint': 0.0}; got list"),
         ({"locked": {"joint1": 0.0, "joint2": 0.0}}, ModelError, "built in: no joint moves; an arm needs one at least"),
-        ({"locked": {3: 0.0}}, UsageError, "locked must name joints; got 3, which is no name"),
-        ({"locked": {"joint9": 0.0}, "joints": ["joint1"]}, UnknownNameError, "model 'planar2' has no joint 'joint9'; did you mean 'joint2' or 'joint1'?"),
-        ({"home": {1: 0.0}}, UsageError, "home must name joints; got 1, which is no name"),
-        ({"joints": 3}, UsageError, "joints must name joints; got 3, which is no name"),
-        ({"joints": [["joint1"]]}, UsageError, "joints must name joints; got ['joint1'], which is no name"),
-        ({"joints": []}, UsageError, "joints must name one joint at least; got none"),
-        ({"joints": ["joint1", "elbow"]}, UnknownNameError, "model 'planar2' has no joint 'elbow'; it has 'joint1', 'joint2'"),
-        ({"joints": ["joint1"], "locked": {"joint1": 0.0}}, UsageError, "joint 'joint1' is both in joints= and in locked=; take it out of one"),
+        ({"locked": {3: 0.0}}, UnknownNameError, "a joint of model 'planar2' is named by a text; got 3"),
+        ({"home": {1: 0.0}}, UnknownNameError, "a joint of model 'planar2' is named by a text; got 1"),
         ({"home": [0.0]}, ShapeError, "home must have shape (2,) (2 joints); got shape (1,)"),
         ({"home": [0.0, math.nan]}, RangeError, "home[1] (joint 'joint2') must be finite; got nan"),
         ({"home": {"joint3": 0.0}}, UnknownNameError, "model 'planar2' has no joint 'joint3'; did you mean 'joint2' or 'joint1'?"),
@@ -179,8 +155,6 @@ def test_positions_out_of_limits_are_refused() -> None:
     assert caught.value.joint == "panda_joint4"
     with pytest.raises(RangeError, match=r"locked\['panda_joint4'\] must be within the joint's limits"):
         load_arm("panda", locked={"panda_joint4": 0.0})
-    with pytest.raises(RangeError, match=r"home\[3\] \(joint 'panda_joint4'\) must be within the joint's limits"):
-        load_arm("panda").with_home(np.zeros(7))
 
 
 def test_several_ends_make_the_tool_a_question(tmp_path: Path) -> None:
@@ -200,59 +174,3 @@ def test_home_of_a_file_is_zero_or_the_middle_of_the_limits(tmp_path: Path) -> N
     file = tmp_path / "duo.urdf"
     file.write_text(DUO.replace('lower="-2" upper="2"', 'lower="1" upper="2"'))
     np.testing.assert_allclose(load_arm(file).home, (1.5, 0.0))
-
-
-# -------------------------------------------------------------------- robot_descriptions
-
-
-@pytest.fixture
-def descriptions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A package that looks like robot_descriptions."""
-    package = tmp_path / "robot_descriptions"
-    package.mkdir()
-    model = tmp_path / "cache" / "duo_package"
-    model.mkdir(parents=True)
-    (model / "duo.urdf").write_text(DUO)
-    (package / "__init__.py").write_text("")
-    (package / "duo_description.py").write_text(
-        f"PACKAGE_PATH = {str(model)!r}\nURDF_PATH = {str(model / 'duo.urdf')!r}\n"
-    )
-    (package / "picture_description.py").write_text("PACKAGE_PATH = '/'\n")
-    (package / "far_description.py").write_text("raise RuntimeError('could not resolve host: github.com\\nmore')\n")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    yield package
-    for name in [name for name in sys.modules if name.startswith("robot_descriptions")]:
-        del sys.modules[name]
-
-
-@pytest.mark.usefixtures("descriptions")
-def test_a_description_is_loaded_by_its_name() -> None:
-    assert load_arm("duo_description").joint_names == ("shoulder", "elbow")
-
-
-@pytest.mark.usefixtures("descriptions")
-@pytest.mark.parametrize(
-    ("name", "error", "message"),
-    [
-        (
-            "du_description",
-            UnknownNameError,
-            "robot_descriptions has no description 'du_description'; did you mean 'duo_description' or 'far_description'?",
-        ),
-        (
-            "picture_description",
-            FileError,
-            "robot_descriptions has neither URDF nor MJCF of 'picture_description'; name another description",
-        ),
-        (
-            "far_description",
-            FileError,
-            "robot_descriptions could not supply 'far_description': could not resolve host: github.com; it "
-            "downloads models: check the network, or give the path of a file",
-        ),
-    ],
-)
-def test_a_description_that_does_not_come_is_one_sentence(name: str, error: type[TautError], message: str) -> None:
-    with pytest.raises(error) as caught:
-        load_arm(name)
-    assert str(caught.value) == message

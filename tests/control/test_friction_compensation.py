@@ -133,7 +133,7 @@ class TestTheLoopThatItLeaves:
             start = ref.at(0.0)
             ctrl = taut.compile(law, arm, rate=2000.0)
             run = taut.run(ctrl, taut.RigidPlant(arm), ref, duration=6.0, q0=start.q, v0=start.v)
-            errors[name] = run.metrics.overall["rms_error"]
+            errors[name] = run.metrics.overall("rms_error")
         assert errors["alone"] > 0.01  # mu / (M kp) alone is 0.01 rad
         assert errors["compensated"] < 0.05 * errors["alone"]
 

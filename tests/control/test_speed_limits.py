@@ -69,7 +69,7 @@ class TestASpeedLimit:
         assert fastest.max() > 0.9
         assert (np.abs(out.command) <= arm.effort).all()
         assert np.abs(out.error[-1]).max() < 0.05
-        assert out.metrics.overall["speed_limit_time"] > 0.02
+        assert np.any(out.terms["speed_limit"] != 0.0, axis=1).sum() > 20
 
     def test_lets_a_single_joint_come_up_to_it_as_the_docstring_says(self) -> None:
         arm = taut.load_arm("one_joint").with_joints(viscous=[0.0])

@@ -13,7 +13,7 @@ from mcap.writer import CompressionType, Writer
 
 import taut
 from taut.record.log.reading import MAGIC
-from taut.record.log.writing import CHUNK_BYTES, TICKS, Ending, Header, TickLayout, columns_of, sealed
+from taut.record.log.writing import CHUNK_BYTES, TICKS, Ending, Header, TickLayout, sealed
 from taut.record.plain import plain
 
 
@@ -34,7 +34,7 @@ def write_log(
         writer.add_metadata("taut.run", sealed(json.dumps(values if changed is None else changed)))
         schema = writer.register_schema("taut/msg/Tick", "ros2msg", layout.schema().encode())
         channel = writer.register_channel(TICKS, "cdr", schema)
-        for k, row in enumerate(layout.rows(columns_of(run))):
+        for k, row in enumerate(layout.rows(run.arrays())):
             writer.add_message(channel, k, row.tobytes(), k, k)
         writer.add_metadata("taut.outcome", sealed(json.dumps(ending if end is None else end)))
         writer.finish()

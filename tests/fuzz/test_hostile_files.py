@@ -118,23 +118,6 @@ def test_a_matplotlibrc_of_the_current_folder_is_ignored(tmp_path: Path) -> None
     assert (tmp_path / "r.html").stat().st_size > 1000
 
 
-def test_a_scenario_downloads_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    package = tmp_path / "robot_descriptions"
-    package.mkdir()
-    (package / "__init__.py").write_text("")
-    (package / "x_description.py").write_text("raise AssertionError('imported')")
-    monkeypatch.syspath_prepend(tmp_path)
-    for key in ("arm", "plant"):
-        text = f'[arm]\nmodel = "planar2"\n[laws.PID]\nlaw = "PID"\nkp = 1\n[run]\nduration = 1\n[{key}]\n'
-        text = text.replace("[arm]\n", "", 1) if key == "arm" else text
-        (tmp_path / "case.toml").write_text(
-            text.replace('model = "planar2"\n', "", key == "arm") + 'model = "x_description"\n'
-        )
-        with pytest.raises(taut.errors.ScenarioError, match="x_description") as refused:
-            load_scenario(str(tmp_path / "case.toml"))
-        assert "imported" not in str(refused.value)
-
-
 # -------------------------------------------------------------------- logs
 
 
@@ -387,6 +370,7 @@ def test_no_arm_of_the_catalogue_is_doubted() -> None:
         ('stiffness="0"', 'stiffness="-5"'),
         ('density="800"', 'density="-1"'),
         ('range="0 0.2"', 'range="0 1e300"'),
+        ('range="-2 2"', 'range="0 1e300"'),
         ("<worldbody>", f'<include file="{"a" * 5000}"/><worldbody>'),
     ],
 )
@@ -400,11 +384,6 @@ def test_mjcf_that_no_arm_has_is_refused(old: str, new: str, tmp_path: Path) -> 
 def test_a_spring_of_mjcf_is_noted(tmp_path: Path) -> None:
     (tmp_path / "arm.xml").write_text(MJCF.replace('stiffness="0"', 'stiffness="5"'))
     assert any("springs left out" in note for note in taut.load_arm(tmp_path / "arm.xml").notes)
-
-
-def test_a_hinge_of_huge_range_is_an_arm(tmp_path: Path) -> None:
-    (tmp_path / "arm.xml").write_text(MJCF.replace('range="-2 2"', 'range="0 1e300"'))
-    assert taut.load_arm(tmp_path / "arm.xml").n == 3
 
 
 @pytest.mark.parametrize("change", [{"kt": 1e-320}, {"R": 1e-320}, {"armature": 1e-320}, {"kt": 1e300}])

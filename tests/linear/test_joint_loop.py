@@ -25,7 +25,7 @@ def test_figure_10_5_has_three_cases(kp: float) -> None:
 
 def test_the_rule_of_four_time_constants_is_not_the_settling_time() -> None:
     d = taut.error_dynamics(**CHAPTER)
-    assert 4.0 * d.time_constant == pytest.approx(1.905, abs=1e-3)
+    assert 4.0 / d.decay_rate == pytest.approx(1.905, abs=1e-3)
     assert d.step().settling_time == pytest.approx(2.778, abs=1e-3)
 
 

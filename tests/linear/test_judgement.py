@@ -195,7 +195,6 @@ class TestAgreement:
         assert isinstance(found, Judgement)
         assert isinstance(smooth, Judgement)
         assert found.radius == pytest.approx(smooth.radius, rel=1e-9)
-        assert "without quantisation" in found.plant
 
 
 class TestFriction:

@@ -32,7 +32,7 @@ def test_the_chapter_s_critically_damped_joint_has_its_exact_double_pole_and_set
     assert step.settling_time * 2.1 == pytest.approx(5.833922, abs=1e-6)  # (1 + x) exp(-x) = 0.02
     assert step.overshoot == 0.0
     assert math.isnan(step.peak_time)
-    assert critical.time_constant == pytest.approx(1.0 / 2.1)
+    assert critical.decay_rate == pytest.approx(2.1)
 
 
 @pytest.mark.parametrize("zeta", [0.1, 0.3, 0.7, 0.9])

@@ -11,7 +11,6 @@ import pytest
 
 import taut
 from taut.record.log import export
-from taut.record.log.writing import columns_of
 
 
 def test_arrays_have_every_number_by_name(noisy_run: taut.Run) -> None:
@@ -25,17 +24,11 @@ def test_a_csv_reads_back_exactly(noisy_run: taut.Run, tmp_path: Path) -> None:
     path = noisy_run.to_csv(tmp_path / "run.csv")
     with path.open(encoding="utf-8", newline="") as file:
         header, *lines = csv.reader(file)
-    expected = np.hstack([array.reshape(250, -1) for array in columns_of(noisy_run).values()])
+    expected = np.hstack([array.reshape(250, -1) for array in noisy_run.arrays().values()])
     assert np.array([[float(word) for word in line] for line in lines]).tobytes() == expected.tobytes()
-    assert header[:5] == ["t [s]", "q.shoulder [rad]", "q.slide [m]", "q.gelenk-ü [rad]", "v.shoulder [rad/s]"]
-    assert "tau.slide [N]" in header
-    assert "terms.P.shoulder [N m]" in header
-    assert "reference.a.slide [m/s^2]" in header
-    assert header[-7:] == [
-        *(f"extra.F_ext.{i} [N]" for i in range(3)),
-        *(f"extra.F_ext.{i} [N m]" for i in range(3, 6)),
-        "extra.contact",
-    ]
+    assert header[:5] == ["t", "q.shoulder", "q.slide", "q.gelenk-ü", "v.shoulder"]
+    assert {"tau.slide", "terms.P.shoulder", "reference.a.slide"} <= {*header}
+    assert header[-7:] == [*(f"extra.F_ext.{i}" for i in range(6)), "extra.contact"]
     assert len(set(header)) == len(header)
 
 
@@ -48,7 +41,7 @@ def test_joints_with_commas_in_their_names_stay_one_column(make_run: Any, tmp_pa
     run = make_run([0.0], [[1.0, 2.0]], joint_names=("a,b", 'c"d'))
     with run.to_csv(tmp_path / "run.csv").open(newline="") as file:
         header = next(csv.reader(file))
-    assert header[1:3] == ["q.a,b [rad]", 'q.c"d [rad]']
+    assert header[1:3] == ["q.a,b", 'q.c"d']
 
 
 def test_a_wrong_suffix_or_folder_gets_one_sentence(noisy_run: taut.Run, tmp_path: Path) -> None:
@@ -72,11 +65,3 @@ def test_nothing_half_written_is_left_behind(
         noisy_run.to_csv(path)
     assert [file.name for file in tmp_path.iterdir()] == ["run.csv"]
     assert path.read_bytes() == b"old"
-
-
-def test_work_has_its_unit(tmp_path: Path) -> None:
-    arm = taut.load_arm("planar2").with_friction(taut.Friction(coulomb=0.5))
-    ctrl = taut.compile(taut.laws.PID(kp=20.0, kd=2.0), arm)
-    run = taut.run(ctrl, taut.RigidPlant(arm, energy=True), taut.JointMotion(q=arm.home), duration=0.01)
-    header = run.to_csv(tmp_path / "run.csv").read_text(encoding="utf-8").splitlines()[0]
-    assert "extra.work.dry.1 [J]" in header

@@ -19,13 +19,13 @@ from mcap_ros2.decoder import DecoderFactory
 import taut
 from taut.record.info import RunInfo
 from taut.record.log import writing as log_module
-from taut.record.log.writing import Header, columns_of, open_log, sealed
+from taut.record.log.writing import Header, open_log, sealed
 from taut.record.plain import plain
 
 
 def assert_same(a: taut.Run, b: taut.Run) -> None:
     """Every array bit by bit, and everything else."""
-    left, right = columns_of(a), columns_of(b)
+    left, right = a.arrays(), b.arrays()
     assert list(left) == list(right)
     for name in left:
         assert left[name].shape == right[name].shape, name
@@ -38,7 +38,7 @@ def assert_same(a: taut.Run, b: taut.Run) -> None:
 
 def part(run: taut.Run, first: int, last: int) -> taut.Run:
     """Some ticks of a run."""
-    cut = {name: value[first:last] for name, value in columns_of(run).items()}
+    cut = {name: value[first:last] for name, value in run.arrays().items()}
 
     def under(head: str) -> dict[str, Any]:
         return {name.partition(".")[2]: v for name, v in cut.items() if name.startswith(head)}

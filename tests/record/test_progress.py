@@ -12,8 +12,6 @@ import pytest
 
 import taut
 from taut.record import film, progress, render
-from taut.record.log import export
-from taut.record.log import writing as log
 
 
 class Terminal(io.StringIO):
@@ -79,23 +77,9 @@ class Counting(progress.Progress):
 
 @pytest.fixture
 def counted(monkeypatch: pytest.MonkeyPatch) -> list[Counting]:
-    for module in (export, log, film):
-        monkeypatch.setattr(module, "Progress", Counting)
+    monkeypatch.setattr(film, "Progress", Counting)
     monkeypatch.setattr(Counting, "made", [])
     return Counting.made
-
-
-@pytest.mark.parametrize("show", [None, True, False])
-def test_writing_a_long_run_shows_progress_block_by_block(
-    make_run: Any, tmp_path: Path, counted: list[Counting], show: bool | None
-) -> None:
-    run = make_run(np.arange(9000) * 0.001, np.zeros((9000, 40)))
-    run.to_csv(tmp_path / "run.csv", progress=show)
-    run.save(tmp_path / "run.mcap", progress=show)
-    assert [(bar.total, bar.asked, bar.what, sum(bar.steps)) for bar in counted] == [
-        (9000, show, "writing", 9000)
-    ] * 2
-    assert all(len(bar.steps) > 1 for bar in counted)
 
 
 def test_a_film_shows_progress_picture_by_picture(
@@ -105,6 +89,6 @@ def test_a_film_shows_progress_picture_by_picture(
     monkeypatch.setattr(render, "opened", lambda *_: contextlib.nullcontext(blank))
     arm = taut.load_arm("one_joint")
     run = make_run(np.arange(100) * 0.01, np.zeros((100, 1)), arm=arm, joint_names=arm.joint_names)
-    run.video(tmp_path / "run.gif", fps=10, size=(32, 32), progress=True)
+    run.video(tmp_path / "run.gif", fps=10, size=(32, 32))
     (bar,) = counted
-    assert (bar.total, bar.asked, bar.what, bar.steps) == (10, True, "drawing", [1] * 10)
+    assert (bar.total, bar.asked, bar.what, bar.steps) == (10, None, "drawing", [1] * 10)

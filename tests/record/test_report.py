@@ -21,7 +21,7 @@ import taut
 from taut.analysis import Content, Result, Table
 from taut.base.errors import FileError, UsageError
 from taut.cli.main import main
-from taut.record.report import content_of, html_of, without_folders
+from taut.record.report import html_of, without_folders
 
 HTML = "{http://www.w3.org/1999/xhtml}"
 MOST_BYTES = 3_000_000
@@ -83,7 +83,7 @@ def test_the_report_of_a_run_has_its_figures_picture_settings_versions(run: taut
     }
     first = next(element for element in tree(text) if element.tag == HTML + "tbody")
     figures = {row[0].text: [cell.text for cell in row[1:3]] for row in first}
-    for name, number in (("RMS error", run.metrics.overall["rms_error"]), ("effort", run.metrics.overall["effort"])):
+    for name, number in (("RMS error", run.metrics.overall("rms_error")), ("effort", run.metrics.overall("effort"))):
         assert float(figures[name][0]) == pytest.approx(number, rel=1e-3)
     assert figures["effort"][1] == "(N m)^2 s"
     assert ("plant.payload.mass", "0.7") in rows
@@ -102,9 +102,9 @@ def test_a_title_ends_with_a_clause_and_not_within_a_word() -> None:
     d = taut.error_dynamics(M=0.5, b=0.1, kp=2.205, kd=2.0)
     ctrl = taut.compile(taut.laws.GravityPID(kp=60.0, kd=9.0), taut.load_arm("planar2"))
     made = taut.run(ctrl, taut.RigidPlant(taut.load_arm("planar2")), taut.JointMotion(q=[0.3, 0.8]), duration=0.1)
-    title = content_of(taut.analysis.lyapunov(made)).title
+    title = taut.analysis.lyapunov(made).content().title
     assert title.startswith("Lyapunov function")
-    assert content_of(d).title.lower() == "linear system of 2 states in continuous time"
+    assert d.content().title.lower() == "linear system of 2 states in continuous time"
 
 
 def test_a_run_of_a_scenario_is_repeated_by_its_command(
@@ -287,7 +287,7 @@ def test_gaps_are_told(run: taut.Run) -> None:
     terms = {name: values[kept] for name, values in run.terms.items()}
     wanted = taut.JointMotion.of({name: getattr(run.reference, name)[kept] for name in "qva"})
     holey = dataclasses.replace(run, **fields, terms=terms, reference=wanted)
-    assert content_of(holey).faults[0].startswith("The run has a gap, from t = 0.099 to 0.12 s")
+    assert holey.content().faults[0].startswith("The run has a gap, from t = 0.099 to 0.12 s")
 
 
 @pytest.mark.parametrize(
@@ -332,8 +332,8 @@ def test_long_names_in_heads_may_break_and_one_joint_is_one(run: taut.Run) -> No
     assert "a_b</td>" in text
     arm = taut.load_arm("one_joint")
     ctrl = taut.compile(taut.laws.PID(kp=1.0), arm)
-    assert ", 1 joint. " in content_of(taut.run(ctrl, taut.RigidPlant(arm), duration=0.01)).summary[0]
-    assert f", {run.n} joints. " in content_of(run).summary[0]
+    assert ", 1 joint. " in taut.run(ctrl, taut.RigidPlant(arm), duration=0.01).content().summary[0]
+    assert f", {run.n} joints. " in run.content().summary[0]
 
 
 def test_what_prints_has_a_report_whose_title_says_what_it_is(run: taut.Run, tmp_path: Path) -> None:

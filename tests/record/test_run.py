@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import taut
-from taut.record.log.writing import columns_of
 
 
 def test_a_run_says_what_it_is(noisy_run: taut.Run) -> None:
@@ -30,8 +29,8 @@ def test_a_stretch_of_a_run_has_its_ticks_and_metrics(noisy_run: taut.Run) -> No
     part = noisy_run.between(0.1, 0.2)
     assert len(part) == 101
     assert (part.t[0], part.t[-1]) == (noisy_run.t[100], noisy_run.t[200])
-    for name, values in columns_of(noisy_run).items():
-        np.testing.assert_array_equal(columns_of(part)[name], values[100:201])
+    for name, values in noisy_run.arrays().items():
+        np.testing.assert_array_equal(part.arrays()[name], values[100:201])
     assert part.metrics.duration == pytest.approx(0.1)
     assert noisy_run.error is not None
     np.testing.assert_array_equal(part.metrics.final_error, noisy_run.error[200])

@@ -5,8 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import os
-import stat
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -96,9 +94,8 @@ def test_without_opengl_there_is_one_sentence_and_no_file(moving: Any, tmp_path:
     path = tmp_path / "run.gif"
     with pytest.raises(taut.errors.MissingExtraError) as refused:
         run.video(path, size=(200, 150))
-    assert str(refused.value) == (
-        f"video '{path}' needs OpenGL, and none works here (MUJOCO_GL is 'off'); install EGL or OSMesa"
-    )
+    assert str(refused.value).startswith(f"video '{path}' needs OpenGL, and none works here (off: ")
+    assert str(refused.value).endswith("; install EGL or OSMesa")
     assert not list(tmp_path.iterdir())
 
 
@@ -145,13 +142,10 @@ def test_a_backend_that_fails_is_named_and_the_next_is_tried(
     moving: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = moving(taut.load_arm("one_joint"), 0.1)
-    for backends, reason in (
-        (["nonsense", "off"], r"\(MUJOCO_GL is 'off'\)"),
-        (["nonsense"], "nonsense: .*invalid value for environment variable MUJOCO_GL: nonsense"),
-    ):
-        monkeypatch.setattr(render, "backends", lambda backends=backends: backends)
-        with pytest.raises(taut.errors.MissingExtraError, match=reason):
-            run.video(tmp_path / "run.gif", size=(32, 32))
+    monkeypatch.setattr(render, "backends", lambda: ["nonsense", "off"])
+    reason = r"\(nonsense: .*invalid value for environment variable MUJOCO_GL: nonsense.*; off: "
+    with pytest.raises(taut.errors.MissingExtraError, match=reason):
+        run.video(tmp_path / "run.gif", size=(32, 32))
 
 
 def test_a_users_choice_of_backend_is_the_only_one(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -179,60 +173,6 @@ def test_a_renderer_that_dies_leaves_no_half_film(
     with pytest.raises(taut.errors.FileError, match=r"video '.*run.gif' broke off: killed; try again"):
         moving(taut.load_arm("one_joint")).video(tmp_path / "run.gif", size=(32, 32))
     assert not list(tmp_path.iterdir())
-
-
-# -------------------------------------------------------------------- MP4
-
-
-def fake_ffmpeg(folder: Path, code: str) -> None:
-    """A program called ffmpeg; `given` holds what it reads."""
-    program = folder / "ffmpeg"
-    program.write_text(f"#!{sys.executable}\nimport sys\ngiven = sys.stdin.buffer.read()\n{code}\n")
-    program.chmod(program.stat().st_mode | stat.S_IXUSR)
-
-
-@pytest.mark.usefixtures("quick")
-def test_an_mp4_is_made_by_the_ffmpeg_on_the_path(
-    moving: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    programs = tmp_path / "programs"
-    programs.mkdir()
-    fake_ffmpeg(programs, "open(sys.argv[-1], 'w').write(f'{len(given)} ' + ' '.join(sys.argv[1:-1]))")
-    monkeypatch.setenv("PATH", str(programs))
-    path = moving(taut.load_arm("one_joint"), 0.5).video(tmp_path / "run.mp4", fps=10, size=(32, 24))
-    size, *words = path.read_text().split()
-    assert int(size) == 6 * 32 * 24 * 3
-    assert " ".join(words) == (
-        "-y -loglevel error -f rawvideo -pix_fmt rgb24 -s 32x24 -r 10 -i - -an -pix_fmt yuv420p "
-        "-movflags +faststart -f mp4"
-    )
-
-
-@pytest.mark.usefixtures("quick")
-def test_an_ffmpeg_that_fails_is_quoted_and_an_old_film_kept(
-    moving: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    programs, films = tmp_path / "programs", tmp_path / "films"
-    programs.mkdir()
-    films.mkdir()
-    fake_ffmpeg(programs, "sys.exit('no encoder')")
-    monkeypatch.setenv("PATH", str(programs))
-    path = films / "run.mp4"
-    path.write_bytes(b"old")
-    with pytest.raises(taut.errors.FileError) as refused:
-        moving(taut.load_arm("one_joint"), 0.2).video(path, size=(32, 24))
-    assert str(refused.value) == (f"video '{path}' cannot be written: ffmpeg says 'no encoder'; write a .gif instead")
-    assert [file.name for file in films.iterdir()] == ["run.mp4"]
-    assert path.read_bytes() == b"old"
-
-
-def test_an_mp4_without_ffmpeg_is_refused(moving: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(taut.errors.FileError) as refused:
-        moving(taut.load_arm("one_joint")).video(tmp_path / "run.mp4")
-    assert str(refused.value) == (
-        f"video '{tmp_path / 'run.mp4'}' needs the program ffmpeg, which is not on the PATH; install it, or write a .gif"
-    )
 
 
 # -------------------------------------------------------------------- the scene
@@ -319,10 +259,10 @@ def test_every_wrong_request_gets_one_sentence(moving: Any, tmp_path: Path) -> N
     bare = dataclasses.replace(run, arm=None)
     path = tmp_path / "run.gif"
     wrong: list[tuple[Any, dict[str, Any], str]] = [
-        (run, {"path": tmp_path / "run.avi"}, "the video's name must end in .gif or .mp4; got 'run.avi'"),
+        (run, {"path": tmp_path / "run.avi"}, "the video's name must end in .gif; got 'run.avi'"),
         (run, {"path": tmp_path / "no" / "run.gif"}, "needs the folder"),
-        (run, {"path": tmp_path}, "the video's name must end in .gif or .mp4"),
-        (bare, {}, "the run does not know its arm, as a log keeps none; pass arm=taut.load_arm('one_joint')"),
+        (run, {"path": tmp_path}, "the video's name must end in .gif"),
+        (bare, {}, "the run does not know its arm; pass arm=taut.load_arm(...)"),
         (run, {"arm": taut.load_arm("planar2")}, "arm 'planar2' does not have the joints of the run: joint1, joint2 "
          "against joint1"),
         (run, {"arm": "panda"}, "arm must be an Arm from taut.load_arm; got str"),
@@ -340,11 +280,6 @@ def test_every_wrong_request_gets_one_sentence(moving: Any, tmp_path: Path) -> N
         assert sentence in str(refused.value)
         assert "\n" not in str(refused.value)
     assert not list(tmp_path.iterdir())
-
-
-def test_an_mp4_needs_even_sizes(moving: Any, tmp_path: Path) -> None:
-    with pytest.raises(taut.errors.RangeError, match=r"size must be even numbers for .mp4; got \(641, 480\)"):
-        moving(taut.load_arm("one_joint")).video(tmp_path / "run.mp4", size=(641, 480))
 
 
 def test_a_run_without_ticks_cannot_be_filmed(make_run: Any, tmp_path: Path) -> None:

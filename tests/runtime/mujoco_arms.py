@@ -118,7 +118,7 @@ def pair(folder: Path) -> Arm:
     """The arm of the cell, with its tool at the site, where the left one stands."""
     file = folder / "pair.xml"
     file.write_text(PAIR_ARM)
-    return load_arm(str(file), tool="tcp").mounted(Pose((1.0, 0.0, 0.0))).with_home([0.2, 0.4])
+    return load_arm(str(file), tool="tcp", T_WB=Pose((1.0, 0.0, 0.0)), home=[0.2, 0.4])
 
 
 def cell(actuators: str = MOTORS, integrator: str = "Euler", left: str | None = None) -> str:

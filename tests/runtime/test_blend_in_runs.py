@@ -50,7 +50,7 @@ class TestInARun:
         out = run(make(), engine=engine, blend=0.1)
         np.testing.assert_allclose(out.command[0], 0.0, atol=1e-14)  # the plant adds gravity: nothing holds the arm
         np.testing.assert_array_equal(out.terms["blend"][101:], 0.0)
-        assert out.metrics.blend_time.tolist() == pytest.approx([0.1, 0.1], abs=1.1e-3)
+        assert (out.terms["blend"][1:99] != 0.0).all()
 
     def test_what_happens_to_the_plant_is_no_change_of_the_controller(
         self, make: Callable[[], Any], engine: Any

@@ -229,8 +229,8 @@ class TestFigure1012:
         laws = {"ff": FEEDFORWARD, "fb": taut.laws.PID(kp=2.205, kd=2.0, ki=1.0), "ff+fb": self.both(reading)}
         metrics = {name: follow(law, task).metrics.overall for name, law in laws.items()}
         for measure in ("rms_error", "peak_error"):
-            assert metrics["ff+fb"][measure] < 0.3 * metrics["fb"][measure] < 0.3 * metrics["ff"][measure]
-        assert metrics["ff+fb"]["effort"] < 0.8 * metrics["fb"]["effort"]
+            assert metrics["ff+fb"](measure) < 0.3 * metrics["fb"](measure) < 0.3 * metrics["ff"](measure)
+        assert metrics["ff+fb"]("effort") < 0.8 * metrics["fb"]("effort")
 
 
 # -------------------------------------------------------------------- saturation

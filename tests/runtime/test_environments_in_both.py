@@ -164,10 +164,10 @@ class TestEvents:
         run(made, duration=0.1, events=[taut.Event.push(t=0.05, peak=[1.0, 0.0, 0.0], of="environment.push")])
 
 
-def test_the_work_that_was_done_is_a_column_in_joules(tmp_path: Any) -> None:
+def test_the_work_that_was_done_is_a_column(tmp_path: Any) -> None:
     out = run(taut.RigidPlant(PANDA, environment=ENVIRONMENTS["push"]), duration=0.2)
     header = out.to_csv(tmp_path / "run.csv").read_text().splitlines()[0]
-    assert "extra.work.environment [J]" in header
+    assert "extra.work.environment" in header
     work = np.cumsum(
         [0.0]
         + [

@@ -12,7 +12,7 @@ from runtime_laws import Array, Pushed, Seen, Spring, TorqueOf, seen
 import taut
 from taut.codegen import loop as codegen_loop
 from taut.codegen import native
-from taut.control.trajectories.feed import ReferenceFeed
+from taut.control.tasks.feed import ReferenceFeed
 from taut.record.plain import plain
 
 # The same formulas in the same order but for the compiler's: relative to the largest number of the column.
@@ -328,7 +328,7 @@ class TestDivergence:
             assert np.isfinite(column).all(), name
         # The native sine gives NaN beyond what its polynomials can reduce, so that it notices a few ticks earlier.
         assert np.abs(diverged.v[-1]).max() > 1e9
-        assert diverged.metrics.overall["peak_torque"] > 1e12
+        assert diverged.metrics.overall("peak_torque") > 1e12
 
     def test_is_the_same_run_until_then_in_both_engines(self) -> None:
         runs = []

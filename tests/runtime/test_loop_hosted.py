@@ -106,7 +106,7 @@ class TestTrouble:
         out = taut.run(taut.compile(Breaks(), ARM, adds=plant.adds), plant, duration=0.1, q0=[0.25, 0.0])
         assert (len(out), out.outcome.kind) == (0, "diverged")
         assert not plant.commands
-        assert np.isnan(out.metrics.overall["rms_error"])
+        assert np.isnan(out.metrics.overall("rms_error"))
 
     def test_of_other_kinds_is_no_divergence(self) -> None:
         """What the law's own code raises is a mistake in it; the run stops there, and what came before is kept."""

@@ -174,7 +174,7 @@ def test_links_touch_neither_the_scene_nor_each_other() -> None:
     taut.run(idle(arm), plant, duration=1.5)
     assert min(plant.data.body(f"link{i}").xpos[2] for i in (2, 3)) < -0.4
     folded = np.array([0.0, np.pi, np.pi])  # every link lies on the one before
-    plant = taut.MujocoPlant(arm.with_home(folded), scene='<geom size="0.1" pos="9 9 9"/>')
+    plant = taut.MujocoPlant(taut.load_arm("planar3", home=folded), scene='<geom size="0.1" pos="9 9 9"/>')
     taut.run(idle(arm), plant, duration=0.01)
     assert plant.data.ncon == 0
 

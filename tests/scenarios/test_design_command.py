@@ -36,12 +36,12 @@ def test_the_command_prints_the_design(capsys: pytest.CaptureFixture[str]) -> No
     assert capsys.readouterr().out == f"{d}\n"
 
 
-def test_json_has_gains_and_numbers_of_each_pose(capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_has_gains_numbers_and_limits(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["design", "Impedance", "planar2", "--K", "400,20", "--zeta", "0.7", "--json"]
-    assert main([*words, "--at", "-0.3,0.8", "--at", "[0.3, 1.2]"]) == 0
+    assert main([*words, "--at", "-0.3,0.8"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["gains"]["K"] == [400.0] * 3 + [20.0] * 3
-    assert {row["pose"] for row in found["tables"]["asked and got"]} == {0, 1}
+    assert {row["number"] for row in found["tables"]["asked and got"]} == {"K", "zeta"}
     assert {row["limit"] for row in found["tables"]["limits"]} >= {"largest step", "delay margin"}
 
 
@@ -83,7 +83,7 @@ def test_a_plant_in_a_file_is_the_one_that_the_loop_is_judged_with(
         (["PID", "--zeta", "1", "--omega_n", "5", "--rate", "nan"], "rate must be finite [Hz]; got nan"),
         (["HybridMotionForce", "--zeta", "1"], "constraint"),
         (["HybridMotionForce(constraint={)", "--zeta", "1"], "a law is written as PID(kp=100, kd=20)"),
-        (["PID", "--zeta", "1", "--omega_n", "5", "--at", "0,0"], "at must be one pose (7,) or several (k, 7)"),
+        (["PID", "--zeta", "1", "--omega_n", "5", "--at", "0,0"], "at must have shape (7,)"),
         (["PID", "--zeta", "1", "--omega_n", "5", "--plant", "none.toml"], "none.toml"),
     ],
 )

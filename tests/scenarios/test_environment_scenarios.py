@@ -106,8 +106,8 @@ push = { of = "environment.poke", peak = [0, 20, 0], duration = 0.1 }
     file = taut.load_run(tmp_path / "out" / "run.mcap").to_csv(tmp_path / "run.csv")
     names = file.read_text().splitlines()[0].split(",")
     table = dict(zip(names, np.loadtxt(file, delimiter=",", skiprows=1).T, strict=True))
-    force = [table[f"extra.F_ext.{i} [N]"] for i in range(3)]
-    t = table["t [s]"]
+    force = [table[f"extra.F_ext.{i}"] for i in range(3)]
+    t = table["t"]
     pushed = [(0.1, 0.15, 0, 30.0), (0.4, 0.5, 1, 20.0)]
     for begin, end, axis, peak in pushed:
         inside = (t > begin - 1e-9) & (t < end - 1e-9)

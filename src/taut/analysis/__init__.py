@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from taut.analysis.loci import root_locus as root_locus
     from taut.analysis.loci import routh as routh
     from taut.analysis.loci import stability_map as stability_map
-    from taut.analysis.run_gradient import Tick as Tick
     from taut.analysis.several_joints import Coupling as Coupling
     from taut.analysis.several_joints import Lyapunov as Lyapunov
     from taut.analysis.several_joints import coupling as coupling
@@ -42,7 +41,6 @@ if TYPE_CHECKING:
     from taut.analysis.tuning import Tuned as Tuned
     from taut.analysis.wrist_calibration import WristCalibration as WristCalibration
     from taut.analysis.wrist_calibration import calibrate_wrist as calibrate_wrist
-    from taut.analysis.wrist_calibration import calibration_poses as calibration_poses
     from taut.base.result import Content as Content
     from taut.base.result import Result as Result
     from taut.base.result import Table as Table
@@ -51,7 +49,6 @@ if TYPE_CHECKING:
     from taut.linear.judgement import Judgement as Judgement
     from taut.linear.judgement import judge as judge
     from taut.linear.linear_system import OperatingPoint as OperatingPoint
-    from taut.record.friction_plot import plot_friction as plot_friction
     from taut.record.metrics import METRICS as METRICS
     from taut.record.metrics import Metric as Metric
     from taut.scenarios.compare import grade as grade

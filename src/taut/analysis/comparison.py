@@ -15,7 +15,7 @@ import numpy as np
 
 from taut.arm.description import Arm
 from taut.base.errors import TautError, UsageError, count_of, unknown_name
-from taut.base.fields import Declared, Field
+from taut.base.fields import Declared, Field, Whole
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike
 from taut.codegen.engine import EngineChoice
@@ -68,7 +68,7 @@ FIGURES: Final = (*(name for pair in ERRORS.items() for name in pair), *SPENT, *
 
 
 class WrongModel(Declared):
-    """By how much the true arm may differ from the one that the controllers know.
+    """Spread of the true arm about the model that the controllers have.
 
     The arm of trial k, from 0 on, is `arm.perturbed(seed=seed + k, mass=mass, ...)` with up to `payload` kg more.
 
@@ -82,21 +82,18 @@ class WrongModel(Declared):
     inertia: Field = Field(0.0, minimum=0.0, maximum=1.0)  # relative spread of the sizes of the bodies
     friction: Field = Field(0.0, minimum=0.0, maximum=1.0)  # relative spread of viscous and dry friction
     payload: Field = Field(0.0, unit="kg", minimum=0.0)  # largest additional payload
-    trials: Field = Field(5, minimum=1.0, maximum=1000.0)  # number of arms that are drawn
-    seed: Field = Field(0, minimum=0.0)  # of the first arm
+    trials: Whole = Whole(5, minimum=1, maximum=1000)  # number of arms that are drawn
+    seed: Whole = Whole(0)  # of the first arm
 
     def check(self) -> None:
-        """Whole numbers, and a difference."""
-        for name in ("trials", "seed"):
-            if getattr(self, name) % 1.0:
-                self.refuse(name, "must be a whole number")
+        """At least one spread is above zero."""
         if not any((self.mass, self.com, self.inertia, self.friction, self.payload)):
             self.refuse("", "needs one of mass, com, inertia, friction and payload above zero")
 
     def arms(self, arm: Arm) -> Iterator[Arm]:
         """The true arm of each trial."""
         spreads = {name: float(getattr(self, name)) for name in ("mass", "com", "inertia", "friction")}
-        for seed in range(int(self.seed), int(self.seed + self.trials)):
+        for seed in range(self.seed, self.seed + self.trials):
             more = float(self.payload * np.random.default_rng([seed, 1]).random())
             load, true = arm.payload, arm.perturbed(seed=seed, **spreads)
             yield true.with_payload(load.mass + more, load.com, load.inertia) if self.payload else true
@@ -104,7 +101,7 @@ class WrongModel(Declared):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Experiment:
-    """All of a closed loop but its law."""
+    """Everything in a closed loop except its law."""
 
     name: str  # for messages
     arm: Arm  # as the controllers know it
@@ -123,7 +120,7 @@ class Experiment:
 
     @classmethod
     def of(cls, loop: Loop) -> Experiment:
-        """The experiment of a loop, with the parameters that were changed in it but those of its law."""
+        """The experiment of a loop, with its changed parameters except those of its law."""
         side, plant = loop.side, loop.plant
         before = {**side.parameters, **plant.parameters}
         changed = {
@@ -292,11 +289,12 @@ class Comparison(Result):
 
 
 def compare_laws(
-    laws: Mapping[str, tuple[Law, Experiment]],  # by name; references may differ
+    laws: Mapping[str, Law],  # by name
+    experiment: Experiment | None,  # of the laws; None for recorded runs alone
     *,
     runs: Mapping[str, Run],
     by: Sequence[str] = (),  # figures to rank by
-    noise: Mapping[str, ArrayLike] | None = None,  # deviation by sensor; plant's or NOISE if left out; {} to skip
+    noise: bool = True,  # also with the noise of the sensors: the plant's own, or NOISE
     model: WrongModel | None = None,  # None to skip
 ) -> Comparison:
     """Run laws on an experiment, and measure them; all are compiled before the first one runs."""
@@ -307,17 +305,16 @@ def compare_laws(
             raise unknown_name("a comparison", "figure", figure, [*FIGURES, *METRICS])
     for name, recorded in runs.items():
         _check_recorded(name, recorded)
-    controllers = {}
-    for name, (law, experiment) in laws.items():
-        with blamed(name):
-            controllers[name] = experiment.controller(law)
     entries: list[Entry] = []
     notes: tuple[str, ...] = ()
-    first = next((experiment for _, experiment in laws.values()), None)
-    if first is not None:
-        variants = _Variants.of(first, noise, model)
+    if experiment is not None:
+        controllers = {}
+        for name, law in laws.items():
+            with blamed(name):
+                controllers[name] = experiment.controller(law)
+        variants = _Variants.of(experiment, noise, model)
         notes = variants.notes
-        for name, (law, experiment) in laws.items():
+        for name, law in laws.items():
             with blamed(name):
                 done, numbers = variants.figures(experiment, controllers[name], by)
             entries.append(Entry(name=name, law=repr(law), run=done, numbers=numbers))
@@ -327,12 +324,12 @@ def compare_laws(
     if by:
         entries.sort(key=lambda entry: (not entry.run.outcome.ok, [entry.number(figure) for figure in by]))
     return Comparison(
-        title=first.name if first else count_of(len(runs), "recorded run"),
+        title=experiment.name if experiment else count_of(len(runs), "recorded run"),
         entries={entry.name: entry for entry in entries},
         by=tuple(by),
         notes=notes,
-        settings=first.settings if first else {},
-        texts=first.texts if first else {},
+        settings=experiment.settings if experiment else {},
+        texts=experiment.texts if experiment else {},
     )
 
 
@@ -346,24 +343,19 @@ class _Variants:
     notes: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, experiment: Experiment, noise: Mapping[str, ArrayLike] | None, model: WrongModel | None) -> _Variants:
+    def of(cls, experiment: Experiment, noise: bool, model: WrongModel | None) -> _Variants:
         plant, sensors, notes = experiment.plant, experiment.sensors, []
         if not isinstance(plant, (RigidPlant, PlantBase)) or plant.like() is None:  # one of the user's own
-            if noise:
-                raise UsageError(
-                    f"noise cannot be given to {plant.name}, which cannot be made anew; give it sensors with noise",
-                    name="noise",
-                )
             return cls(notes=(f"no figures of noise and of a wrong model: {plant.name} cannot be made anew",))
         quiet: Plant | None = None
         noisy: Plant | None = None
-        if noise is None and _noisy(sensors):
+        if noise and _noisy(sensors):
             quiet = plant.like(sensors=with_noise(sensors, dict.fromkeys(_noisy(sensors), 0.0)))
             notes.append("noise: the sensors as they are, against the same without noise")
-        elif noise != {}:
-            noise = noise or {name: value for name, value in NOISE.items() if getattr(sensors, name) is not None}
-            noisy = plant.like(sensors=with_noise(sensors, noise))
-            words = ", ".join(f"{name} {np.max(np.asarray(value)):g}" for name, value in noise.items())
+        elif noise:
+            deviations = {name: value for name, value in NOISE.items() if getattr(sensors, name) is not None}
+            noisy = plant.like(sensors=with_noise(sensors, deviations))
+            words = ", ".join(f"{name} {value:g}" for name, value in deviations.items())
             notes.append(f"noise: sensors with a standard deviation of {words}, against those of the plant")
         trials: tuple[Plant, ...] = ()
         if model is not None:
@@ -426,16 +418,12 @@ def main_error(numbers: Mapping[str, Mapping[str, float]]) -> str | None:
     return next((name for name in ERRORS if numbers.get(name)), None)
 
 
-def with_noise(sensors: Sensors, noise: Mapping[str, ArrayLike]) -> Sensors:
+def with_noise(sensors: Sensors, noise: Mapping[str, float]) -> Sensors:
     """Sensors with another standard deviation of their noise, by the sensor's name; zero for none."""
-    changed = {}
-    for name, value in noise.items():
-        if name not in Sensors.declared:
-            raise unknown_name("a plant", "sensor", name, Sensors.declared)
-        sensor = getattr(sensors, name)
-        if sensor is None:
-            raise UsageError(f"the plant has no sensor '{name}', which noise is given for; leave it out", name=name)
-        changed[name] = dataclasses.replace(sensor, noise=value if np.any(value) or name != "wrench" else None)
+    changed = {
+        name: dataclasses.replace(getattr(sensors, name), noise=value if value or name != "wrench" else None)
+        for name, value in noise.items()
+    }
     return dataclasses.replace(sensors, **changed)
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
 
-from taut.base.checks import finite_array, finite_scalar, one_of, read_only, vector
+from taut.base.checks import finite_array, finite_scalar, instance_of, one_of, read_only
 from taut.base.errors import RangeError, ShapeError, UsageError, count_of, unknown_name
 from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
@@ -27,23 +27,20 @@ Mode = Literal["slide", "stick", "apart"]
 MODES: Final[tuple[Mode, ...]] = ("slide", "stick", "apart")
 AXES: Final = ("x", "y", "z", "phi_x", "phi_y", "phi_z")
 ROTATIONS_FIRST: Final = (3, 4, 5, 0, 1, 2)  # as in the chapter's table
-ON_SURFACE: Final = 1e-6  # [m, rad] of phi
 ON_LINE: Final = 1e-6  # [m] from the frame's origin to the line of a contact force
 ROUNDING: Final = 1e-9  # of rows of length 1: less is zero, and such rows are dependent
-REACH: Final = 1e-6  # of the Jacobian: below it the joints cannot move the tool
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Specification(Result):
-    """Check of a specification against the environment F = B V + F0.
+    """Check of a specification against the environment F = B V.
 
     Args:
         names: (2n,) of the motions, then of the forces.
         given: (m,) the specified quantities, as text.
         values: (m,) of them; None where names came without.
         reason: Why the specification is not admissible; empty where it is.
-        map: (2n, n) from the specified values to all motions and forces less `offset`; zeros if not admissible.
-        offset: (2n,) all motions and forces where the specified values are zero.
+        map: (2n, n) from the specified values to all motions and forces; zeros if not admissible.
     """
 
     names: tuple[str, ...]
@@ -51,7 +48,6 @@ class Specification(Result):
     values: Float64Array | None
     reason: str
     map: Float64Array
-    offset: Float64Array
 
     @property
     def ok(self) -> bool:
@@ -62,8 +58,8 @@ class Specification(Result):
     def determined(self) -> dict[str, str]:
         """The quantities that the environment determines, each as a sum of the specified ones."""
         return {
-            name: linear_sum(row, self.given, constant)
-            for name, row, constant in zip(self.names, self.map, self.offset, strict=True)
+            name: linear_sum(row, self.given)
+            for name, row in zip(self.names, self.map, strict=True)
             if self.ok and name not in self.given
         }
 
@@ -72,7 +68,7 @@ class Specification(Result):
         """The values of all motions and forces, by name; none where the specification has no values."""
         if self.values is None or not self.ok:
             return {}
-        return dict(zip(self.names, (self.map @ self.values + self.offset).tolist(), strict=True))
+        return dict(zip(self.names, (self.map @ self.values).tolist(), strict=True))
 
     def content(self) -> Content:
         """The verdict, and the quantities that the environment determines."""
@@ -87,22 +83,18 @@ class Specification(Result):
         )
 
 
-def check_specification(
-    given: Mapping[str, float] | Sequence[str], *, B: ArrayLike, F0: ArrayLike | None = None
-) -> Specification:
+def check_specification(given: Mapping[str, float] | Sequence[str], *, B: ArrayLike) -> Specification:
     """Check of motions and forces that are specified together against a passive linear environment.
 
-    Law:          F = B V + F0: n directions have n freedoms among their 2n motions and forces. A specification
+    Law:          F = B V: n directions have n freedoms among their 2n motions and forces. A specification
                   S (V, F) = s is admissible where S (I; B) has rank n                                   section 10.4
 
-    Forces of lower derivatives, such as K X, are known at that instant and are F0. Quantities are called V1, V2, ...,
-    F1, F2, ...; F is the force on the environment, F_app. Of springs alone, F = K X, the same holds with K in the
-    place of B, and X in that of V.
+    Quantities are called V1, V2, ..., F1, F2, ...; F is the force on the environment, F_app, less a force that is
+    known at that instant. Of springs alone, F = K X, the same holds with K in the place of B, and X in that of V.
 
     Args:
         given: Names and values, or names alone. A name may be a sum, such as "2 V1 + V2".
         B: Damping, (n,) or (n, n), symmetric or not.
-        F0: (n,) force that does not depend on the motion at this instant [N, N m]; zero if left out.
 
     Raises:
         UsageError: A sum that cannot be read.
@@ -126,7 +118,6 @@ def check_specification(
     if not n or G.shape != (n, n):
         raise ShapeError(f"B must be (n,) or (n, n); got shape {G.shape}", name="B")
     names = tuple(f"{symbol}{i + 1}" for symbol in "VF" for i in range(n))
-    constant = np.append(np.zeros(n), np.zeros(n) if F0 is None else vector("F0", F0, n, unit="N, N m"))
     if isinstance(given, str) or not all(isinstance(text, str) for text in given):
         raise UsageError(f"given must be names, or names with values as {{'V1': 0.1}}; got {given!r}", name="given")
     texts = tuple(" ".join(text.split()) for text in given)
@@ -141,8 +132,7 @@ def check_specification(
     elif _dependent(rows, S, G):
         reason = f"{', '.join(texts)} are dependent in this environment"
     map_ = np.zeros((2 * n, len(rows))) if reason else of_motion @ np.linalg.inv(S)
-    offset = read_only(constant - map_ @ (rows @ constant))
-    return Specification(names=names, given=texts, values=values, reason=reason, map=read_only(map_), offset=offset)
+    return Specification(names=names, given=texts, values=values, reason=reason, map=read_only(map_))
 
 
 def _dependent(rows: Float64Array, S: Float64Array, G: Float64Array) -> bool:
@@ -177,21 +167,21 @@ def coefficients_of(text: str, names: Sequence[str]) -> Float64Array:
     return row
 
 
-def linear_sum(coefficients: Float64Array, names: Sequence[str], constant: float = 0.0) -> str:
+def linear_sum(coefficients: Float64Array, names: Sequence[str]) -> str:
     """A linear combination as text.
 
     Example:
-        >>> linear_sum(np.array([2.0, 0.0, -1.0]), ["V1", "V2", "F1"], 0.5)
-        '2 V1 - F1 + 0.5'
+        >>> linear_sum(np.array([2.0, 0.0, -1.0]), ["V1", "V2", "F1"])
+        '2 V1 - F1'
     """
     smallest = SPECIFICATION_ROUNDING * float(np.abs(coefficients).max(initial=0.0))
     text = ""
-    for c, name in [*zip(coefficients, names, strict=True), (constant, "")]:
+    for c, name in zip(coefficients, names, strict=True):
         if abs(c) <= smallest:
             continue
         size, factor = f"{abs(c):.6g}", f"({name})" if " " in name else name
         sign = f" {'-' if c < 0.0 else '+'} " if text else "-" if c < 0.0 else ""
-        text += sign + (factor if size == "1" and name else f"{size} {factor}".rstrip())
+        text += sign + (factor if size == "1" else f"{size} {factor}")
     return text or "0"
 
 
@@ -273,7 +263,7 @@ def natural_constraints(
     Args:
         constraint: The constraint.
         at: A pose of the constrained frame, or a snapshot of the arm.
-        frame: The task frame in the world; by default at the tool's origin, along the world's or the tool's axes.
+        frame: The task frame in the world; at the tool's origin along the world's axes if left out.
         mode: "slide", "stick" or "apart".
 
     Raises:
@@ -299,16 +289,13 @@ def natural_constraints(
         Section 10.4.1 natural and artificial constraints. Mason (1981), IEEE Transactions on Systems, Man, and
         Cybernetics 11 (6).
     """
-    if not isinstance(constraint, Constraint):  # callers without a type checker
-        raise UsageError(
-            f"natural_constraints takes a taut.Constraint; got {type(constraint).__name__}", name="constraint"
-        )
+    instance_of("constraint", constraint, Constraint, "a taut.Constraint")
     one_of("mode", mode, MODES)
     if mode != "slide" and not any(constraint.one_sided):
         raise UsageError(
             f"mode='{mode}' is for a contact, and no row of this constraint is one: say one_sided=True", name="mode"
         )
-    A, phi_t, phi, T = _rows_of(constraint, at)
+    A, phi_t, T = _rows_of(constraint, at)
     if frame is not None and (T is None or not isinstance(frame, Pose)):
         raise UsageError(f"frame must be a taut.Pose, for a constraint of the tool; got {frame!r}", name="frame")
     of_contact = [any(piece.one_sided) for piece in constraint.pieces for _ in range(piece.count)]
@@ -319,10 +306,7 @@ def natural_constraints(
     A, phi_t = np.vstack([A[acting], *sticking]), np.append(phi_t[acting], np.zeros(2 * len(sticking)))
     rows, notes = _row_space(A), []
     if T is not None and frame is None:
-        world, tool = Pose(T.p), Pose.of(T.R, T.p)
-        of_tool = not _has_single_axes(rows, world, T) and _has_single_axes(rows, tool, T)
-        frame, whose = (tool, "tool") if of_tool else (world, "world")
-        notes = [f"task frame: the {whose}'s axes, at the tool's origin"]
+        frame, notes = Pose(T.p), ["task frame: the world's axes, at the tool's origin"]
     to_task = np.eye(A.shape[1]) if T is None or frame is None else _twist_to(frame, T)
     prescribed = rows @ np.linalg.lstsq(A, -phi_t, rcond=None)[0] if len(A) else np.zeros(0)
     names = at.arm.joint_names if frame is None and isinstance(at, Snapshot) else AXES
@@ -332,11 +316,6 @@ def natural_constraints(
         sign = "<=" if row[axes[0]] > 0.0 else ">="
         force = f"F_{names[axes[0]]} {sign} 0" if len(axes) == 1 and frame is not None else f"lam[{i}] <= 0"
         notes.append(f"the contact can be pressed and not pulled: {force}")
-    off = max(acting, key=lambda i: abs(phi[i]), default=None)
-    if off is not None and abs(phi[off]) > ON_SURFACE:
-        notes.append(f"the pose is off the constraint: phi[{off}] = {phi[off]:.4g}")
-    if isinstance(at, Snapshot) and constraint.frame is not None:
-        notes += _of_joints(A, at, np.asarray(at.J(constraint.frame[0]), dtype=np.float64), N.shape[1])
     return ConstraintTable(
         title={"stick": "sticking", "apart": "apart"}.get(mode, "in contact" if contacts else "constrained"),
         frame=frame,
@@ -348,23 +327,19 @@ def natural_constraints(
     )
 
 
-def _rows_of(
-    constraint: Constraint, at: Pose | Snapshot
-) -> tuple[Float64Array, Float64Array, Float64Array, Pose | None]:
-    """A, phi_t and phi of a constraint, and the pose of its frame."""
+def _rows_of(constraint: Constraint, at: Pose | Snapshot) -> tuple[Float64Array, Float64Array, Pose | None]:
+    """A and phi_t of a constraint, and the pose of its frame."""
     T: Pose | None
     if isinstance(at, Snapshot):
         rows = constraint.at(at)
         T = None if constraint.frame is None else at.T(constraint.frame[0])
-        matrices = (rows.A_q if T is None else rows.A, rows.phi_t, rows.phi)
-        A, phi_t, phi = (np.asarray(each, dtype=np.float64) for each in matrices)
+        A, phi_t = (np.asarray(each, dtype=np.float64) for each in (rows.A_q if T is None else rows.A, rows.phi_t))
     elif isinstance(at, Pose):
         if constraint.frame is None:
             raise UsageError(
                 "a constraint of joints or of several frames needs the whole arm: at=taut.snapshot(arm, q)", name="at"
             )
-        A, phi_t = constraint.of_twist(at, 0.0)
-        phi, T = constraint.of_pose(at, 0.0), at
+        (A, phi_t), T = constraint.of_twist(at, 0.0), at
     else:
         raise UsageError(f"at must be a taut.Pose or a taut.snapshot(arm, q); got {type(at).__name__}", name="at")
     for row, size in enumerate(np.linalg.norm(A, axis=1)):
@@ -374,7 +349,7 @@ def _rows_of(
                 name="constraint",
                 value=float(size),
             )
-    return A, phi_t, phi, T
+    return A, phi_t, T
 
 
 def _tangents(row: Float64Array) -> Float64Array:
@@ -402,13 +377,6 @@ def _row_space(A: Float64Array) -> Float64Array:
         return A
     _, values, rows = np.linalg.svd(A / np.linalg.norm(A, axis=1)[:, np.newaxis], full_matrices=False)
     return np.asarray(rows[values > ROUNDING * values[0]])
-
-
-def _has_single_axes(rows: Float64Array, frame: Pose, T: Pose) -> bool:
-    """The rows constrain axes of a frame one by one."""
-    along = _row_space(rows @ np.linalg.inv(_twist_to(frame, T)))
-    projector = along.T @ along
-    return bool(np.all(np.abs(projector - np.round(projector)) < ROUNDING))
 
 
 def _described(
@@ -451,16 +419,3 @@ def _solved(rows: Float64Array, right: Float64Array) -> tuple[Float64Array, Floa
     order = np.argsort(pivots)
     A, c = (np.where(np.abs(x) < ROUNDING, 0.0, x) for x in (A[order], c[order]))
     return A, c, sorted(pivots)
-
-
-def _of_joints(A: Float64Array, x: Snapshot, J: Float64Array, motions: int) -> Iterator[str]:
-    """A note where the joints have fewer free motions or forces than the contact leaves."""
-    smallest = REACH * float(np.linalg.norm(J, 2))
-    _, values, directions = np.linalg.svd(A @ J)
-    forces = int(np.sum(values > smallest))
-    moved = int(np.linalg.matrix_rank(J @ directions[forces:].T, tol=smallest))
-    if (moved, forces) != (motions, len(AXES) - motions):
-        yield (
-            f"of these the joints of '{x.arm.name}' have {moved} of {motions} motions and {forces} of "
-            f"{len(AXES) - motions} forces here"
-        )

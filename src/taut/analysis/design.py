@@ -1,26 +1,23 @@
-"""taut.design: from a specification to the gains of a law, what of it the sampled loop has, and its limits."""
+"""taut.design: gains of a law from a specification, figures achieved by the sampled loop, and its limits."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from taut.analysis.design_achieved import Achieved, Limit, Requirement, Steps
+from taut.analysis.design_achieved import Achieved, Limit, Requirement, Steps, closed_loop_of
 from taut.analysis.design_specification import Specification, place_poles, square
 from taut.arm.description import Arm
-from taut.arm.friction import Friction
 from taut.arm.parts import require_radians
-from taut.base.checks import finite_array, one_of, rate_in_hertz
+from taut.base.checks import finite_array, instance_of, rate_in_hertz
 from taut.base.declarations import REQUIRED
-from taut.base.errors import RangeError, ShapeError, TautError, UsageError
+from taut.base.errors import RangeError, TautError, UsageError
 from taut.base.plot_style import INK, SMALL, WIDTH, colour, prepared
 from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.closed_loop import ClosedLoop
 from taut.control.gains import Gain
 from taut.control.law import Law
 from taut.control.sensing import Sensing
@@ -29,8 +26,7 @@ from taut.linear.judgement import judge
 from taut.linear.linear_system import LinearSystem
 from taut.linear.linearise import linearise
 from taut.loop import Loop
-from taut.maths.model import Adds
-from taut.maths.snapshot import Snapshot, snapshot
+from taut.maths.snapshot import snapshot
 from taut.plant.actuation import Actuation
 from taut.plant.environments.kinds import Push, Spring
 from taut.plant.rigid import RigidPlant
@@ -49,19 +45,19 @@ MAX_DESIGN_SUBSTEPS: Final = 50
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Design(Result):
-    """A law with its gains, what was asked for and what the sampled loop has, and the limits of the loop.
+    """A law with its gains, specified and achieved figures of the sampled loop, and its limits.
 
     Args:
         law: The law with its gains.
-        specification: What was asked for.
-        requirements: A row for each number that was asked for, in each direction, at each pose.
-        limits: Of the loop, the worst of all poses.
+        specification: The specified numbers.
+        requirements: A row for each specified number, in each direction.
+        limits: Of the loop.
         arm: Name of the arm.
         rate: [Hz].
-        poses: (k, n) [rad | m].
-        systems: The linear model of the sampled loop at each pose.
+        q: (n,) the pose [rad | m].
+        system: The linear model of the sampled loop about its equilibrium.
         directions: Names of the directions.
-        steps: Unit steps at the first pose where something is missed, or at the first; None for an unstable loop.
+        steps: Unit steps of the reference; None for an unstable loop.
         unstable: Why the loop is unstable; empty where it is stable.
     """
 
@@ -71,24 +67,24 @@ class Design(Result):
     limits: tuple[Limit, ...]
     arm: str
     rate: float
-    poses: Float64Array
-    systems: tuple[LinearSystem, ...]
+    q: Float64Array
+    system: LinearSystem
     directions: tuple[str, ...]
     steps: Steps | None
     unstable: str
 
     @property
     def stable(self) -> bool:
-        """Whether the sampled loop is stable at all poses."""
+        """Whether the sampled loop is stable."""
         return not self.unstable
 
     @property
     def met(self) -> bool:
-        """Whether the loop is stable and has all that was asked for."""
+        """Whether the loop is stable and meets the specification."""
         return self.stable and all(each.met for each in self.requirements)
 
     def got(self, name: str) -> Float64Array:
-        """What the loop has of a number that was asked for, in each direction at each pose."""
+        """Achieved values of a specified number, in each direction."""
         return np.array([each.got for each in self.requirements if each.name == name])
 
     def limit(self, name: str) -> Limit:
@@ -101,7 +97,6 @@ class Design(Result):
     def content(self) -> Content:
         """The description of the design."""
         missed = [each for each in self.requirements if not each.met]
-        several = len(self.poses) > 1
         faults = [self.unstable] if self.unstable else []
         for name in dict.fromkeys(each.name for each in missed if self.stable):
             rows = [each for each in missed if each.name == name]
@@ -109,10 +104,9 @@ class Design(Result):
             faults.append(f"{name} is missed: {places}; asked for {rows[0].asked:.4g} {rows[0].unit}".rstrip())
         asked = Table(
             title="asked and got",
-            columns=("number", "direction", *(["pose"] * several), "unit", "asked", "got", "met"),
+            columns=("number", "direction", "unit", "asked", "got", "met"),
             rows=[
-                (each.name, each.direction, *([each.pose] * several), each.unit, each.asked, each.got, each.met)
-                for each in self.requirements
+                (each.name, each.direction, each.unit, each.asked, each.got, each.met) for each in self.requirements
             ],
             note="by the linear model of the sampled loop about its equilibrium",
         )
@@ -138,7 +132,7 @@ class Design(Result):
             faults=faults,
             tables=[gains, asked, *([limits] if self.limits else [])],
             figures={} if self.steps is None else {"steps": self._steps},
-            settings={"poses": str(np.round(self.poses, 4).tolist()), "rate [Hz]": f"{self.rate:g}"},
+            settings={"pose": str(np.round(self.q, 4).tolist()), "rate [Hz]": f"{self.rate:g}"},
         )
 
     def json(self) -> dict[str, Any]:
@@ -179,12 +173,11 @@ def design(
     force: float | None = None,
     integral: float = 0.0,
     coupled: bool = False,
-    friction: Literal["arm"] | None = None,
     rate: float = 1000.0,
     sensing: Sensing | None = None,
     plant: RigidPlant | None = None,
 ) -> Design:
-    """Gains of a law by pole placement in the error dynamics that it states, and what the sampled loop then has.
+    """Gains of a law by pole placement in the error dynamics that it states, and the figures that they achieve.
 
     Law:          K = omega_n inertia omega_n, or the stiffness as it is asked for; D = 2 zeta (inertia K)^(1/2): the
                   same damping ratio in every mode; ki = integral kd kp / M
@@ -192,13 +185,13 @@ def design(
     Closed loop:  that of the law's own docstring, as its `closed_loop` states it; got is that of the linear model of
                   the sampled loop about its equilibrium, with zero-order hold, weight, delay and filters
 
-    Ask for a damping (zeta or overshoot; zeta=1 is critical) and a speed (omega_n or settling), or a stiffness K. Of
-    several poses the gains are the largest. A loop that misses its specification, or is unstable, has met=False.
+    Ask for a damping (zeta or overshoot; zeta=1 is critical) and a speed (omega_n or settling), or a stiffness K. A
+    loop that misses its specification, or is unstable, has met=False.
 
     Args:
         law: A class of laws; or a law whose gains are replaced, and whose other options stay.
         arm: The arm that the law knows.
-        at: (n,) one pose or (k, n) several [rad | m]; home if left out.
+        at: (n,) the pose [rad | m]; home if left out.
         zeta: Damping ratio of every mode.
         overshoot: Of a step [%], in place of zeta.
         omega_n: Natural frequency, or single pole [rad/s]: one, one for each joint, or (linear, angular) at the tool.
@@ -208,7 +201,6 @@ def design(
         force: Pole of the force of `ForceControl` and `HybridMotionForce` [1/s].
         integral: ki as a fraction of its stability limit kd kp / M; the rest is asked of the loop without it.
         coupled: Matrices for the gains of PID and GravityPID, like M, so that all modes are alike.
-        friction: "arm" for the arm's viscous friction to count as damping; None for none.
         rate: [Hz].
         sensing: Filters, of the velocity say; none if left out.
         plant: Plant of the linear model, with its delays, springs and sensors; if left out a rigid one without
@@ -235,42 +227,33 @@ def design(
         zeta=zeta, overshoot=overshoot, omega_n=omega_n, settling=settling, K=K, contact=contact, force=force,
         integral=integral,
     )  # fmt: skip
-    if friction is not None:
-        one_of("friction", friction, ("arm",))
-    if plant is not None and not isinstance(plant, RigidPlant):  # callers without a type checker
-        raise UsageError(f"plant must be a taut.RigidPlant; got {type(plant).__name__}", name="plant")
-    poses, rate = poses_of(arm, at), rate_in_hertz(rate)
+    instance_of("plant", plant, RigidPlant | None, "a taut.RigidPlant")
+    q, rate = pose_of(arm, at), rate_in_hertz(rate)
     given = law if isinstance(law, Law) else with_any_gains(law)
-    loops = [closed_loop_of(given, snapshot(arm, q)) for q in poses]
-    specification.check_fit(type(given).__name__, loops[0])
-    if coupled and not loops[0].decentralised:
+    stated = closed_loop_of(given, snapshot(arm, q))
+    specification.check_fit(type(given).__name__, stated)
+    if coupled and not stated.decentralised:
         raise UsageError(
             f"coupled=True is for PID and GravityPID; leave it out for {type(given).__name__}", name="coupled"
         )
-    viscous = np.array(arm.viscous) if friction == "arm" else np.zeros(arm.n)
-    made = place_poles(loops, specification, coupled=coupled, viscous=viscous)
-    loop = loop_for(closed_loop_of(made, loops[0].x).alone or made, arm, specification, rate=rate,
-                    sensing=sensing, friction=friction, plant=plant)  # fmt: skip
-    found = [achieved(made, loop, q, specification, pose=k, several=len(poses) > 1) for k, q in enumerate(poses)]
-    requirements = tuple(row for each in found for row in each.requirements())
-    limits = [limit for each in found if each.system.stable for limit in each.limits()]
-    unstable = ""
-    for q, each in zip(poses, found, strict=True):
-        if not each.system.stable and not unstable:
-            unstable, factors = blamed(loop, q, each.system)
-            limits += factors
-    missed = next((row.pose for row in requirements if not row.met), 0)
+    made = place_poles(stated, specification, coupled=coupled)
+    moving = closed_loop_of(made, stated.x).alone or made
+    ctrl = compile(moving, arm, rate=rate, sensing=sensing, adds=() if plant is None else plant.adds)
+    loop = Loop(ctrl, plant_for(ctrl, specification) if plant is None else plant, duration=1.0)
+    found = Achieved(law=made, loop=loop, system=linearise(loop, at=q, within=ANYWHERE), specification=specification)
+    stable = found.system.stable
+    unstable, limits = ("", list(found.limits())) if stable else blamed(loop, q, found.system)
     return Design(
         law=made,
         specification=specification,
-        requirements=requirements,
-        limits=worst(limits),
+        requirements=tuple(found.requirements()),
+        limits=tuple(limits),
         arm=arm.name,
         rate=rate,
-        poses=poses,
-        systems=tuple(each.system for each in found),
-        directions=tuple(found[0].stated.directions),
-        steps=None if unstable else found[missed].steps,
+        q=q,
+        system=found.system,
+        directions=tuple(found.stated.directions),
+        steps=found.steps if stable else None,
         unstable=unstable,
     )
 
@@ -293,65 +276,27 @@ def with_any_gains(law: type[Law]) -> Law:
     return law(**gains)
 
 
-def closed_loop_of(law: Law, x: Snapshot) -> ClosedLoop:
-    """The closed loop that a law states at rest; UsageError if it states none."""
-    stated = law.closed_loop(x)
-    if stated is None:
-        raise UsageError(
-            f"{type(law).__name__} states no closed loop to place poles in; find its gains with taut.tune, or design "
-            "the feedback beside it: taut.design(taut.laws.FeedForward() + taut.laws.PID(kp=1.0), arm, ...)",
-            name="law",
-        )
-    return stated
-
-
-def poses_of(arm: Arm, at: ArrayLike | None) -> Float64Array:
-    """(k, n) the poses to design for [rad | m]: one, or one in each row; home if left out."""
-    if not isinstance(arm, Arm):  # callers without a type checker
-        raise UsageError(f"design takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
-    given = arm.home if at is None else finite_array("at", at, unit="rad | m")
-    if given.shape[-1:] != (arm.n,) or given.ndim > 2 or not given.size:
-        raise ShapeError(
-            f"at must be one pose ({arm.n},) or several (k, {arm.n}), for '{arm.name}' has {arm.n} joints; got shape "
-            f"{given.shape}",
+def pose_of(arm: Arm, at: ArrayLike | None) -> Float64Array:
+    """(n,) the pose to design for [rad | m]; home if left out."""
+    instance_of("arm", arm, Arm, "an Arm from taut.load_arm")
+    q = arm.home if at is None else finite_array("at", at, shape=(arm.n,), joints=arm.joint_names, unit="rad | m")
+    require_radians("at", q, arm)
+    outside = np.flatnonzero((q < arm.lower) | (q > arm.upper))
+    if outside.size:
+        i = int(outside[0])
+        raise RangeError(
+            f"at must be within the limits of the joints; got {q[i]:g} for '{arm.joint_names[i]}', which goes "
+            f"from {arm.lower[i]:g} to {arm.upper[i]:g} {arm.units[i]}",
             name="at",
+            joint=arm.joint_names[i],
+            value=float(q[i]),
+            rule="within the limits",
         )
-    poses = np.atleast_2d(given)
-    for q in poses:
-        require_radians("at", q, arm)
-        outside = np.flatnonzero((q < arm.lower) | (q > arm.upper))
-        if outside.size:
-            i = int(outside[0])
-            raise RangeError(
-                f"at must be within the limits of the joints; got {q[i]:g} for '{arm.joint_names[i]}', which goes "
-                f"from {arm.lower[i]:g} to {arm.upper[i]:g} {arm.units[i]}",
-                name="at",
-                joint=arm.joint_names[i],
-                value=float(q[i]),
-                rule="within the limits",
-            )
-    return np.array(poses)
+    return np.array(q)
 
 
-def loop_for(
-    law: Law,
-    arm: Arm,
-    specification: Specification,
-    *,
-    rate: float,
-    sensing: Sensing | None,
-    friction: Literal["arm"] | None,
-    plant: RigidPlant | None,
-) -> Loop:
-    """The law in the plant with which it is judged; its reference stays where it starts."""
-    ctrl = compile(law, arm, rate=rate, sensing=sensing, adds=() if plant is None else plant.adds)
-    if plant is None:
-        plant = plant_for(ctrl, specification, friction)
-    return Loop(ctrl, plant, duration=1.0)
-
-
-def plant_for(ctrl: Controller, specification: Specification, friction: Literal["arm"] | None) -> RigidPlant:
-    """The arm as the law knows it, moving exactly under the zero-order hold, with the contact that is specified."""
+def plant_for(ctrl: Controller, specification: Specification) -> RigidPlant:
+    """The arm without friction, moving exactly under the zero-order hold, with the contact that is specified."""
     arm, kind, x = ctrl.side.arm, ctrl.side.probe.kind, snapshot(ctrl.side.arm, ctrl.side.arm.home)
     environment: Push | Spring | None = None
     stiffness = np.zeros((6, 6))
@@ -367,37 +312,13 @@ def plant_for(ctrl: Controller, specification: Specification, friction: Literal[
             actuation=Actuation(bandwidth=DRIVE),
             environment=environment,
         )
-    arm = arm.with_friction(Friction(viscous=arm.viscous if friction else 0.0))
-    J, Minv = np.asarray(x.J()), np.linalg.inv(np.asarray(x.M))
-    fastest = max(
-        float(np.abs(np.linalg.eigvals(Minv * arm.viscous)).max()),
-        math.sqrt(float(np.abs(np.linalg.eigvals(Minv @ J.T @ stiffness @ J)).max())),
-    )
-    substeps = math.ceil(fastest / (ACCURATE * ctrl.rate))
+    J = np.asarray(x.J())
+    squares = np.linalg.eigvals(np.linalg.solve(np.asarray(x.M), J.T @ stiffness @ J))
+    substeps = math.ceil(math.sqrt(float(np.abs(squares).max())) / (ACCURATE * ctrl.rate))
     return RigidPlant(
-        arm, friction=friction, environment=environment, integrator="rk4",
+        arm, friction=None, environment=environment, integrator="rk4",
         substeps=min(max(substeps, 1), MAX_DESIGN_SUBSTEPS),
     )  # fmt: skip
-
-
-def achieved(
-    law: Law, loop: Loop, q: Float64Array, specification: Specification, *, pose: int, several: bool
-) -> Achieved:
-    """The linear model of the loop about its equilibrium at a pose, and the closed loop that its law states there."""
-    system, plant = linearise(loop, at=q, within=ANYWHERE), loop.plant
-    assert isinstance(plant, RigidPlant)
-    x, drives = snapshot(loop.side.arm, system.point.q), loop.side.probe.kind != "torque"
-    carries = Adds.of(plant.adds).gravity
-    return Achieved(
-        law=loop.side.single_law,
-        stated=closed_loop_of(law, x),
-        system=system,
-        specification=specification,
-        delay=float(plant.actuation.delay),
-        hold=None if drives else np.zeros(x.n) if carries else np.asarray(x.g),
-        pose=pose,
-        several=several,
-    )
 
 
 def blamed(loop: Loop, q: Float64Array, system: LinearSystem) -> tuple[str, list[Limit]]:
@@ -408,14 +329,3 @@ def blamed(loop: Loop, q: Float64Array, system: LinearSystem) -> tuple[str, list
         return system.unstable_because, []
     factors = [Limit(name="largest factor", value=x, unit="-", where=path) for path, x in found.largest.items()]
     return system.unstable_because if found.stable else found.message, factors
-
-
-def worst(limits: Sequence[Limit]) -> tuple[Limit, ...]:
-    """Of limits at several poses the one that is met first: the smallest, of a droop the largest."""
-    found: dict[tuple[str, str], Limit] = {}
-    for limit in limits:
-        key = limit.name, limit.where.partition(" (")[0] if limit.name.startswith("largest") else ""
-        known = found.setdefault(key, limit)
-        if (limit.value > known.value) if limit.name == "droop" else (limit.value < known.value):
-            found[key] = limit
-    return tuple(found.values())

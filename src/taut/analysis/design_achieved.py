@@ -1,4 +1,4 @@
-"""What the sampled loop of a law has at a pose: the figures that were asked for in each direction, and its limits."""
+"""Achieved figures of the sampled loop of a law at a pose, in each direction, and its limits."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taut.analysis.design_specification import Specification, per_coordinate, square
+from taut.base.errors import UsageError
 from taut.base.types import Float64Array
 from taut.control.closed_loop import ClosedLoop
 from taut.control.law import Law
@@ -19,6 +20,10 @@ from taut.control.trajectories.force_reference import TaskForce
 from taut.control.trajectories.reference import JointMotion
 from taut.linear.linear_system import LinearSystem
 from taut.linear.performance import common_delay
+from taut.loop import Loop
+from taut.maths.model import Adds
+from taut.maths.snapshot import Snapshot, snapshot
+from taut.plant.rigid import RigidPlant
 
 TOLERANCE: Final = 0.05  # [-] of a figure that was asked for: within it the figure is met
 STATIC: Final = 0.01  # [-] likewise of a stiffness
@@ -48,8 +53,7 @@ class Requirement:
         asked: The number that was asked for.
         got: Of the linear model of the sampled loop; NaN if unstable, infinite for a step that does not settle.
         met: Whether it is within 5 %, a stiffness within 1 %; a settling time or an overshoot may be less, an
-            overshoot 1 % of the step more. Over several poses damping and speed may be more.
-        pose: Number of the pose.
+            overshoot 1 % of the step more.
     """
 
     name: str
@@ -58,7 +62,6 @@ class Requirement:
     asked: float
     got: float
     met: bool
-    pose: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,14 +87,15 @@ class Steps:
 class Achieved:
     """The sampled loop of a law with its gains, about its equilibrium next to a pose."""
 
-    law: Law  # or the part of it that moves the arm
-    stated: ClosedLoop  # as the law states it there
+    law: Law
+    loop: Loop  # of the law, or of the part of it that moves the arm
     system: LinearSystem  # from tick to tick
     specification: Specification
-    delay: float  # [s] from the tick to the torque
-    hold: Float64Array | None  # (n,) torques that hold the arm [N m | N]; None where the law commands drives
-    pose: int
-    several: bool  # there are other poses too
+
+    @cached_property
+    def stated(self) -> ClosedLoop:
+        """The closed loop that the law states there."""
+        return closed_loop_of(self.law, snapshot(self.loop.side.arm, self.system.point.q))
 
     @cached_property
     def _ahead(self) -> tuple[Float64Array, Float64Array, Float64Array]:
@@ -99,17 +103,17 @@ class Achieved:
 
         A law that follows no reference has the free response to a unit velocity along each direction instead.
         """
-        lin, motions = self.system, self.stated.motions
-        if self.law.ignores_reference:
+        lin, motions, law = self.system, self.stated.motions, self.loop.side.single_law
+        if law.ignores_reference:
             moving = np.zeros((len(lin.A), motions.shape[1]))
             moving[[lin.states.index(f"plant.v[{i}]") for i in range(len(motions))]] = motions
             return moving, self._seen("v"), np.zeros_like(motions)
         names: tuple[str, ...] = ("ref.q",)
         moved: Float64Array = np.asarray(motions)
-        if self.law.reference is not JointMotion:
+        if law.reference is not JointMotion:
             names = ("ref.p", "ref.rotation")
-            moved = np.asarray(self.stated.x.J(self.law.controlled_frame) @ motions)
-        if self.law.reference is TaskForce:
+            moved = np.asarray(self.stated.x.J(law.controlled_frame) @ motions)
+        if law.reference is TaskForce:
             names = ("ref.F_world",)
             moved = np.asarray(square("contact", self.specification.contact, self.stated) @ moved)
         columns, rows = [i for name in names for i in lin.columns(name)], self._seen("q")
@@ -181,9 +185,9 @@ class Achieved:
 
     def stiffness(self) -> Float64Array:
         """(r,) force that moves the arm along each direction by a unit at rest, in each alone [N/m | N m/rad]."""
-        lin, rows = self.system, self.stated.rows
-        J = np.asarray(self.stated.x.J(self.law.controlled_frame))
-        at_tool = self.law.reference is not JointMotion  # where a wrist sensor measures it
+        lin, rows, law = self.system, self.stated.rows, self.loop.side.single_law
+        J = np.asarray(self.stated.x.J(law.controlled_frame))
+        at_tool = law.reference is not JointMotion  # where a wrist sensor measures it
         columns = list(lin.columns("disturbance.wrench" if at_tool else "disturbance.torque"))
         forces = np.linalg.lstsq(J.T, rows.T, rcond=None)[0] if at_tool else rows.T
         rest = np.linalg.lstsq(np.eye(len(lin.A)) - lin.A, lin.B[:, columns] @ forces, rcond=RANK)[0]
@@ -225,17 +229,14 @@ class Achieved:
         for each in zip(directions or self.stated.directions, units, asked.tolist(), map(float, got), strict=True):
             direction, unit, wanted, found = each
             met = self._met(name, wanted, found)
-            yield Requirement(
-                name=name, direction=direction, unit=unit, asked=wanted, got=found, met=met, pose=self.pose
-            )
+            yield Requirement(name=name, direction=direction, unit=unit, asked=wanted, got=found, met=met)
 
     def _met(self, name: str, asked: float, got: float) -> bool:
         if name in ("settling", "overshoot"):
             return bool(got <= asked * (1.0 + TOLERANCE) + (OVERSHOOT if name == "overshoot" else 0.0))
         tolerance = STATIC if name == "K" else TOLERANCE
         lowest = min(asked, 1.0) if name == "zeta" else asked  # two real poles have 1 each
-        more = self.several and name in ("zeta", "omega_n")
-        return bool(got >= lowest * (1.0 - tolerance) and (more or got <= asked * (1.0 + tolerance)))
+        return bool(lowest * (1.0 - tolerance) <= got <= asked * (1.0 + tolerance))
 
     def _of_force(self) -> dict[str, float]:
         """The slow pole of the force [1/s]: on the contact, or against each row of a rigid constraint."""
@@ -244,16 +245,17 @@ class Achieved:
             slow = [np.abs(poles[column > RANK]).min() if self.system.stable else math.nan for column in parts.T]
             return dict(zip(self.stated.directions, slow, strict=True))
         kfp, kfi = (np.diag(gain).tolist() for gain in self.stated.force)
-        dt = self.system.period
-        late = round(self.delay / dt)
+        dt, plant = self.system.period, self.loop.plant
+        assert isinstance(plant, RigidPlant)
+        late = round(plant.actuation.delay / dt)
         return {f"row {i}": force_pole(kfp[i], kfi[i], dt, late) for i in range(len(kfp))}
 
     def limits(self) -> Iterator[Limit]:
         """Of a stable loop."""
-        lin, arm = self.system, self.stated.x.arm
-        command = self.steps.command
-        drives = self.hold is None
-        effort, hold = (arm.velocity, np.zeros(arm.n)) if self.hold is None else (arm.effort, self.hold)
+        lin, arm, plant = self.system, self.stated.x.arm, self.loop.plant
+        command, drives = self.steps.command, self.loop.side.probe.kind != "torque"
+        effort = arm.velocity if drives else arm.effort
+        hold = np.zeros(arm.n) if drives or Adds.of(plant.adds).gravity else np.asarray(self.stated.x.g)
         for i, direction in enumerate(self.stated.directions):
             used = command[:, :, i]
             room = np.maximum(np.where(used > 0.0, effort - hold, effort + hold), 0.0)
@@ -277,6 +279,18 @@ class Achieved:
         if moved.max() > DROOP:
             worst = int(moved.argmax())
             yield Limit(name="droop", value=float(moved[worst]), unit=arm.units[worst], where=arm.joint_names[worst])
+
+
+def closed_loop_of(law: Law, x: Snapshot) -> ClosedLoop:
+    """The closed loop that a law states at rest; UsageError if it states none."""
+    stated = law.closed_loop(x)
+    if stated is None:
+        raise UsageError(
+            f"{type(law).__name__} states no closed loop to place poles in; find its gains with taut.tune, or design "
+            "the feedback beside it: taut.design(taut.laws.FeedForward() + taut.laws.PID(kp=1.0), arm, ...)",
+            name="law",
+        )
+    return stated
 
 
 def force_pole(kfp: float, kfi: float, dt: float, late: int) -> float:

@@ -1,9 +1,8 @@
-"""Specification: what a design asks for, and the gains that place the poles of a law's closed loop accordingly."""
+"""Specification of a design, and the gains that place the poles of a law's closed loop accordingly."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -55,13 +54,13 @@ class Specification(Declared):
 
     @property
     def given(self) -> dict[str, Any]:
-        """What is asked for, by name."""
+        """The specified numbers, by name."""
         every = {name: getattr(self, name) for name in self.declared}
         return {name: value for name, value in every.items() if value is not None and (name != "integral" or value)}
 
     @property
     def damping_ratio(self) -> float | None:
-        """By either name."""
+        """Damping ratio, also of a specified overshoot."""
         return self.zeta if self.overshoot is None else second_order(omega_n=1.0, overshoot=self.overshoot).zeta
 
     def frequencies(self, loop: ClosedLoop) -> Float64Array:
@@ -121,24 +120,12 @@ def square(name: str, value: Any, loop: ClosedLoop) -> Float64Array:
     return np.diag(per_coordinate(name, values, loop))
 
 
-def place_poles(
-    loops: Sequence[ClosedLoop], specification: Specification, *, coupled: bool, viscous: Float64Array
-) -> Law:
-    """The law whose closed loop has the poles that are asked for; of several poses the largest gains.
+def place_poles(loop: ClosedLoop, specification: Specification, *, coupled: bool) -> Law:
+    """The law whose closed loop has the poles that are asked for.
 
     Law:    K = S inertia S with S = diag(omega_n), or as it is asked for; D = 2 zeta (inertia K)^(1/2): the same zeta
             in every mode; Ki = integral D inertia^-1 K. Single poles: D = inertia omega_n.
     """
-    each = [placed(loop, specification, coupled=coupled, viscous=viscous) for loop in loops]
-    K, D, Ki = (compact(largest([getattr(one, name) for one in each])) for name in ("K", "D", "Ki"))
-    if specification.K is not None:
-        K = compact(square("K", specification.K, loops[0]))
-    zeta = specification.damping_ratio
-    return loops[0].gains(PlacedGains(K=K, D=D, Ki=Ki, zeta=1.0 if zeta is None else zeta, force=specification.force))
-
-
-def placed(loop: ClosedLoop, specification: Specification, *, coupled: bool, viscous: Float64Array) -> PlacedGains:
-    """The matrices at one pose."""
     zeta, M = specification.damping_ratio, loop.apparent
     if loop.decentralised and not coupled:
         M = np.diag(np.diag(M))
@@ -156,16 +143,14 @@ def placed(loop: ClosedLoop, specification: Specification, *, coupled: bool, vis
         inertia = np.asarray(loop.x.M) if loop.damps_joints else M
         D = damping_of(inertia, loop.rows.T @ K @ loop.rows if loop.damps_joints else K, zeta)
     Ki = specification.integral * D @ np.linalg.solve(M, K) if specification.integral else np.zeros_like(K)
-    if loop.decentralised or loop.damps_joints:
-        D = D - np.diag(viscous)
-        if np.linalg.eigvalsh(D)[0] < 0.0:
-            raise RangeError(
-                "the viscous friction of the joints alone damps more than is asked for; ask for more damping or more "
-                "speed, or leave friction out",
-                name="zeta" if zeta is not None else "omega_n",
-            )
-    return PlacedGains(
-        K=loop.outside(K), D=D if loop.damps_joints else loop.outside(D), Ki=loop.outside(0.5 * (Ki + Ki.T))
+    return loop.gains(
+        PlacedGains(
+            K=compact(loop.outside(K) if specification.K is None else square("K", specification.K, loop)),
+            D=compact(D if loop.damps_joints else loop.outside(D)),
+            Ki=compact(loop.outside(0.5 * (Ki + Ki.T))),
+            zeta=1.0 if zeta is None else zeta,
+            force=specification.force,
+        )
     )
 
 
@@ -179,13 +164,6 @@ def damping_of(inertia: Float64Array, K: Float64Array, zeta: float) -> Float64Ar
     across = inertia @ modes
     D = across @ np.diag(2.0 * zeta * omega) @ across.T
     return np.asarray(0.5 * (D + D.T))
-
-
-def largest(matrices: Sequence[Float64Array]) -> Float64Array:
-    """Of diagonal matrices the largest entries, else the matrix with the largest trace."""
-    if all(is_diagonal(C) for C in matrices):
-        return np.asarray(np.max(matrices, axis=0))
-    return max(matrices, key=lambda C: float(np.trace(C)))
 
 
 def is_diagonal(C: Float64Array) -> bool:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-from taut.analysis.comparison import Experiment, Numbers, blamed, figures_of
+from taut.analysis.comparison import Comparison, Experiment, Numbers, blamed, compare_laws
 from taut.base.checks import positive_scalar
 from taut.base.errors import RangeError, UsageError
 from taut.base.paths import subtree
@@ -17,11 +17,7 @@ from taut.base.result import Content, Result, Table
 from taut.base.types import Float64Array
 from taut.control.law import Law
 from taut.controller import compile
-from taut.record.comparison_plot import compare as compare_runs
 from taut.record.run import Run
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 GRADE_TOLERANCE: Final = 0.05
 COMMAND_ROUNDING: Final = 1e-9  # in the unit of a command: what arithmetic alone may leave
@@ -64,35 +60,23 @@ class Grade(Result):
     """A law beside a reference law; print it for the report.
 
     Args:
-        on: Name of the experiment.
+        comparison: Of the law and the reference, in this order.
         marks: Each figure of the runs.
         command: The largest difference of the commands along the reference's own trajectory.
         terms: Of terms that both name, where they differ, the largest difference first.
-        only_law: Terms that only the law has.
-        only_reference: Terms that only the reference has.
         tolerance: Relative.
-        settings: Of laws and experiment, as text by name.
-        texts: Longer texts by title, such as that of a scenario.
     """
 
-    name: str
-    reference: str
-    on: str
+    comparison: Comparison
     marks: tuple[Mark, ...]
     command: Difference
     terms: tuple[Difference, ...]
-    only_law: tuple[str, ...]
-    only_reference: tuple[str, ...]
-    run: Run
-    reference_run: Run
     tolerance: float
-    settings: Mapping[str, str]
-    texts: Mapping[str, str]
 
     @property
     def ok(self) -> bool:
         """Whether the run went to its end, and every figure and the command are within the tolerance."""
-        return self.run.outcome.ok and self.command.ok and all(mark.ok for mark in self.marks)
+        return self.comparison.ok and self.command.ok and all(mark.ok for mark in self.marks)
 
     @property
     def wrong_term(self) -> str | None:
@@ -107,29 +91,18 @@ class Grade(Result):
             (d.what, d.joint, d.t, d.law, d.reference, d.size, d.scale, d.unit, _word(d.ok))
             for d in (self.command, *self.terms)
         ]
-        only = {self.name: self.only_law, self.reference: self.only_reference}
-        laws = (self.name, self.reference)
-        return Content(
-            title=f"{self.name} against {self.reference} on {self.on}",
-            faults=[] if self.run.outcome.ok else [f"{self.name}: {self.run.outcome}"],
+        law, reference = laws = tuple(self.comparison.entries)
+        columns = ("command or term", "joint", "t [s]", *laws, "difference", "largest", "unit", "verdict")
+        title = f"largest differences of the commands in the states of the run of {reference}"
+        return dataclasses.replace(
+            self.comparison.content(),
+            title=f"{law} against {reference} on {self.comparison.title}",
             summary=[verdict],
             tables=[
                 Table(title="figures", columns=("figure", "unit", *laws, "off by [%]", "verdict"), rows=marks),
-                Table(
-                    title=f"largest differences of the commands in the states of the run of {self.reference}",
-                    columns=("command or term", "joint", "t [s]", *laws, "difference", "largest", "unit", "verdict"),
-                    rows=commands,
-                ),
+                Table(title=title, columns=columns, rows=commands),
             ],
-            notes=[f"only {name} has the terms {', '.join(terms)}" for name, terms in only.items() if terms],
-            figures={"Errors and torques of both": self._draw},
-            settings=self.settings,
-            texts=self.texts,
         )
-
-    def _draw(self) -> Figure:
-        runs = {self.name: self.run, self.reference: self.reference_run}
-        return compare_runs({name: run for name, run in runs.items() if len(run)}, title=self.on, torques=True)
 
 
 def _word(ok: bool) -> str:
@@ -152,32 +125,21 @@ def grade_law(
             value=tolerance,
             rule="<= 1",
         )
-    runs = []
-    for name, one in (law, reference):
-        with blamed(name):
-            runs.append(experiment.run(experiment.controller(one)))
-    run, other = runs
-    if not other.outcome.ok:
-        raise UsageError(f"law '{reference[0]}' cannot be a reference here: {other.outcome}", name=reference[0])
-    ours, theirs = (_commands(name, one, experiment, other) for name, one in (law, reference))
+    comparison = compare_laws(dict((law, reference)), experiment, runs={}, noise=False, model=None)
+    graded, other = comparison.entries.values()
+    if not other.run.outcome.ok:
+        raise UsageError(f"law '{other.name}' cannot be a reference here: {other.run.outcome}", name=other.name)
+    ours, theirs = (_commands(name, one, experiment, other.run) for name, one in (law, reference))
     differences = {
-        name: _difference(name, ours[name], theirs[name], other, tolerance) for name in ours if name in theirs
+        name: _difference(name, ours[name], theirs[name], other.run, tolerance) for name in ours if name in theirs
     }
     command = differences.pop("command")
     return Grade(
-        name=law[0],
-        reference=reference[0],
-        on=experiment.name,
-        marks=tuple(_marks(figures_of(run), figures_of(other), tolerance)),
+        comparison=comparison,
+        marks=tuple(_marks(graded.numbers, other.numbers, tolerance)),
         command=command,
         terms=tuple(sorted((d for d in differences.values() if d.size > COMMAND_ROUNDING), key=lambda d: -d.size)),
-        only_law=tuple(name for name in ours if name not in theirs and np.any(ours[name])),
-        only_reference=tuple(name for name in theirs if name not in ours and np.any(theirs[name])),
-        run=run,
-        reference_run=other,
         tolerance=tolerance,
-        settings={**{f"law '{name}'": repr(one) for name, one in (law, reference)}, **experiment.settings},
-        texts=experiment.texts,
     )
 
 

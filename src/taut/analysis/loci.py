@@ -80,13 +80,8 @@ class RootLocus(Result):
             title=f"root locus over {self.label} from {self.values[0]:g} to {self.values[-1]:g}",
             summary=(f"stable for {100.0 * float(self.stable.mean()):.0f} % of {len(self.values)} values",),
             tables=(Table(title="points", columns=columns, rows=rows),),
-            figures={"root locus": self._figure},
+            figures={"root locus": lambda: _drawn(self.draw)},
         )
-
-    def _figure(self) -> Figure:
-        figure = _figure(3.4)
-        self.draw(figure.subplots())
-        return figure
 
     def draw(self, ax: Axes, mark: Sequence[float] = ()) -> None:
         """Draw the locus: crosses at the first value, circles at the last, diamonds at stability limits.
@@ -226,30 +221,17 @@ class StabilityMap(Result):
                 f"stable at {100.0 * float(self.stable.mean()):.0f} % of {self.stable.size} points of the grid",
             ),
             tables=(Table(title="stability boundary", columns=self.labels, rows=rows),),
-            figures={"stability map": self._figure},
+            figures={"stability map": lambda: _drawn(self.draw)},
         )
 
-    def _figure(self) -> Figure:
-        figure = _figure(3.2)
-        self.draw(figure.subplots())
-        return figure
-
-    def draw(self, ax: Axes, *, log: bool = False) -> None:
-        """Draw the map: the stable region filled, the boundary as a line.
-
-        Args:
-            ax: Axes.
-            log: Logarithmic scales.
-        """
+    def draw(self, ax: Axes) -> None:
+        """Draw the map: the stable region filled, the boundary as a line."""
         prepared(ax, "", self.labels[1], self.labels[0])
         finite = self.decay_rate[np.isfinite(self.decay_rate)]
         rate = np.clip(self.decay_rate, finite.min(initial=0.0), finite.max(initial=0.0)).T
         ax.contourf(self.x, self.y, rate, levels=[0.0, np.inf], colors=[STABLE])
         ax.plot(*self.boundary.T, ".", color=INK, markersize=3.0, label="boundary")
         ax.fill_between([], [], color=STABLE, label="stable")
-        if log:
-            ax.set_xscale("log")
-            ax.set_yscale("log")
         ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK, loc="best")
 
 
@@ -330,10 +312,12 @@ def _grid(name: str, values: ArrayLike) -> Float64Array:
     return grid
 
 
-def _figure(height: float) -> Figure:
+def _drawn(draw: Callable[[Axes], None]) -> Figure:
     from matplotlib.figure import Figure as NewFigure
 
-    return NewFigure(figsize=(0.7 * WIDTH, height), dpi=150, layout="constrained", facecolor="white")
+    figure = NewFigure(figsize=(0.7 * WIDTH, 3.3), dpi=150, layout="constrained", facecolor="white")
+    draw(figure.subplots())
+    return figure
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 import numpy as np
 
-from taut.base.errors import RangeError, TautError, UsageError, unknown_name
+from taut.base.errors import RangeError, UsageError, unknown_name
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.engine import Steps
@@ -26,101 +26,6 @@ from taut.runtime.ongoing import FusedRun
 from taut.trace import math as tm
 
 PROBE: Final = 1e-3  # relative change of a parameter, to see whether the state at the start depends on it
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Tick:
-    """One tick of a loop, as the cost of `taut.tune` sees it; numbers or symbols.
-
-    Args:
-        t: [s].
-        q: (n,) true positions [rad | m].
-        v: (n,) true velocities [rad/s | m/s].
-        tau: (n,) torques [N m | N].
-        command: (n,) what the controller commands.
-        ref: The sample of the reference.
-    """
-
-    t: Any
-    q: Any
-    v: Any
-    tau: Any
-    command: Any
-    ref: Any
-    loop: Loop
-
-    @property
-    def e(self) -> Any:
-        """(n,) error of joints, desired minus actual [rad | m]; of a task (3,) the tool's position error [m].
-
-        Raises:
-            UsageError: The law follows no motion.
-        """
-        kind = self.loop.side.law.reference
-        if issubclass(kind, JointMotion):
-            return self.loop.plant.arm.difference(self.ref.q, self.q)
-        return self._task_motion("tracking").p - self.pose.p
-
-    @property
-    def rotation_error(self) -> Any:
-        """(3,) rotation vector of the tool's rotation error [rad].
-
-        Raises:
-            UsageError: The law follows no motion of the tool.
-        """
-        return rotation_log(self._task_motion("rotation").R @ self.pose.R.T)
-
-    @property
-    def pose(self) -> Any:
-        """T_WE of the frame that the law controls."""
-        return dyn.pose(model_of(self.loop.plant.arm), self.q, self.loop.side.law.controlled_frame)
-
-    def _task_motion(self, cost: str) -> Any:
-        kind = self.loop.side.law.reference
-        if not issubclass(kind, TaskMotion):
-            raise UsageError(
-                f"cost '{cost}' is of a motion of the tool, and this law follows a {kind.described()}; give another "
-                "cost, or a function of a taut.analysis.Tick",
-                name="cost",
-            )
-        return self.ref.motion
-
-
-Cost: TypeAlias = Callable[[Tick], Any]
-COSTS: Final[Mapping[str, Callable[[Tick], Any]]] = {
-    "tracking": lambda tick: tick.e,  # error of joints [rad | m], or of the tool's position [m]
-    "rotation": lambda tick: tick.rotation_error,  # [rad]
-    "effort": lambda tick: tick.tau,  # [N m | N]
-    "speed": lambda tick: tick.v,  # [rad/s | m/s]
-}
-"""The vectors whose mean square is the cost of that name."""
-
-
-def cost_function(cost: str | Mapping[str, float] | Cost) -> Cost:
-    """A cost as a function of a tick: by name, as weights of names, or as the function that it is."""
-    if callable(cost):
-        return _checked(cost)
-    weights = {cost: 1.0} if isinstance(cost, str) else dict(cost)
-    for name in weights:
-        if name not in COSTS:
-            raise unknown_name("taut.tune", "cost", name, COSTS)
-    return lambda tick: sum(weight * _squared(COSTS[name](tick)) for name, weight in weights.items())
-
-
-def _checked(cost: Cost) -> Cost:
-    def checked(tick: Tick) -> Any:
-        try:
-            return cost(tick)
-        except TautError:
-            raise
-        except Exception as cause:
-            raise UsageError(
-                f"the cost raised {type(cause).__name__}: {cause}; it is a function of a taut.analysis.Tick (t, q, "
-                "v, tau, command, ref, e, rotation_error, pose, loop), which is traced: write it with taut.math",
-                name="cost",
-            ) from cause
-
-    return checked
 
 
 def _squared(rows: Any) -> Any:
@@ -180,24 +85,39 @@ class RunGradient:
     non-smooth point that of the branch taken.
     """
 
-    def __init__(self, loop: Loop, paths: Sequence[str], cost: str | Mapping[str, float] | Cost) -> None:
-        self._loop, self._paths, self._cost = loop, tuple(paths), cost_function(cost)
+    def __init__(self, loop: Loop, paths: Sequence[str], cost: str | Mapping[str, float]) -> None:
+        self._loop, self._paths = loop, tuple(paths)
+        self._weights = {cost: 1.0} if isinstance(cost, str) else dict(cost)
+        kind = loop.side.law.reference
+        costs = ["effort", "speed"]
+        costs += ["tracking"] if issubclass(kind, (JointMotion, TaskMotion)) else []
+        costs += ["rotation"] if issubclass(kind, TaskMotion) else []
+        for name in self._weights:
+            if name not in costs:
+                raise unknown_name(f"a law that follows a {kind.described()}", "cost", name, costs)
         self._inputs, self._parameters = Block.of(loop.input_shapes()), Block.of(loop.parameter_shapes())
         self._compiled: tuple[StepTangent, Block] | None = None  # and the memory
 
     def _step(self, inputs: Any, parameters: Any, memory: Any) -> Any:
         loop = self._loop
         record, after = loop.step(inputs, parameters, memory)
-        tick = Tick(
-            t=inputs["t"],
-            **{name: record[name] for name in ("q", "v", "tau", "command")},
-            ref=loop.side.law.reference.of(subtree(inputs, "ref")),
-            loop=loop,
-        )
-        outputs = {"cost": self._cost(tick), "tau": record["tau"]}
-        if issubclass(loop.side.law.reference, (JointMotion, TaskMotion)):
-            outputs["error"] = tm.sqrt(_squared(tick.e))
+        errors = self._errors(record["q"], loop.side.law.reference.of(subtree(inputs, "ref")))
+        vectors = {"effort": record["tau"], "speed": record["v"], **errors}
+        cost = sum(weight * _squared(vectors[name]) for name, weight in self._weights.items())
+        outputs = {"cost": cost, "tau": record["tau"]}
+        if "tracking" in vectors:
+            outputs["error"] = tm.sqrt(_squared(vectors["tracking"]))
         return outputs, after
+
+    def _errors(self, q: Any, ref: Any) -> dict[str, Any]:
+        """The tracking error of joints [rad | m]; or of the tool's position [m], and its rotation vector [rad]."""
+        law, arm = self._loop.side.law, self._loop.plant.arm
+        if issubclass(law.reference, JointMotion):
+            return {"tracking": arm.difference(ref.q, q)}
+        if not issubclass(law.reference, TaskMotion):
+            return {}
+        T = dyn.pose(model_of(arm), q, law.controlled_frame)
+        return {"tracking": ref.motion.p - T.p, "rotation": rotation_log(ref.motion.R @ T.R.T)}
 
     def at(
         self,

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from taut.base.checks import (
     finite_array,
     finite_scalar,
+    instance_of,
     positive_scalar,
     rate_in_hertz,
 )
@@ -27,7 +28,7 @@ from taut.controller import Controller
 from taut.linear.joint_loop import VelocityKind, joint_matrix, pid
 from taut.linear.judgement import directions, largest_factor, without_dry_friction
 from taut.linear.linear_system import LinearSystem, names
-from taut.linear.linearise import driven_states, observed_states
+from taut.linear.linearise import observed_states
 from taut.linear.period import Period
 from taut.loop import Loop
 from taut.maths.model import PayloadValues
@@ -389,8 +390,7 @@ def check_stiffness(
     References:
         Colgate and Schenkel, Passivity of a class of sampled-data systems (1997). Chapter, section 10.5.1.
     """
-    if not isinstance(ctrl, Controller):  # callers without a type checker
-        raise UsageError(f"a controller from taut.compile is needed; got {type(ctrl).__name__}", name="ctrl")
+    instance_of("ctrl", ctrl, Controller, "a controller from taut.compile")
     if ctrl.side.probe.kind != "torque" or "F_ext" in ctrl.side.needs:
         why = f"commands a {ctrl.side.probe.kind}" if ctrl.side.probe.kind != "torque" else "reads the wrist sensor"
         raise UsageError(
@@ -433,7 +433,7 @@ def _law_at(ctrl: Controller, q: Float64Array, x: Snapshot, gravity: Float64Arra
         for path, value in values.items()
         if path.startswith("law.") and ".null." not in path and path.rpartition(".")[2] in STIFFNESS
     }
-    memory = period.after(period.start, period.start.memory[np.newaxis])[0]  # what begins in the first tick has begun
+    memory = period.after(period.start, period.start.memory)  # what begins in the first tick has begun
     for path in ("plant.q", "plant.v"):
         views(memory)[path][...] = views(period.start.memory)[path]
     point = dataclasses.replace(period.start, memory=memory)
@@ -447,7 +447,8 @@ def _law_at(ctrl: Controller, q: Float64Array, x: Snapshot, gravity: Float64Arra
         C[:, motion[:n]] -= gravity * compensates
         law = np.setdiff1d(every, motion)
         own = found.A[np.ix_(law, law)]  # of its memory, without constants such as a posture at rest
-        states = law[driven_states(own, found.A[np.ix_(law, motion)]) & observed_states(own, C[:, law])]
+        driven = observed_states(own.T, found.A[np.ix_(law, motion)].T)
+        states = law[driven & observed_states(own, C[:, law])]
         return LinearSystem(
             A=found.A[np.ix_(states, states)], B=found.A[np.ix_(states, motion)], C=C[:, states], D=C[:, motion],
             dt=period.dt, states=[coordinates.names[i] for i in states],

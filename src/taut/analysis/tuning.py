@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from scipy.optimize import Bounds, minimize
 
-from taut.analysis.run_gradient import Cost, RunGradient, RunSlopes
+from taut.analysis.run_gradient import RunGradient, RunSlopes
 from taut.base.checks import finite_array, positive_scalar, whole_number
 from taut.base.errors import NumericalError, RangeError, ShapeError, UsageError, count_of, unknown_name
 from taut.base.paths import subtree
@@ -22,9 +22,6 @@ from taut.control.trajectories.reference import Trajectory
 from taut.linear.period import RESOLUTION
 from taut.loop import Loop, state_at_start
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 Loops: TypeAlias = Loop | Sequence[Loop] | Mapping[str, Loop]
 Slope: TypeAlias = tuple[float, Float64Array]
 """A number, and (m,) its derivatives."""
@@ -34,7 +31,6 @@ AT_BOUND: Final = 1e-6  # of the distance of the bounds
 CONSTRAINT_TOLERANCE: Final = 1e-6  # relative; what the optimiser leaves
 COST_TOLERANCE: Final = 1e-7  # relative; where the optimiser stops
 NO_COST: Final = 1e6  # stands for the cost of a run that diverges
-WORST_SHOWN: Final = 100.0  # times the cost at the start, in a plot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,7 +38,6 @@ class LoopFigures:
     """The runs of a loop with some parameters: means over the seeds, and of torque and rate the largest."""
 
     name: str
-    held_out: bool  # nothing is tuned for it
     cost: float
     rms_error: float  # of the joints or of the tool [rad | m]; NaN where the law follows no motion
     effort: float  # integral of tau^2 [(N m)^2 s]
@@ -60,12 +55,16 @@ class Trial:
         cost: Mean over all loops of the cost over that at the start; infinite where a run diverges.
         slacks: By constraint, what remains of it, relative: 0 at the limit, negative beyond.
         figures: Of each loop.
+        gradient: (m,) derivatives of the cost by the parameters as numbers from 0 to 1 between their bounds.
+        slack_gradients: (c, m) of the slacks.
     """
 
     parameters: Mapping[str, Float64Array]
     cost: float
     slacks: Mapping[str, float]
     figures: tuple[LoopFigures, ...]
+    gradient: Float64Array
+    slack_gradients: Float64Array
 
     @property
     def ok(self) -> bool:
@@ -83,7 +82,7 @@ class Tuned(Result):
         start: The parameters at the start.
         cost: Of the best, over that of the start: 1 where nothing was gained.
         history: Every trial in order, the start first.
-        before: Each loop with the parameters of the start, those held out last.
+        before: Each loop with the parameters of the start.
         after: Each loop with the best ones.
         notes: Parameters at their bounds, runs that diverged, an end too soon, constraints that are missed.
     """
@@ -113,7 +112,7 @@ class Tuned(Result):
         ]
         figures = [
             (
-                f"{each.name} (held out)" if each.held_out else each.name,
+                each.name,
                 when,
                 *(each.cost, each.rms_error, each.effort, each.torque, each.rate, each.chatter),
             )
@@ -129,40 +128,20 @@ class Tuned(Result):
                 Table(title="loops", columns=columns, rows=figures),
             ],
             notes=self.notes,
-            figures={"Cost of each trial": self._draw},
         )
-
-    def _draw(self) -> Figure:
-        """The cost of each trial, and the best so far."""
-        from matplotlib.figure import Figure as NewFigure
-
-        from taut.base.plot_style import INK, WIDTH, colour, legend_above, prepared
-
-        figure = NewFigure(figsize=(WIDTH, 3.0), layout="constrained")
-        ax = prepared(figure.subplots(), "tuning: cost over that of the start", "", "trial")
-        costs, ok = (np.array([getattr(trial, name) for trial in self.history]) for name in ("cost", "ok"))
-        best = np.minimum.accumulate(np.where(ok, costs, np.inf))
-        ax.plot(np.flatnonzero(ok), costs[ok], ".", color=colour(0), label="keeps to the constraints")
-        ax.plot(np.flatnonzero(~ok), costs[~ok], "x", color=colour(1), markersize=4.0, label="does not")
-        ax.plot(best, color=INK, linewidth=1.2, label="best so far")
-        legend_above(figure, ax.get_lines())
-        ax.set_yscale("log")
-        ax.set_ylim(0.5 * float(np.append(best, 1.0).min()), WORST_SHOWN)
-        return figure
 
 
 def tune(
     loops: Loops,
     paths: Sequence[str],
     *,
-    cost: str | Mapping[str, float] | Cost = "tracking",
+    cost: str | Mapping[str, float] = "tracking",
     bounds: Mapping[str, tuple[ArrayLike, ArrayLike]] | None = None,
     limits: Limits | None = None,
     chatter: float | None = None,
     q0: ArrayLike | None = None,
     seeds: Sequence[int] = (0,),
     evaluations: int = 300,
-    held_out: Loops = (),
 ) -> Tuned:
     """Gains, or any parameters, that minimise a cost of closed loops within constraints.
 
@@ -176,15 +155,15 @@ def tune(
     Args:
         loops: One or more loops that share the parameters, and begin with them; they stay as they are.
         paths: Such as ("law.kp", "law.kd"), "sensing.velocity.cutoff"; one number, or one per joint.
-        cost: "tracking", "rotation", "effort" or "speed", or weights of them, {"tracking": 1.0, "effort": 1e-6}; or
-            a function of a `taut.analysis.Tick` in `taut.math`, of which the mean over the ticks is taken.
+        cost: "tracking", "rotation", "effort" or "speed", the mean square of the error of joints or of the tool's
+            position, of its rotation, of the torques or the velocities; or weights of them, {"tracking": 1.0,
+            "effort": 1e-6}.
         bounds: By path (low, high), logarithmic if both are positive; a tenth and ten times the start if left out.
         limits: To keep within: `taut.Limits.of(arm)`; None for none.
         chatter: Largest chatter over that at the start: 1.0 for no more; None for any.
         q0: (n,) where runs start [rad | m]; home, or where a reference of joints starts, if left out.
         seeds: Of the noise in the runs.
         evaluations: Largest number of trials.
-        held_out: Loops on which before and after are compared, and nothing is tuned.
 
     Raises:
         UsageError, RangeError, ShapeError, UnknownNameError: An invalid argument; encoders or amplifiers with steps,
@@ -210,13 +189,12 @@ def tune(
             f"limits must be taut.Limits(...), such as taut.Limits.of(arm); got {type(limits).__name__}",
             name="limits",
         )
-    named = _named(loops, "loops")
+    named = _named(loops)
     if not named:
         raise UsageError("tune needs a loop at least", name="loops")
     return _Problem(
         space=_Space(next(iter(named.values())), paths, bounds or {}),
         loops=named,
-        held_out=_named(held_out, "held_out"),
         cost=cost,
         limits={} if limits is None else {"tau": limits.tau, "tau_dot": limits.tau_dot},
         chatter=None if chatter is None else positive_scalar("chatter", chatter),
@@ -226,21 +204,17 @@ def tune(
     ).solved()
 
 
-def _named(loops: Loops, name: str) -> dict[str, Loop]:
+def _named(loops: Loops) -> dict[str, Loop]:
     """Loops by name; those without are numbered."""
     if isinstance(loops, Loop):
         loops = {"loop": loops}
     named = dict(loops) if isinstance(loops, Mapping) else {f"loop {i}": loop for i, loop in enumerate(loops)}
     for loop in named.values():
         if not isinstance(loop, Loop):
-            raise UsageError(f"{name} must be taut.Loop(ctrl, plant, ref, duration=...); got {loop!r}", name=name)
+            raise UsageError(f"loops must be taut.Loop(ctrl, plant, ref, duration=...); got {loop!r}", name="loops")
         steps = next((path for path in loop.parameters if path.endswith(RESOLUTION)), None)
-        if steps is not None and name == "loops":
-            raise UsageError(
-                f"the steps of {steps} have no derivative; tune with a plant without it, and give one that has it as "
-                "held_out",
-                name=name,
-            )
+        if steps is not None:
+            raise UsageError(f"the steps of {steps} have no derivative; tune with a plant without it", name="loops")
     return named
 
 
@@ -337,23 +311,13 @@ class _Stopped(Exception):  # noqa: N818  # no error: what ends an optimiser
     """The trials are used up."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Answer:
-    """A trial with its derivatives: (m,) of the cost, (c, m) of the slacks."""
-
-    trial: Trial
-    gradient: Float64Array
-    slack_gradients: Float64Array
-
-
 @dataclass(kw_only=True, eq=False)
 class _Problem:
     """Cost and constraints of loops that share parameters, with their derivatives."""
 
     space: _Space
     loops: Mapping[str, Loop]
-    held_out: Mapping[str, Loop]
-    cost: str | Mapping[str, float] | Cost
+    cost: str | Mapping[str, float]
     limits: Mapping[str, ArrayLike | None]
     chatter: float | None
     q0: ArrayLike | None
@@ -362,9 +326,8 @@ class _Problem:
 
     def __post_init__(self) -> None:
         paths = tuple(self.space.start)
-        every = {**self.loops, **self.held_out}
-        self._gradients = {name: RunGradient(loop, paths, self.cost) for name, loop in every.items()}
-        self._answers: dict[bytes, _Answer] = {}  # by the point, in the order of the trials
+        self._gradients = {name: RunGradient(loop, paths, self.cost) for name, loop in self.loops.items()}
+        self._trials: dict[bytes, Trial] = {}  # by the point, in the order of the trials
         self._failures: list[str] = []
         self._first: dict[str, LoopFigures] = {}  # of each loop at the start
 
@@ -372,18 +335,18 @@ class _Problem:
         """The best parameters."""
         space, x0, notes = self.space, self.space.scaled(self.space.start), []
         constraints: list[Any] = []
-        if self._answer(x0).trial.slacks:
+        if self._trial(x0).slacks:
             constraints = [
                 {
                     "type": "ineq",
-                    "fun": lambda x: np.array(list(self._answer(x).trial.slacks.values())),
-                    "jac": lambda x: self._answer(x).slack_gradients,
+                    "fun": lambda x: np.array(list(self._trial(x).slacks.values())),
+                    "jac": lambda x: self._trial(x).slack_gradients,
                 }
             ]
 
         def cost(x: Float64Array) -> tuple[float, Float64Array]:
-            answer = self._answer(x)
-            return min(answer.trial.cost, NO_COST), answer.gradient
+            trial = self._trial(x)
+            return min(trial.cost, NO_COST), trial.gradient
 
         try:
             minimize(
@@ -393,8 +356,8 @@ class _Problem:
         except _Stopped:
             notes.append(f"ended after {count_of(self.evaluations, 'trial')}, which evaluations= allows")
         except KeyboardInterrupt:
-            notes.append(f"interrupted after {count_of(len(self._answers), 'trial')}; this is the best of them")
-        history = tuple(answer.trial for answer in self._answers.values())
+            notes.append(f"interrupted after {count_of(len(self._trials), 'trial')}; this is the best of them")
+        history = tuple(self._trials.values())
         best = min((trial for trial in history if trial.ok), key=lambda trial: trial.cost, default=history[0])
         if self._failures:
             notes.append(f"{count_of(len(self._failures), 'trial')} failed, the first: {self._failures[0]}")
@@ -414,26 +377,21 @@ class _Problem:
             start=space.start,
             cost=best.cost,
             history=history,
-            before=(*history[0].figures, *self._unseen(history[0])),
-            after=(*best.figures, *self._unseen(best)),
+            before=history[0].figures,
+            after=best.figures,
             notes=tuple(notes),
         )
 
-    def _unseen(self, trial: Trial) -> list[LoopFigures]:
-        """The loops that are held out, with the parameters of a trial."""
-        x = self.space.scaled(trial.parameters)
-        return [self._figures(name, self._runs(name, loop, x)) for name, loop in self.held_out.items()]
-
-    def _answer(self, x: Float64Array) -> _Answer:
+    def _trial(self, x: Float64Array) -> Trial:
         """Cost and constraints at a point."""
         x = np.clip(np.asarray(x, dtype=np.float64), 0.0, 1.0)
-        if (known := self._answers.get(x.tobytes())) is not None:
+        if (known := self._trials.get(x.tobytes())) is not None:
             return known
-        if len(self._answers) >= self.evaluations:
+        if len(self._trials) >= self.evaluations:
             raise _Stopped
-        start = next(iter(self._answers.values()), None)
+        start = next(iter(self._trials.values()), None)
         try:
-            answer = self._evaluated(x)
+            trial = self._evaluated(x)
         except (RangeError, NumericalError) as cause:  # a run that diverges, a rate that a gain does not fit
             if start is None:
                 raise RangeError(
@@ -442,14 +400,13 @@ class _Problem:
                 ) from cause
             self._failures.append(str(cause).split(";")[0])
             trial = Trial(
-                parameters=self.space.values(x), cost=math.inf, slacks=dict.fromkeys(start.trial.slacks, -1.0),
-                figures=(),
+                parameters=self.space.values(x), cost=math.inf, slacks=dict.fromkeys(start.slacks, -1.0), figures=(),
+                gradient=0.0 * start.gradient, slack_gradients=0.0 * start.slack_gradients,
             )  # fmt: skip
-            answer = _Answer(trial=trial, gradient=0.0 * start.gradient, slack_gradients=0.0 * start.slack_gradients)
-        self._answers[x.tobytes()] = answer
-        return answer
+        self._trials[x.tobytes()] = trial
+        return trial
 
-    def _evaluated(self, x: Float64Array) -> _Answer:
+    def _evaluated(self, x: Float64Array) -> Trial:
         figures, costs = [], []
         slacks: dict[str, Slope] = {}
         for name, loop in self.loops.items():
@@ -462,13 +419,11 @@ class _Problem:
             costs.append(_scaled(_mean([run.mean_cost() for run in runs]), 1.0 / first.cost))
             slacks |= {f"{what} of '{name}'": slack for what, slack in self._slacks(loop, runs, first)}
         cost, gradient = _mean(costs)
-        return _Answer(
-            trial=Trial(
-                parameters=self.space.values(x),
-                cost=cost,
-                slacks={what: value for what, (value, _) in slacks.items()},
-                figures=tuple(figures),
-            ),
+        return Trial(
+            parameters=self.space.values(x),
+            cost=cost,
+            slacks={what: value for what, (value, _) in slacks.items()},
+            figures=tuple(figures),
             gradient=gradient,
             slack_gradients=np.array([slopes for _, slopes in slacks.values()]).reshape(len(slacks), len(x)),
         )
@@ -484,7 +439,6 @@ class _Problem:
         tau, tau_dot = self.limits.get("tau"), self.limits.get("tau_dot")
         return LoopFigures(
             name=name,
-            held_out=name in self.held_out,
             cost=_mean([run.mean_cost() for run in runs])[0],
             rms_error=float(np.mean([np.sqrt(np.mean(run.error**2)) for run in runs])),
             effort=float(np.mean([run.dt * np.sum(run.tau[:-1] ** 2) for run in runs])),

@@ -1,34 +1,26 @@
 """The arms that taut knows by name, from packages on PyPI: files, gripper locks, tools, home poses, drive commands.
 
-Numbers that replace missing or senseless ones of a file are stated in the arm's notes.
+What a file lacks is stated in the arm's notes.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import importlib
 import math
-import pkgutil
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import ModuleType
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
-from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink
+from taut.arm.loaders.tree import Tree
 from taut.arm.loaders.urdf import urdf_tree
 from taut.arm.loaders.xml import read_xml
 from taut.arm.parts import COMMANDS, CommandKind
-from taut.base.errors import FileError, MissingExtraError, missing_extra, unknown_name
-from taut.trace.pose import Pose
+from taut.base.errors import missing_extra
 
 if TYPE_CHECKING:
     from importlib.metadata import Distribution
 
 VELOCITY_POSITION: Final[tuple[CommandKind, ...]] = ("velocity", "position")
-DESCRIPTIONS: Final = "robot_descriptions"
-PATTERN: Final = re.compile(r"[a-z0-9_]+_description\Z")
 ROBOTS: Final = "cmeel.prefix/share/example-robot-data"
 
 
@@ -45,8 +37,6 @@ class Entry:
     home: Mapping[str, float]  # [rad | m] of the joints that move
     commands: tuple[CommandKind, ...] = COMMANDS  # what the real arm takes
     locked: Mapping[str, float] = field(default_factory=dict)  # [rad | m] the gripper
-    limits: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # supplied for a joint
-    frames: Mapping[str, tuple[str, Pose]] = field(default_factory=dict)  # supplied: name -> link, T_link_frame
     notes: tuple[str, ...] = ()
 
 
@@ -70,11 +60,6 @@ def entry_tree(entry: Entry) -> Tree:
     tree = urdf_tree(read_xml(file), file, folders)
     tree.name, tree.home, tree.locked = entry.name, dict(entry.home), dict(entry.locked)
     tree.tool, tree.commands = entry.tool, entry.commands
-    for item in tree.joints:
-        item.joint = dataclasses.replace(item.joint, **entry.limits.get(item.name, {}))
-    for name, (link, T_link_frame) in entry.frames.items():
-        tree.links.append(TreeLink(name=name))
-        tree.joints.append(TreeJoint.fixed(link, name, T_link_frame))
     tree.notes.extend(entry.notes)
     return tree
 
@@ -202,65 +187,5 @@ ENTRIES: Final = (
         locked={"head_pan": 0.0, "l_gripper_l_finger_joint": 0.0, "l_gripper_r_finger_joint": 0.0}
         | {"r_gripper_l_finger_joint": 0.0, "r_gripper_r_finger_joint": 0.0},
     ),
-    Entry(
-        name="two_link",
-        file=_robot("asr_twodof", "urdf/TwoDofs.urdf"),
-        tool="Tip",
-        home={"J1": 0.5, "J2": 1.0},
-        commands=("position",),
-    ),
-    Entry(
-        name="double_pendulum",
-        file=_robot("double_pendulum", "urdf/double_pendulum.urdf"),
-        tool="tip",
-        home={"joint1": 2.6, "joint2": 0.6},  # it stands upright at zero and hangs at pi
-        commands=("torque",),
-        limits={
-            name: {"lower": -2 * math.pi, "upper": 2 * math.pi, "velocity": 20.0, "effort": 2.0}
-            for name in ("joint1", "joint2")
-        },
-        frames={"tip": ("link2", Pose((0.0, 0.0, 0.2)))},
-        notes=(
-            "the file gives every limit as 0; supplied: positions +-2 pi rad, speeds 20 rad/s, torques 2 N m",
-            "the file has no frame at the tip; supplied: 'tip', 0.2 m along link2",
-        ),
-    ),
 )
 CATALOGUE: Final[Mapping[str, Entry]] = {entry.name: entry for entry in ENTRIES}
-
-
-# Models by the names of the package robot_descriptions, where that is installed; it downloads what it names.
-
-
-def described(name: str) -> tuple[Path, dict[str, Path]]:
-    """The file of a robot_descriptions model, and the folders that stand for its package; may raise FileError."""
-    try:
-        package = importlib.import_module(DESCRIPTIONS)
-    except ImportError as cause:
-        raise MissingExtraError(
-            f"the name '{name}' needs the package '{DESCRIPTIONS}', which is not installed; "
-            f"pip install {DESCRIPTIONS} installs it, and taut arms lists the names that need no download",
-            name=DESCRIPTIONS,
-        ) from cause
-    known = [module.name for module in pkgutil.iter_modules(package.__path__) if PATTERN.match(module.name)]
-    if name not in known:
-        raise unknown_name(DESCRIPTIONS, "description", name, known)
-    module = _downloaded(name)
-    for attribute in ("URDF_PATH", "MJCF_PATH"):
-        path = getattr(module, attribute, None)
-        if path is not None:
-            folder = Path(getattr(module, "PACKAGE_PATH", Path(path).parent))
-            return Path(path), {folder.name: folder}
-    raise FileError(f"{DESCRIPTIONS} has neither URDF nor MJCF of '{name}'; name another description", name=name)
-
-
-def _downloaded(name: str) -> ModuleType:
-    try:
-        return importlib.import_module(f"{DESCRIPTIONS}.{name}")
-    except Exception as cause:  # it runs git, which fails in ways of its own
-        said = next(iter(str(cause).strip().splitlines()), type(cause).__name__)
-        raise FileError(
-            f"{DESCRIPTIONS} could not supply '{name}': {said}; it downloads models: check the network, "
-            "or give the path of a file",
-            name=name,
-        ) from cause

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from taut.arm.friction import AT_REST, FRICTION_FIELDS
-from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink, assemble, require_within_limits
+from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink, assemble, positions_within_limits
 from taut.arm.parts import Body
 from taut.arm.rules import check_inertia, rotor_doubts, value_problems
 from taut.base.checks import (
-    entry_names,
     finite_array,
     finite_scalar,
     require_range,
@@ -42,9 +41,7 @@ def locked_copy(arm: Arm, joints: Iterable[str], q: ArrayLike | None) -> Arm:
         raise UsageError("a subset needs one joint at least; got none", name="joints")
     if len(set(keep)) != len(keep):
         raise UsageError(f"a subset names each joint once; got {keep}", name="joints")
-    at = arm.home if q is None else vector("q", q, arm.n, joints=arm.joint_names)
-    for i, joint in enumerate(arm.joints):
-        require_within_limits(entry_names("home" if q is None else "q", [i], arm.joint_names), float(at[i]), joint)
+    at = positions_within_limits("home" if q is None else "q", arm.home if q is None else q, arm.joints)
     home = dict(zip(arm.joint_names, map(float, at), strict=True))
     tree = _tree_of(arm, locked={name: position for name, position in home.items() if name not in keep})
     made = assemble(type(arm), tree, T_WB=arm.T_WB, home=home)
@@ -54,14 +51,6 @@ def locked_copy(arm: Arm, joints: Iterable[str], q: ArrayLike | None) -> Arm:
         for body in made.bodies
     )
     return dataclasses.replace(made, bodies=bodies, payload=arm.payload, notes=arm.notes)
-
-
-def home_replaced(arm: Arm, q: ArrayLike) -> Arm:
-    """The arm with another pose to start from."""
-    home = vector("home", q, arm.n, joints=arm.joint_names)
-    for i, joint in enumerate(arm.joints):
-        require_within_limits(entry_names("home", [i], arm.joint_names), float(home[i]), joint)
-    return dataclasses.replace(arm, home=home)
 
 
 def _link_name(joint: str) -> str:
@@ -157,24 +146,10 @@ def _given(value: ArrayLike | Mapping[str, float], joint: str) -> bool:
     return not isinstance(value, Mapping) or joint in value
 
 
-def geared(arm: Arm, ratio: ArrayLike | Mapping[str, float], motor_inertia: ArrayLike | Mapping[str, float]) -> Arm:
+def geared(arm: Arm, ratio: ArrayLike | Mapping[str, float], motor_inertia: ArrayLike) -> Arm:
     """The arm with geared motors, whose rotors act with their reflected inertia."""
-    named = [set(value) for value in (ratio, motor_inertia) if isinstance(value, Mapping)]
-    if len(named) == 2 and named[0] != named[1]:
-        raise UsageError(
-            "ratio and motor_inertia by joint name must name the same joints; only one of them names "
-            f"{quoted_list(sorted(named[0] ^ named[1]))}",
-            name="motor_inertia",
-        )
-    chosen = np.array([not named or name in named[0] for name in arm.joint_names])
-    G, rotor = arm.gear.copy(), np.zeros(arm.n)
-    for name, value, column in (("ratio", ratio, G), ("motor_inertia", motor_inertia, rotor)):
-        if isinstance(value, Mapping):
-            for joint, one in value.items():
-                column[arm.joint_index(joint)] = finite_scalar(f"{name}['{joint}']", one)
-        else:
-            column[chosen] = _column(arm, name, value)[chosen]
-    require_range("ratio", G, above=0.0, joints=arm.joint_names)
+    chosen = [not isinstance(ratio, Mapping) or name in ratio for name in arm.joint_names]
+    G, rotor = _column(arm, "gear", ratio), _per_joint(arm, "motor_inertia", motor_inertia)
     require_range("motor_inertia", rotor, minimum=0.0, unit="kg m^2", joints=arm.joint_names)
     return joints_replaced(arm, {"gear": G, "rotor_inertia": np.where(chosen, G**2 * rotor, arm.rotor_inertia)})
 
@@ -189,6 +164,10 @@ def _column(arm: Arm, name: str, given: ArrayLike | Mapping[str, float]) -> Floa
         for joint, value in given.items():
             column[arm.joint_index(joint)] = value
         return finite_array(name, column, shape=(arm.n,), joints=arm.joint_names, infinite=name in LIMITS)
+    return _per_joint(arm, name, given)
+
+
+def _per_joint(arm: Arm, name: str, given: ArrayLike) -> Float64Array:
     numbers = finite_array(name, given, infinite=name in LIMITS, joints=arm.joint_names)
     if numbers.shape not in ((), (arm.n,)):
         raise ShapeError(f"{name} must be one number or {arm.n}, one per joint; got shape {numbers.shape}", name=name)

@@ -28,7 +28,7 @@ from taut.arm.parts import (
     Visual,
     short_way,
 )
-from taut.base.checks import finite_array, read_only, vector
+from taut.base.checks import finite_array, instance_of, read_only, vector
 from taut.base.errors import UsageError, count_of, unknown_name
 from taut.base.types import Array, ArrayLike, Float64Array, Point3, Vector
 from taut.trace.pose import Pose
@@ -188,8 +188,7 @@ class Arm:
 
     def mounted(self, T_WB: Pose) -> Arm:
         """A copy whose base stands at T_WB in the world."""
-        if not isinstance(T_WB, Pose):
-            raise UsageError(f"T_WB must be a taut.Pose; got {type(T_WB).__name__}", name="T_WB")
+        instance_of("T_WB", T_WB, Pose, "a taut.Pose")
         return dataclasses.replace(self, T_WB=T_WB)
 
     def with_gravity(self, gravity: ArrayLike) -> Arm:
@@ -205,12 +204,6 @@ class Arm:
         """A copy that carries a payload: mass [kg], centre of mass [m] and inertia in the tool frame."""
         com, inertia = finite_array("payload.com", com), finite_array("payload.inertia", inertia)
         return dataclasses.replace(self, payload=Payload(mass=mass, com=com, inertia=inertia))
-
-    def with_home(self, q: ArrayLike) -> Arm:
-        """A copy with another home pose (n,) [rad | m], within the limits."""
-        from taut.arm.change import home_replaced
-
-        return home_replaced(self, q)
 
     def subset(self, joints: Iterable[str], q: ArrayLike | None = None) -> Arm:
         """A copy in which only these joints move, the others locked at q (home). UnknownNameError, UsageError."""
@@ -273,18 +266,16 @@ class Arm:
             raise UsageError(f"with_friction takes a taut.Friction; got {type(friction).__name__}", name="friction")
         return self.with_joints(**{name: getattr(friction, name) for name in FRICTION_FIELDS})
 
-    def with_gears(
-        self, ratio: ArrayLike | Mapping[str, float], motor_inertia: ArrayLike | Mapping[str, float]
-    ) -> Arm:
+    def with_gears(self, ratio: ArrayLike | Mapping[str, float], motor_inertia: ArrayLike) -> Arm:
         """A copy with geared motors, reflected inertia ratio^2 motor_inertia; warns of an implausible rotor inertia.
 
         Args:
             ratio: Turns of the motor per turn of the joint, or per metre [rad/m]: one number, (n,), or by joint name.
-            motor_inertia: Of each rotor about its own axis [kg m^2], in the same forms.
+            motor_inertia: Of each rotor about its own axis [kg m^2]: one number, or (n,).
 
         Raises:
             RangeError: A ratio <= 0, or a negative inertia.
-            UsageError: Two mappings that name different joints.
+            UnknownNameError: The arm has no such joint.
 
         Example:
             >>> from taut import load_arm
@@ -302,8 +293,8 @@ class Arm:
     def with_servo(self, servos: Servo | Mapping[str, Servo]) -> Arm:
         """A copy with the friction and rotor inertia of a servo in every joint, or of one each by joint name.
 
-        A servo's numbers are those of its output, so that the gear ratio becomes 1. Effort and speed limits stay;
-        `with_joints(effort=servo.stall_torque)` changes them. Raises UnknownNameError, UsageError (prismatic joint).
+        A servo's numbers are those of its output, so that the gear ratio becomes 1. Effort and speed limits stay.
+        Raises UnknownNameError, UsageError (prismatic joint).
 
         Example:
             >>> from taut import Friction, Servo, load_arm

@@ -41,7 +41,7 @@ class Friction:
                   contact put on it, which at rest is -tau_motor
 
     The laws of figure 10.14 by their parameters: (a) viscous; (b) coulomb; (c) viscous and coulomb; (d) coulomb and a
-    larger static; (e) these and viscous; (f) these and stribeck. `taut.analysis.plot_friction` draws them. Friction
+    larger static; (e) these and viscous; (f) these and stribeck. `taut book fig-10.14` draws them. Friction
     is that of the joint's own axis, at the output of gears.
 
     Args:

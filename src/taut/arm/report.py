@@ -6,11 +6,12 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 from taut.arm.builtin import BUILT_IN
 from taut.arm.catalogue import CATALOGUE, installed_package
-from taut.arm.description import Arm, CommandKind, Joint
+from taut.arm.change import JOINT_FIELDS, LIMITS
+from taut.arm.description import Arm, Joint
 from taut.arm.friction import FRICTION_FIELDS
 from taut.arm.load import load_arm, open_model
 from taut.arm.loaders.tree import Tree
@@ -21,17 +22,7 @@ from taut.base.errors import ModelError, Problem, TautError, UsageError, count_o
 from taut.base.result import Table
 from taut.base.types import Float64Array
 
-MORE_OF_JOINTS: Final = (*FRICTION_FIELDS[2:], "gear")  # shown in the table where a joint has it
-NUMBERS: Final = {  # of a joint, by their names in JSON: field, and head of the column
-    "lower": ("lower", "lower"),
-    "upper": ("upper", "upper"),
-    "velocity": ("velocity", "speed"),
-    "effort": ("effort", "effort"),
-    "damping": ("viscous", "damping"),
-    "friction": ("coulomb", "friction"),
-    **{name: (name, name.replace("stribeck_shape", "shape").replace("_", " ")) for name in MORE_OF_JOINTS},
-    "rotor_inertia": ("rotor_inertia", "rotor"),
-}
+USUAL: Final = (*LIMITS, *FRICTION_FIELDS[:2], "rotor_inertia")  # the others are shown where a joint has them
 
 Json: TypeAlias = "str | float | bool | list[Json] | dict[str, Json] | None"
 
@@ -149,7 +140,7 @@ def _joint_json(joint: Joint) -> dict[str, Json]:
         "type": joint.kind,
         "unit": joint.unit,
         "axis": joint.axis.tolist(),
-        **{name: _finite(getattr(joint, field)) for name, (field, _) in NUMBERS.items()},
+        **{name: _finite(getattr(joint, name)) for name in JOINT_FIELDS},
     }
 
 
@@ -198,20 +189,20 @@ def _row(numbers: Float64Array) -> str:
 
 def joint_table(joints: Sequence[Joint]) -> Table:
     """Limits, friction, gears and rotors of joints; static friction and the like where one has any."""
-    usual = Joint(name="", kind="revolute")
+    none = Joint(name="", kind="revolute")
     shown = [
-        (field, head)
-        for name, (field, head) in NUMBERS.items()
-        if name not in MORE_OF_JOINTS or any(getattr(joint, field) != getattr(usual, field) for joint in joints)
+        name
+        for name in JOINT_FIELDS
+        if name in USUAL or any(getattr(joint, name) != getattr(none, name) for joint in joints)
     ]
     return Table(
-        columns=("joint", "type", "axis", *(head for _, head in shown), "unit"),
+        columns=("joint", "type", "axis", *(name.replace("_", " ") for name in shown), "unit"),
         rows=[
             (
                 joint.name,
                 joint.kind,
                 _row(joint.axis),
-                *(_cell(getattr(joint, field)) for field, _ in shown),
+                *(_cell(getattr(joint, name)) for name in shown),
                 f"{joint.unit}, {joint.effort_unit}",
             )
             for joint in joints
@@ -227,36 +218,25 @@ def _cell(value: float | None) -> str:
     return "none" if math.isinf(value) else f"{value:.4g}"
 
 
-@dataclass(frozen=True, kw_only=True)
-class ArmRow:
-    """One line of `taut arms`."""
-
-    name: str
-    joints: int
-    commands: tuple[CommandKind, ...]  # what the real arm takes
-    source: str  # "built in", or the package on PyPI
-    installed: bool
-
-
-def arm_rows() -> list[ArmRow]:
-    """The arms that `load_arm` knows by name."""
-    own = [
-        ArmRow(
-            name=name,
-            joints=len(made().movable),
-            commands=COMMANDS,
-            source="built in",
-            installed=True,
-        )
+def arm_rows() -> list[dict[str, Any]]:
+    """The arms that `load_arm` knows by name, with what the real arm takes and the package on PyPI that has it."""
+    own: list[dict[str, Any]] = [
+        {
+            "name": name,
+            "joints": len(made().movable),
+            "commands": list(COMMANDS),
+            "source": "built in",
+            "installed": True,
+        }
         for name, made in BUILT_IN.items()
     ]
     return own + [
-        ArmRow(
-            name=entry.name,
-            joints=len(entry.home),
-            commands=entry.commands,
-            source=entry.package,
-            installed=installed_package(entry) is not None,
-        )
+        {
+            "name": entry.name,
+            "joints": len(entry.home),
+            "commands": list(entry.commands),
+            "source": entry.package,
+            "installed": installed_package(entry) is not None,
+        }
         for entry in CATALOGUE.values()
     ]

@@ -6,18 +6,18 @@ Parameter files of servos are the JSON of the package better-actuator-models (BA
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from taut.arm.friction import FRICTION_FIELDS, Friction
-from taut.base.checks import finite_array, finite_scalar, positive_scalar, readable_file, require_range
-from taut.base.errors import ModelError, Problem, ShapeError, TautError, UsageError, quoted_list, unknown_name
-from taut.base.types import ArrayLike, Float64Array
+from taut.base.checks import finite_scalar, positive_scalar, readable_file
+from taut.base.errors import ModelError, Problem, TautError, UsageError, quoted_list, unknown_name
+from taut.base.fields import Declared, Field, Part
 
 if TYPE_CHECKING:
     from taut.arm.description import Arm
@@ -51,8 +51,7 @@ UNITS: Final[Mapping[str, str]] = {
 }
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Servo:
+class Servo(Declared):
     """A servo's friction, rotor and motor, all seen at its output. `arm.with_servo(servo)` puts it into joints.
 
     Law:  tau = torque_constant i, i = (u - torque_constant v) / resistance, for a voltage u and a speed v
@@ -79,53 +78,23 @@ class Servo:
         ...     friction=Friction(coulomb=0.0524, viscous=0.0591), rotor_inertia=0.0284,
         ...     torque_constant=1.212, resistance=2.676, voltage=7.4,
         ... )
-        >>> round(sts3215.stall_torque, 2), round(sts3215.no_load_speed, 2)
-        (3.35, 6.11)
+        >>> round(sts3215.torque_constant * sts3215.voltage / sts3215.resistance, 2)  # stall torque [N m]
+        3.35
     """
 
-    friction: Friction
-    rotor_inertia: float
-    torque_constant: float | None = None
-    resistance: float | None = None
-    voltage: float | None = None
+    friction: Part[Friction] = Part(Friction)
+    rotor_inertia: Field = Field(unit="kg m^2", minimum=0.0, run_time=False)
+    torque_constant: Field = Field(unit="N m/A", above=0.0, optional=True, run_time=False)
+    resistance: Field = Field(unit="ohm", above=0.0, optional=True, run_time=False)
+    voltage: Field = Field(unit="V", above=0.0, optional=True, run_time=False)
     name: str = ""
     model: str = ""
     source: str = ""
     notes: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
-        if not isinstance(self.friction, Friction):  # callers without a type checker
-            raise UsageError(
-                f"a servo's friction must be a taut.Friction; got {type(self.friction).__name__}", name="friction"
-            )
+    def check(self) -> None:
         for name in FRICTION_FIELDS:
             finite_scalar(f"friction.{name}", getattr(self.friction, name))
-        finite_scalar("rotor_inertia", self.rotor_inertia, unit="kg m^2", minimum=0.0)
-        for name, unit in (("torque_constant", "N m/A"), ("resistance", "ohm"), ("voltage", "V")):
-            if getattr(self, name) is not None:
-                positive_scalar(name, getattr(self, name), unit=unit)
-
-    @property
-    def stall_torque(self) -> float:
-        """Motor torque at rest under full voltage, before friction [N m]; UsageError if a number is missing."""
-        kt, R, u = self._known("stall torque", "torque_constant", "resistance", "voltage")
-        return kt * u / R
-
-    @property
-    def no_load_speed(self) -> float:
-        """Speed of zero motor torque under full voltage [rad/s]; UsageError if a number is missing."""
-        kt, u = self._known("no-load speed", "torque_constant", "voltage")
-        return u / kt
-
-    def _known(self, what: str, *names: str) -> list[float]:
-        missing = [name for name in names if getattr(self, name) is None]
-        if missing:
-            raise UsageError(
-                f"the {what} of a servo needs its {quoted_list(missing)}; give it to taut.Servo(...), or the voltage "
-                "to taut.load_servo(path, voltage=...)",
-                name=missing[0],
-            )
-        return [float(getattr(self, name)) for name in names]
 
 
 def with_servos(arm: Arm, servos: Servo | Mapping[str, Servo]) -> Arm:
@@ -208,10 +177,10 @@ def _object(file: Path) -> dict[str, Any]:
         return dict(pairs)
 
     try:
-        data = json.loads(text, object_pairs_hook=once)
+        data = json.loads(text, object_pairs_hook=once, parse_int=float)
     except ModelError:
         raise
-    except (RecursionError, ValueError) as cause:  # no JSON, no UTF-8, too deep, or thousands of digits
+    except (RecursionError, ValueError) as cause:  # no JSON, no UTF-8, or too deep
         said = str(cause) if isinstance(cause, json.JSONDecodeError) else "its text is damaged or far too deep"
         raise _refused(file, "JSON", f"the file is not JSON: {said}", getattr(cause, "lineno", None)) from cause
     if not isinstance(data, dict):
@@ -265,7 +234,7 @@ def _friction(model: str, values: Mapping[str, Any]) -> Friction:
     return Friction(**of)
 
 
-def reflected_inertia(ratio: ArrayLike, motor_inertia: ArrayLike) -> Float64Array:
+def reflected_inertia(ratio: float, motor_inertia: float) -> float:
     """Reflected inertia of a rotor at its joint: ratio^2 motor_inertia [kg m^2 | kg].
 
     Law:  K = (I_link + G^2 I_motor) v^2 / 2, since the rotor turns G times as fast as the link
@@ -281,21 +250,19 @@ def reflected_inertia(ratio: ArrayLike, motor_inertia: ArrayLike) -> Float64Arra
         A link of 1 kg m^2 with a rotor of 1e-3 kg m^2: in direct drive 99.9 % of the inertia is the link's; behind
         a gear of 100 the rotor is ten times the link.
 
-        >>> round(100.0 / (1.0 + float(reflected_inertia(1.0, 1e-3))), 1)
+        >>> round(100.0 / (1.0 + reflected_inertia(1.0, 1e-3)), 1)
         99.9
-        >>> round(float(reflected_inertia(100.0, 1e-3)), 9)
+        >>> round(reflected_inertia(100.0, 1e-3), 9)
         10.0
 
     References:
         Chapter, section 10.2.1.5 the effect of gearing.
     """
-    G, rotor = _two("ratio", ratio, "motor_inertia", motor_inertia)
-    require_range("ratio", G, above=0.0)
-    require_range("motor_inertia", rotor, minimum=0.0, unit="kg m^2")
-    return np.asarray(G**2 * rotor)
+    G = positive_scalar("ratio", ratio)
+    return G**2 * finite_scalar("motor_inertia", motor_inertia, minimum=0.0, unit="kg m^2")
 
 
-def matched_ratio(link_inertia: ArrayLike, motor_inertia: ArrayLike) -> Float64Array:
+def matched_ratio(link_inertia: float, motor_inertia: float) -> float:
     """The gear ratio that gives the link half of the torque, and the most acceleration: sqrt(I_link / I_motor).
 
     Law:  a(G) = G tau / (I_link + G^2 I_motor) is largest where I_link = G^2 I_motor: inertia matched
@@ -308,26 +275,11 @@ def matched_ratio(link_inertia: ArrayLike, motor_inertia: ArrayLike) -> Float64A
         RangeError: An inertia that is not above zero.
 
     Example:
-        >>> round(float(matched_ratio(1.0, 1e-3)), 2)
+        >>> round(matched_ratio(1.0, 1e-3), 2)
         31.62
 
     References:
         Chapter, section 10.2.1.5 the effect of gearing.
     """
-    link, rotor = _two("link_inertia", link_inertia, "motor_inertia", motor_inertia)
-    require_range("link_inertia", link, above=0.0, unit="kg m^2")
-    require_range("motor_inertia", rotor, above=0.0, unit="kg m^2")
-    return np.asarray(np.sqrt(link / rotor))
-
-
-def _two(name: str, a: ArrayLike, other: str, b: ArrayLike) -> tuple[Float64Array, Float64Array]:
-    first, second = finite_array(name, a), finite_array(other, b)
-    try:
-        np.broadcast_shapes(first.shape, second.shape)
-    except ValueError as cause:
-        raise ShapeError(
-            f"{name} and {other} must be one number each or one per joint; got shapes {first.shape} and "
-            f"{second.shape}",
-            name=other,
-        ) from cause
-    return first, second
+    link = positive_scalar("link_inertia", link_inertia, unit="kg m^2")
+    return math.sqrt(link / positive_scalar("motor_inertia", motor_inertia, unit="kg m^2"))

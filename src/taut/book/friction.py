@@ -10,16 +10,17 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from taut import Arm, Friction, JointMotion, Law, Run, snapshot
-from taut.analysis import plot_friction
 from taut.arm.builtin import one_joint
+from taut.base.plot_style import WIDTH, prepared
 from taut.book.models import M, controller, link, on_link
-from taut.book.page import Shown, entry, row
+from taut.book.page import Shown, curve, entry, legend, row
 from taut.book.single_joint import ConstantTorque
 from taut.drives import matched_ratio, reflected_inertia, rotor_share
 from taut.laws import PID, Dither, RaisedGains
+from taut.maths.friction import FrictionValues, dry_limit, friction_torque
 
 if TYPE_CHECKING:
-    pass
+    from matplotlib.figure import Figure
 
 STATIC, KINETIC, VISCOUS, STRIBECK = 0.5, 0.3, 0.2, 0.1  # [N m], [N m], [N m s/rad], [rad/s] chosen
 LAWS: Final = {
@@ -65,7 +66,27 @@ def fig_10_14() -> Shown:
         slip = "slip: tau_fric >= |b_static|" if tau < 0.0 and breaks else ""
         name = f"(d): speed after 0.5 s under {tau:g} N m, from rest [rad/s]"
         yield row(name, run.v[-1, 0], wanted, "|tau| >= b_static", rel=1e-3, near=1e-12, states=slip)
-    yield plot_friction(LAWS, speed=1.0)
+    yield laws_drawn()
+
+
+def laws_drawn() -> Figure:
+    """Friction over speed, with the sign of the speed that it opposes; at rest all that it can hold."""
+    from matplotlib.figure import Figure as NewFigure
+
+    figure = NewFigure(figsize=(WIDTH, 4.3), dpi=150, layout="constrained")
+    axes = list(figure.subplots(2, 3, sharex=True, sharey=True).flat)
+    v = np.linspace(1e-6, 1.0, 401)
+    none = np.zeros(len(v))
+    for ax, (title, friction) in zip(axes, LAWS.items(), strict=True):
+        prepared(ax, title, "friction [N m]", "v [rad/s]")
+        values = FrictionValues.fixed(friction)
+        torques = -friction_torque(values, v, none, none)
+        hold = float(dry_limit(values, np.zeros(1), np.array([True]), none[:1], none[:1])[0])
+        curve(ax, v, torques, "in motion", 0)
+        curve(ax, -v, -torques, "", 0)
+        curve(ax, [0.0, 0.0], [-hold, hold], "at rest: any value between", 1)
+    legend(axes[0])
+    return figure
 
 
 AMPLITUDE, FREQUENCY = 1.5, 40.0  # [N m], [Hz] chosen: three times b_static

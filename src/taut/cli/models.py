@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import re
 import shutil
 import textwrap
@@ -20,13 +19,13 @@ from taut.cli.command import DONE, WRONG, Answer, Command, Say
 def _arms(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
     from taut.arm.report import arm_rows
 
-    rows = list(arm_rows())
+    rows = arm_rows()
     table = Table(
         title="taut.load_arm(NAME)",
         columns=("arm", "joints", "commands", "from", "installed"),
-        rows=[(row.name, str(row.joints), ", ".join(row.commands), row.source, bool(row.installed)) for row in rows],
+        rows=[tuple((row | {"commands": ", ".join(row["commands"])}).values()) for row in rows],
     )
-    return Answer(text=str(table), data=[dataclasses.asdict(row) for row in rows])
+    return Answer(text=str(table), data=rows)
 
 
 ARMS: Final = Command(name="arms", help="List the arms that taut knows by name.", run=_arms)
@@ -34,9 +33,8 @@ ARMS: Final = Command(name="arms", help="List the arms that taut knows by name."
 
 def _laws(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
     from taut import laws
-    from taut.control.combine import Sum, Wrapper, law_classes
+    from taut.control.combine import SideBySide, Sum, Wrapper, law_classes
     from taut.control.gains import Gain
-    from taut.control.side_by_side import SideBySide
     from taut.controller.explain import statements, summary
 
     rows = [

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 import scipy.linalg
 import scipy.signal
-from scipy.optimize import brentq
 
 from taut.base.checks import (
     finite_array,
@@ -25,16 +24,9 @@ from taut.base.errors import RangeError, ShapeError, UsageError
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.sensing import Difference, LowPass, check_filter
 from taut.linear.linear_system import LinearSystem, names
-from taut.linear.performance import BAND
 
 VelocityKind = Literal["measured", "difference"] | LowPass | Difference
-PAIRS: Final = [
-    {one, other}
-    for group, others in ((("zeta", "overshoot"), ("omega_n", "kp", "kd", "settling")), (("kd",), ("kp", "omega_n")))
-    for one in group
-    for other in others
-]
-"""Two numbers that determine the gains of a joint."""
+MIN_DAMPING: Final = 1e-3  # [-] damping ratio of a joint that is to settle
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,7 +113,8 @@ def second_order(
         for (name, unit), value in values
         if value is not None
     }
-    if {*given} not in PAIRS:
+    dampings = {*given} & {"zeta", "overshoot"}
+    if len(given) != 2 or (len(dampings) != 1 and ("kd" not in given or "settling" in given)):
         raise UsageError(
             "a damping (zeta or overshoot) and one of omega_n, kp, kd and settling determine the gains, or kd with "
             f"kp or omega_n; got {', '.join(given) if given else 'none'}",
@@ -131,26 +124,18 @@ def second_order(
         raise RangeError(
             f"overshoot must be below 100 %, that of no damping; got {overshoot:g}", name="overshoot", value=overshoot
         )
-    zeta, omega_n = given.get("zeta"), given.get("omega_n")
+    zeta = given.get("zeta", math.nan)
     if "overshoot" in given:
-        zeta = _zeta_of_overshoot(given["overshoot"])
-    if "kp" in given:
-        omega_n = math.sqrt(given["kp"] / M)
-    if zeta == 0.0 and ("settling" in given or "kd" in given):
-        raise RangeError(
-            "zeta must be > 0 with settling or kd: without damping nothing settles; got 0.0", name="zeta", value=0.0
-        )
-    if "settling" in given and zeta is not None:
-        omega_n = settling_angle(zeta) / given["settling"]
-    if omega_n is None:
-        omega_n = (b + given["kd"]) / (2.0 * M * zeta)  # type: ignore[operator]  # kd and one of zeta and overshoot
-    kp = given.get("kp", M * omega_n**2)
-    if "kd" in given:
-        if "kp" not in given and zeta is not None:
-            kp = (b + given["kd"]) ** 2 / (4.0 * M * zeta**2)
-        return SecondOrder(M=M, b=b, kp=kp, kd=given["kd"])
-    assert zeta is not None
-    kd = 2.0 * zeta * math.sqrt(kp * M) - b
+        decrement = math.log(100.0 / given["overshoot"]) if given["overshoot"] else math.inf
+        zeta = 1.0 / math.hypot(1.0, math.pi / decrement)  # of exp(-pi zeta / sqrt(1 - zeta^2))
+    frequency = given.get("omega_n", math.nan)
+    if dampings and {*given} & {"settling", "kd"}:
+        require_range("zeta", zeta, minimum=MIN_DAMPING, hint="without damping nothing settles")
+        frequency = (b + given.get("kd", math.nan)) / (2.0 * M * zeta)
+    if "settling" in given:
+        frequency = settling_angle(zeta) / given["settling"]
+    kp = given.get("kp", M * frequency**2)
+    kd = given.get("kd", 2.0 * zeta * math.sqrt(kp * M) - b)
     if kd < 0.0:
         least = b / (2.0 * math.sqrt(kp * M)) if kp else math.inf
         raise RangeError(
@@ -162,40 +147,11 @@ def second_order(
     return SecondOrder(M=M, b=b, kp=kp, kd=kd)
 
 
-def _zeta_of_overshoot(percent: float) -> float:
-    """Damping ratio of an overshoot [%]: that of exp(-pi zeta / sqrt(1 - zeta^2)); 1 for none."""
-    if percent == 0.0:
-        return 1.0
-    decrement = math.log(100.0 / percent)
-    return decrement / math.hypot(decrement, math.pi)
-
-
-def _error(zeta: float, angle: float) -> float:
-    """Error after a step at omega_n t = angle, for any damping, without a difference of large numbers."""
-    square = (zeta - 1.0) * (zeta + 1.0)
-    root = math.sqrt(abs(square))
-    if square <= 0.0:
-        return math.exp(-zeta * angle) * (
-            math.cos(root * angle) + zeta * angle * float(np.sinc(root * angle / np.pi))
-        )
-    slow, x = -1.0 / (zeta + root), 2.0 * root * angle
-    ratio = -math.expm1(-x) / x if x else 1.0
-    return math.exp(slow * angle) * (0.5 * (1.0 + math.exp(-x)) + zeta * angle * ratio)
-
-
 @cache
 def settling_angle(zeta: float) -> float:
-    """omega_n times the exact 2 % settling time of a step of second-order dynamics, zeta > 0.
-
-    Between two extremes of the error, exp(-k pi zeta / sqrt(1 - zeta^2)) high, it crosses the band once.
-    """
-    low, high, level = 0.0, 16.0 * zeta, BAND
-    if zeta < 1.0:
-        damped = math.sqrt((1.0 - zeta) * (1.0 + zeta))
-        extremes = max(math.ceil(math.log(1.0 / BAND) * damped / (math.pi * zeta)) - 1, 0)
-        low, high = extremes * math.pi / damped, (extremes + 1) * math.pi / damped
-        level = -BAND if extremes % 2 else BAND
-    return float(brentq(lambda angle: _error(zeta, angle) - level, low, high, xtol=1e-15 * high, rtol=1e-15))
+    """omega_n times the exact 2 % settling time of a step of second-order dynamics, zeta > 0."""
+    system = LinearSystem(A=[[0.0, 1.0], [-1.0, -2.0 * zeta]], B=[[0.0], [1.0]])
+    return system.step(input="u[0]", output="x[0]").settling_time
 
 
 def joint_matrix(
@@ -331,12 +287,8 @@ def error_dynamics(
         Chapter, section 10.2.1.1, equations 10.8 to 10.14 and figures 10.4 to 10.8.
     """
     if any(value is not None for value in (zeta, omega_n, settling, overshoot)):
-        numbers = {"M": M, "b": b, "kp": kp, "kd": kd}
-        scalars = {name: None if value is None else finite_scalar(name, value) for name, value in numbers.items()}
-        found = second_order(
-            M=scalars["M"] or 0.0, b=scalars["b"] or 0.0, kp=scalars["kp"], kd=scalars["kd"],
-            zeta=zeta, omega_n=omega_n, settling=settling, overshoot=overshoot,
-        )  # fmt: skip
+        joint: dict[str, Any] = {"M": M, "b": b, "kp": kp, "kd": kd}  # of one joint, as second_order checks
+        found = second_order(**joint, zeta=zeta, omega_n=omega_n, settling=settling, overshoot=overshoot)
         kp, kd = found.kp, found.kd
     kd = 0.0 if kd is None else kd
     shapes = [np.asarray(value).shape for value in (M, b, kp, kd, ki) if value is not None]

@@ -18,17 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taut.base.errors import RangeError, TautError, UsageError
-from taut.base.result import Cell, Content, Result, Table
+from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.combine import all_laws
 from taut.control.laws.joint import FrictionCompensation
 from taut.control.lawside import LawSide
 from taut.linear.linear_system import Complex, LinearSystem, Mode, balancing
-from taut.linear.linearise import NEWTON_STEPS, Rest, equilibrium, observed_states, standing_states
-from taut.linear.period import EMPTY, RESOLUTION, STEP, Period, Point, Side, smooth_plant
+from taut.linear.linearise import NEWTON_STEPS, equilibrium, observed_states, standing_states
+from taut.linear.period import EMPTY, STEP, Derivative, Period, Point, Side, model_in_place_of
 from taut.loop import AnyPlant, HasLawSide, Loop
 from taut.maths.snapshot import snapshot
-from taut.plant.rigid import RigidPlant
 
 ROUNDING: Final = 1e-9  # [-] of a modulus of one
 MIN_MOBILITY: Final = 1e-9  # [-] of the largest mobility of the tool: an axis with less does not move
@@ -58,7 +57,6 @@ class Judgement(Result):
         system: The linear model from tick to tick, of the states on which the joints' motion depends.
         stable: Whether deviations do not grow, within the error of central differences.
         decay_rate: Slowest decay of what does not stay where it is put [1/s]; negative for growth.
-        q: (n,) the equilibrium [rad | m].
         joints: Fraction of each joint in the least stable mode, by name, the largest first; empty for a stable run.
         tool: Fraction of each axis of the tool in it, by kinetic energy (world axes), likewise.
         largest: Largest factor on a gain, by path, with which the loop is stable, others unchanged. Of an unstable
@@ -73,7 +71,6 @@ class Judgement(Result):
     system: LinearSystem
     stable: bool
     decay_rate: float
-    q: Float64Array
     joints: Mapping[str, float]
     tool: Mapping[str, float]
     largest: Mapping[str, float]
@@ -102,13 +99,8 @@ class Judgement(Result):
             return f"the sampled loop is stable {where}" + (f"; it relies on {friction}" if friction else "")
         hidden = f"; {friction} hides it at rest" if friction else ""
         along = ("in " if self.direction.startswith("the") else "along ") + self.direction
-        return f"the sampled loop is unstable {where}: deviations {along} grow {self._growth}{hidden}; {self._remedy}"
-
-    @property
-    def _growth(self) -> str:
-        if self.radius > 1.1:
-            return f"{self.radius:.3g} times a period (spectral radius)"
-        return f"by a factor e in {-1.0 / self.decay_rate:.3g} s (spectral radius 1 + {self.radius - 1.0:.2g})"
+        growth = f"grow with {-self.decay_rate:.3g} 1/s (spectral radius {self.radius:.6g})"
+        return f"the sampled loop is unstable {where}: deviations {along} {growth}{hidden}; {self._remedy}"
 
     @property
     def _remedy(self) -> str:
@@ -121,32 +113,21 @@ class Judgement(Result):
 
     def content(self) -> Content:
         """The verdict, the least stable mode and the largest stable gains."""
-        tables = []
-        for kind, parts in (("joint", self.joints), ("axis of the tool", self.tool)):
-            rows: list[list[Cell]] = [[name, part] for name, part in parts.items()]
-            tables.append(Table(title=f"least stable mode by {kind}", columns=(kind, "fraction [-]"), rows=rows))
-        if self.largest:
-            factors: list[list[Cell]] = [[path, factor] for path, factor in self.largest.items()]
-            tables.append(Table(title="largest stable factors", columns=("gain", "factor [-]"), rows=factors))
+        numbers = {
+            ("least stable mode by joint", "joint", "fraction [-]"): self.joints,
+            ("least stable mode by axis of the tool", "axis", "fraction [-]"): self.tool,
+            ("largest stable factors", "gain", "factor [-]"): self.largest,
+        }
         return Content(
             title="judgement of the sampled loop",
             summary=(self.message,) if self.stable else (),
             faults=() if self.stable else (self.message,),
-            tables=tables,
+            tables=[
+                Table(title=title, columns=columns, rows=[*parts.items()])
+                for (title, *columns), parts in numbers.items()
+                if parts
+            ],
         )
-
-    def record(self) -> dict[str, Any]:
-        """The entries of `Stability` in the info of a run."""
-        return {
-            "stable": self.stable,
-            "radius": float(f"{self.radius:.9g}"),
-            "joints": {name: round(part, 3) for name, part in self.joints.items() if part >= SHOWN},
-            "tool": {name: round(part, 3) for name, part in self.tool.items() if part >= SHOWN},
-            "largest": dict(self.largest),
-            "relies_on": self.relies_on,
-            "plant": self.plant,
-            "message": self.message,
-        }
 
 
 def judge(loop: Loop, *, at: ArrayLike | None = None, gains: Iterable[str] = ()) -> Judgement:
@@ -193,35 +174,30 @@ def judge_start(ctrl: HasLawSide, plant: AnyPlant, q: Float64Array, changes: Cha
 def _judged_at(
     ctrl: HasLawSide, plant: AnyPlant, q: Float64Array, changes: Changes, limits: tuple[str, ...] | None = None
 ) -> Judgement:
-    """The judgement of a loop, or of a controller with a model plant without quantisation in place of its plant."""
-    name = plant.name
-    if isinstance(ctrl, Loop) and not any(path.endswith(RESOLUTION) for path in plant.parameters):
-        loop = ctrl
-    else:
-        loop = _smooth_loop(ctrl, plant, {**plant.parameters, **ctrl.parameters})
-        changes = {path: value for path, value in changes.items() if path in loop.parameters}
-        same = isinstance(plant, RigidPlant)
-        name = f"{plant.name} without quantisation" if same else f"{loop.plant.name} in place of {plant.name}"
+    """The judgement of a loop, or of a controller with a model plant in place of its plant."""
+    loop, name = (ctrl, plant.name) if isinstance(ctrl, Loop) else (_model_loop(ctrl, plant), "")
+    changes = {path: value for path, value in changes.items() if path in loop.parameters}
+    name = name or f"{loop.plant.name} in place of {plant.name}"
     with np.errstate(all="ignore"):  # numbers that no float can hold are refused where a run meets them
         return _judged(Period(loop, q, changes), name, limits)
 
 
 # One for each plant, so that a controller which runs again on it is not traced again; a loop does not hold its key.
-_SMOOTH: Final[WeakKeyDictionary[AnyPlant, Loop]] = WeakKeyDictionary()
+_LOOPS: Final[WeakKeyDictionary[AnyPlant, Loop]] = WeakKeyDictionary()
 
 
-def _smooth_loop(ctrl: HasLawSide, plant: AnyPlant, parameters: Changes) -> Loop:
-    """The loop of the same controller with a model plant without quantisation, and the same parameters."""
+def _model_loop(ctrl: HasLawSide, plant: AnyPlant) -> Loop:
+    """The loop of the same controller with a model plant, and the same parameters."""
     side = ctrl.side
     try:
-        loop = _SMOOTH.get(plant)
+        loop = _LOOPS.get(plant)
     except TypeError:  # a plant of the user's own that has no hash
         loop = None
     if loop is None or loop.side is not side:
-        loop = Loop(Side(side, side.parameters, ctrl.engine), smooth_plant(plant, side.needs), duration=side.dt)
+        loop = Loop(Side(side, side.parameters, ctrl.engine), model_in_place_of(plant, side.needs), duration=side.dt)
         with contextlib.suppress(TypeError):
-            _SMOOTH[plant] = loop
-    for path, value in parameters.items():
+            _LOOPS[plant] = loop
+    for path, value in {**plant.parameters, **ctrl.parameters}.items():
         if path in loop.parameters:
             loop.parameters[path] = value
     return loop
@@ -247,7 +223,7 @@ def uncertain_eigenvalues(A: Float64Array, error: Float64Array | float = 0.0) ->
 class _Model:
     """The derivative of a period at its equilibrium, of some states."""
 
-    rest: Rest
+    found: Derivative
     A: Float64Array  # (n, n) of the states
     states: NDArray[np.intp]  # (n,) their places among the period's
     z: Complex  # (n,) eigenvalues
@@ -256,17 +232,16 @@ class _Model:
     @classmethod
     def at(cls, period: Period, start: Point, steps: int = NEWTON_STEPS) -> _Model:
         """At the equilibrium next to a start, by central differences of two steps (Richardson)."""
-        rest = equilibrium(period, start, steps=steps)
-        found, coordinates = rest.found, period.state_coordinates
+        found, coordinates = equilibrium(period, start, steps=steps), period.state_coordinates
         acting = observed_states(found.A, found.C) & ~standing_states(found, period.tolerance)
         for path in ("plant.q", "plant.v"):
             acting[coordinates.places[path]] = True
         states = np.flatnonzero(acting)
         block = np.ix_(states, states)
-        near, far = found.A[block], period.derivative(rest.point, 2.0 * STEP).A[block]
+        near, far = found.A[block], period.derivative(found.at, 2.0 * STEP).A[block]
         A = (4.0 * near - far) / 3.0
         z, slack = uncertain_eigenvalues(A, error=np.abs(near - far))
-        return cls(rest=rest, A=A, states=states, z=z, slack=slack)
+        return cls(found=found, A=A, states=states, z=z, slack=slack)
 
     @property
     def grows(self) -> bool:
@@ -287,20 +262,20 @@ def _judged(period: Period, plant: str, limits: tuple[str, ...] | None = None) -
     values = period.values(period.start)
     left_out = without_dry_friction(period.side, values)
     start = period.changed(period.start, left_out)
-    begun = period.after(start, start.memory[np.newaxis])[0]  # memories that begin in the first tick have begun
-    model = _Model.at(period, Point(inputs=start.inputs, parameters=start.parameters, memory=begun))
-    coordinates, point = period.state_coordinates, model.rest.point
+    begun = period.after(start, start.memory)  # memories that begin in the first tick have begun
+    model = _Model.at(period, dataclasses.replace(start, memory=begun))
+    coordinates, point = period.state_coordinates, model.found.at
     nearby = point.memory + STEP * coordinates.basis(point.memory).sum(axis=0)
     if np.array_equal(period.command(point), period.command(dataclasses.replace(point, memory=nearby))):
         raise UsageError("nothing that is measured changes the command")
-    elsewhere = period.after(point, nearby[np.newaxis])
+    elsewhere = period.after(point, nearby)
     stable, n = not model.grows, period.arm.n
 
     acting = period.only(model.states)  # a gain times a number makes no other state act
 
     def stable_with(changed: Changes, period: Period = period) -> bool:
         other = period.changed(point, {**left_out, **changed})
-        if np.array_equal(period.after(other, nearby[np.newaxis]), elsewhere):
+        if np.array_equal(period.after(other, nearby), elsewhere):
             return stable  # the gains of a phase that does not act, say
         try:
             return not _Model.at(period, other, MORE_STEPS).grows
@@ -315,15 +290,14 @@ def _judged(period: Period, plant: str, limits: tuple[str, ...] | None = None) -
 
     names = coordinates.names
     system = LinearSystem(
-        A=model.A, C=model.rest.found.C[:, model.states], dt=period.dt, states=[names[i] for i in model.states],
+        A=model.A, C=model.found.C[:, model.states], dt=period.dt, states=[names[i] for i in model.states],
         outputs=[f"{name}[{i}]" for name in ("q", "v", "command") for i in range(n)],
     )  # fmt: skip
-    q = coordinates.numbers(point.memory)[coordinates.places["plant.q"]]
     worst = model.worst(system)
     joints: Mapping[str, float] = {}
     tool: Mapping[str, float] = {}
     if limits is not None or not stable:
-        x = snapshot(period.arm, q)
+        x = snapshot(period.arm, coordinates.numbers(point.memory)[coordinates.places["plant.q"]])
         joints, tool = directions(system, worst, period.arm.joint_names, np.asarray(x.M), np.asarray(x.J()))
     gains, relies_on = _gains(period.side, values), ""
     if stable:
@@ -341,7 +315,6 @@ def _judged(period: Period, plant: str, limits: tuple[str, ...] | None = None) -
         system=system,
         stable=stable,
         decay_rate=-worst.s.real,
-        q=q,
         joints=joints,
         tool=tool,
         largest=factors,

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from fractions import Fraction
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from taut.base.checks import finite_array, finite_scalar, positive_scalar, read_only
-from taut.base.errors import RangeError, ShapeError, UsageError, missing_extra, unknown_name
+from taut.base.checks import finite_array, finite_scalar, positive_scalar, require_range
+from taut.base.errors import UsageError, missing_extra, unknown_name
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
 from taut.linear.performance import Margins, StepInfo, margins_of, step_response
@@ -76,7 +75,6 @@ class OperatingPoint:
         moved: (n,) displacement of the joints from `at=` to the equilibrium (droop) [rad | m].
         branches: Sentences: non-smooth points, and the branch of each that the model is of.
         left_out: States without which the model is complete, with the reason.
-        drifting: States that go on changing there without any effect, and by how much in a period.
     """
 
     joints: tuple[str, ...] = ()
@@ -84,17 +82,15 @@ class OperatingPoint:
     moved: Float64Array = field(default_factory=lambda: np.zeros(0))
     branches: tuple[str, ...] = ()
     left_out: Mapping[str, str] = field(default_factory=dict)
-    drifting: Mapping[str, float] = field(default_factory=dict)
 
-    def sentences(self) -> tuple[list[str], list[str]]:
-        """Where it is, and what the model relies on."""
+    def sentences(self) -> list[str]:
+        """Where it is."""
         if not self.joints:
-            return [], []
+            return []
         i, where = int(np.argmax(np.abs(self.moved))), [f"q = {np.round(self.q, 4).tolist()}"]
         if abs(self.moved[i]) > AT_REST:
             where.append(f"joint '{self.joints[i]}' moved {self.moved[i]:.4g} from at= until the loop rested")
-        drifts = [f"{name} changes by {x:.3g} in each period, without effect" for name, x in self.drifting.items()]
-        return where, [*self.branches, *drifts]
+        return where
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -153,29 +149,15 @@ class LinearSystem(Result):
         outputs: Sequence[str] = (),
         point: OperatingPoint | None = None,
     ) -> None:
-        A = finite_array("A", A)
-        if A.ndim != 2 or A.shape[0] != A.shape[1]:
-            raise ShapeError(f"A must be a square matrix; got shape {A.shape}", name="A")
-        n = len(A)
-        input_matrix = np.zeros((n, 0)) if B is None else finite_array("B", B)
-        output_matrix = np.eye(n) if C is None else finite_array("C", C)
-        for name, matrix in {"B": input_matrix, "C": output_matrix}.items():
-            if matrix.ndim != 2:
-                raise ShapeError(f"{name} must be a matrix; got shape {matrix.shape}", name=name)
-        p, m = len(output_matrix), input_matrix.shape[1]
-        matrices = {"A": A, "B": input_matrix, "C": output_matrix}
-        matrices["D"] = np.zeros((p, m)) if D is None else finite_array("D", D)
+        n = len(np.atleast_1d(np.asarray(A)))
+        matrices = {"A": A, "B": np.zeros((n, 0)) if B is None else B, "C": np.eye(n) if C is None else C}
+        m, p = np.atleast_2d(np.asarray(matrices["B"])).shape[1], len(np.atleast_1d(np.asarray(matrices["C"])))
+        matrices["D"] = np.zeros((p, m)) if D is None else D
         signals = {"states": tuple(states) or names("x", n), "inputs": tuple(inputs) or names("u", m)}
         signals["outputs"] = tuple(outputs) or (signals["states"] if C is None else names("y", p))
         n, m, p = (len(signals[kind]) for kind in ("states", "inputs", "outputs"))
         for (name, matrix), shape in zip(matrices.items(), ((n, n), (n, m), (p, n), (p, m)), strict=True):
-            if matrix.shape != shape:
-                raise ShapeError(
-                    f"{name} must have shape {shape}, by the numbers of states, inputs and outputs; "
-                    f"got {matrix.shape}",
-                    name=name,
-                )
-            object.__setattr__(self, name, read_only(matrix))
+            object.__setattr__(self, name, finite_array(name, matrix, shape=shape))
         object.__setattr__(self, "dt", None if dt is None else positive_scalar("dt", dt, unit="s"))
         object.__setattr__(self, "point", OperatingPoint() if point is None else point)
         for name, value in signals.items():
@@ -248,11 +230,6 @@ class LinearSystem(Result):
     def decay_rate(self) -> float:
         """Slowest decay [1/s] of what moves: the distance to instability; negative for an unstable system."""
         return float(-self._in_s(self._resting_and_moving[1]).real.max(initial=-np.inf))
-
-    @property
-    def time_constant(self) -> float:
-        """1 / decay_rate [s] of the slowest pole; infinite for an unstable system."""
-        return 1.0 / self.decay_rate if self.stable else np.inf
 
     @property
     def _fastest(self) -> float:
@@ -366,17 +343,11 @@ class LinearSystem(Result):
             UsageError: Signals or periods that do not fit, or a plant with a direct path D.
         """
         p, m = len(self.outputs), len(self.inputs)
-        if tuple(law.inputs[:p]) != self.outputs or tuple(law.outputs[:m]) != self.inputs:
+        if (law.inputs[:p], law.outputs[:m], law.dt) != (self.outputs, self.inputs, self.dt) or self.D.any():
             raise UsageError(
                 f"a law takes the plant's outputs ({', '.join(self.outputs)}) first and gives the plant's inputs "
-                f"({', '.join(self.inputs)}) first; got inputs {', '.join(law.inputs)} and outputs "
-                f"{', '.join(law.outputs)}",
-                name="law",
-            )
-        if law.dt != self.dt or self.D.any():
-            raise UsageError(
-                "a plant and a law in feedback have one period, and the plant no direct path D; got the periods "
-                f"{self.dt} and {law.dt}",
+                f"({', '.join(self.inputs)}) first, with the period {self.dt} of a plant without direct path D; got "
+                f"inputs {', '.join(law.inputs)}, outputs {', '.join(law.outputs)} and the period {law.dt}",
                 name="law",
             )
         By, Br, Dy, Dr = law.B[:, :p], law.B[:, p:], law.D[:, :p], law.D[:, p:]
@@ -457,17 +428,9 @@ class LinearSystem(Result):
 
     def response(self, omega: ArrayLike, B: Float64Array, C: Float64Array, D: Float64Array) -> Complex:
         """(k, p, m) C (z I - A)^-1 B + D of other inputs and outputs at the same states, at (k,) frequencies."""
-        w = np.atleast_1d(finite_array("omega", omega, unit="rad/s"))
-        if w.ndim != 1 or not len(w):
-            raise ShapeError(
-                f"omega must be one frequency or (k,) of them [rad/s]; got shape {w.shape}", name="omega"
-            )
-        highest = np.pi / self.dt if self.dt else np.inf
-        wrong = (w < 0.0) | (w > highest * (1.0 + 1e-12))
-        if wrong.any():
-            value = float(w[wrong][0])
-            limit = f"between 0 and {highest:.6g} rad/s, half the rate" if self.dt else "at least 0"
-            raise RangeError(f"omega must be {limit}; got {value:g} rad/s", name="omega", value=value)
+        w = np.ravel(finite_array("omega", omega, unit="rad/s"))
+        half_rate = np.pi / self.dt * (1.0 + WHOLE) if self.dt else np.inf
+        require_range("omega", w, unit="rad/s", minimum=0.0, maximum=half_rate)
         z = np.exp(1j * w * self.dt) if self.dt else 1j * w
         out = np.zeros((len(z), len(C), B.shape[1]), dtype=np.complex128)
         size = 1.0 if self.dt else max(self._fastest, 1e-300)
@@ -570,7 +533,6 @@ class LinearSystem(Result):
         kind = "in continuous time" if self.dt is None else f"sampled at {1.0 / self.dt:.6g} Hz"
         title = f"linear system of {len(self.states)} states {kind}"
         title += ", about an equilibrium" if self.point.joints else ""
-        where, notes = self.point.sentences()
         stable = f"stable: the slowest mode decays with {self.decay_rate:.4g} 1/s"
         tables = [self._mode_table()]
         if "command" in {name.partition("[")[0] for name in self.outputs} and self.stable:
@@ -579,10 +541,10 @@ class LinearSystem(Result):
             tables.append(self.step().table())
         return Content(
             title=title,
-            summary=[*([stable] if self.stable else []), *where],
+            summary=[*([stable] if self.stable else []), *self.point.sentences()],
             faults=() if self.stable else (self.unstable_because,),
             tables=tables,
-            notes=notes,
+            notes=self.point.branches,
             figures={"step response, poles and margins": self.plot},
         )
 
@@ -604,19 +566,17 @@ class LinearSystem(Result):
 
 def _eigenvalues(A: Float64Array) -> Complex:
     """(n,) eigenvalues; of two by section 10.2.1.1's formula, for rounding would split a critically damped pole."""
-    if len(A) != 2:
+    size = float(np.abs(A).max(initial=0.0))
+    if len(A) != 2 or not size:
         return np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
-    (a, b), (c, d) = ([Fraction(x) for x in row] for row in A.tolist())
-    try:
-        half, square = float((a + d) / 2), float((a - d) ** 2 / 4 + b * c)
-    except OverflowError:  # a square beyond the largest float
-        return np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
-    if abs(square) <= CRITICAL * max(half * half, float(abs(b * c))):
-        return np.array([half, half], dtype=np.complex128)
+    (a, b), (c, d) = (A / size).tolist()
+    half, square = 0.5 * (a + d), 0.25 * (a - d) ** 2 + b * c
+    if abs(square) <= CRITICAL * max(half * half, abs(b * c)):
+        return size * np.array([half, half], dtype=np.complex128)
     if square < 0.0:
-        return np.asarray(half + 1j * np.sqrt(-square) * np.array([1.0, -1.0]), dtype=np.complex128)
+        return np.asarray(size * (half + 1j * np.sqrt(-square) * np.array([1.0, -1.0])))
     far = half + np.copysign(np.sqrt(square), half)
-    return np.array([far, float(a * d - b * c) / far], dtype=np.complex128)
+    return size * np.array([far, (a * d - b * c) / far], dtype=np.complex128)
 
 
 def balancing(A: Float64Array) -> Float64Array:

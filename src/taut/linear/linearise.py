@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Final
+import dataclasses
+from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from taut.control.limits import LIMIT_TERMS
 from taut.control.trajectories.reference import Hold, Sample
 from taut.linear.linear_system import LinearSystem, OperatingPoint
 from taut.linear.period import (
+    RESOLUTION,
     Derivative,
     LoopMap,
     PeriodMap,
@@ -29,14 +30,12 @@ from taut.linear.period import (
     starting,
 )
 from taut.loop import Loop
-from taut.plant.rigid import RigidPlant
 
 Flags = NDArray[np.bool_]
 
 WITHIN: Final = 0.5  # [rad | m] between the start pose and the equilibrium at most
 NEWTON_STEPS: Final = 60
 REST_CHANGE: Final = 1e-10  # [-] of a state's size per period: the loop rests
-DRIFT: Final = 1e-7  # [-] likewise: a drift that is named
 MAX_NEWTON_STEP: Final = 0.3  # [rad | m] of a joint in one step of Newton's method
 RANK: Final = 1e-9  # [-] of the largest singular value: a motion below it is free, and stays where it is
 EFFECT: Final = 1e-9  # [-] of a drift: the smallest effect on an output
@@ -47,7 +46,6 @@ LIMITED: Final = 1e-9  # [N m | N | rad/s] of a limit's term above which the lim
 SLIDING: Final = 1e-9  # [rad/s | m/s] above which a joint slides
 DIFFERENT: Final = 1e-2  # [-] of the larger slope: the difference of two branches
 FLAT: Final = 3e-5  # [-] a smaller slope is zero
-MAX_SENTENCES: Final = 6
 
 
 def linearise(loop: Loop, *, at: ArrayLike | None = None, within: float = WITHIN) -> LinearSystem:
@@ -57,7 +55,7 @@ def linearise(loop: Loop, *, at: ArrayLike | None = None, within: float = WITHIN
 
     From the state in which a run begins at `at`, Newton's method finds the equilibrium with the reference held. A law
     without gravity compensation droops, one with an integral does not: `lin.point.moved`. Memory that keeps changing
-    without any effect, such as an integral with ki = 0, is named in `lin.point.drifting`.
+    without any effect, such as an integral with ki = 0, is left out.
 
     States, inputs and outputs are deviations from that point, by path and index: "plant.q[0]", "law.e_int[2]"; a
     rotation has three, a small rotation vector in world axes. An input is held until the next tick. Inputs: the
@@ -92,11 +90,10 @@ def linearise(loop: Loop, *, at: ArrayLike | None = None, within: float = WITHIN
         Derivatives (2008), chapter 3. Khalil, Nonlinear systems (2002), section 1.2.
     """
     map_ = loop_map(loop)
-    rest = rest_of(loop, map_, at, within)
-    return _model(map_, rest, start=_pose(loop, at))
+    return _model(map_, rest_of(loop, map_, at, within), start=_pose(loop, at))
 
 
-def rest_of(loop: Loop, map_: LoopMap, at: ArrayLike | None, within: float) -> Rest:
+def rest_of(loop: Loop, map_: LoopMap, at: ArrayLike | None, within: float) -> Derivative:
     """The equilibrium of a loop near joint positions, its reference held."""
     q = _pose(loop, at)
     within = positive_scalar("within", within, unit="rad | m")
@@ -119,38 +116,37 @@ def _pose(loop: Loop, at: ArrayLike | None) -> Float64Array:
     return q
 
 
-def _model(map_: LoopMap, rest: Rest, start: Float64Array) -> LinearSystem:
+def _model(map_: LoopMap, found: Derivative, start: Float64Array) -> LinearSystem:
     """The states that matter, and their matrices."""
-    point, found = rest.point, rest.found
     names, outputs = map_.state_coordinates.names, map_.output_coordinates.names
     # Of all states first: where a law is non-smooth by rounding alone, its branch at the very point may differ from
     # that beside it, so that some states seem to have no effect.
-    whole, _ = _smooth(map_, point, found, range(len(names)))
-    observed, driven = observed_states(whole.A, whole.C), driven_states(whole.A, whole.B)
+    whole, _ = _smooth(map_, found, range(len(names)))
+    observed, driven = observed_states(whole.A, whole.C), observed_states(whole.A.T, whole.B.T)
     needed = observed & driven
     for path in ("plant.q", "plant.v"):  # also of an arm in stiction
         needed[map_.state_coordinates.places[path]] = True
     keep = [int(i) for i in np.flatnonzero(needed)]
-    found, non_smooth = _smooth(map_, point, found, keep)  # the fewer states are moved, the more exact
+    found, non_smooth = _smooth(map_, found, keep)  # the fewer states are moved, the more exact
     left = {name: NOT_DRIVEN if observed[i] else NO_EFFECT for i, name in enumerate(names) if not needed[i]}
-    q = np.array(map_.memory.views(point.memory)["plant.q"])
+    q = np.array(map_.memory.views(found.at.memory)["plant.q"])
     return LinearSystem(
         A=found.A[np.ix_(keep, keep)], B=found.B[keep], C=found.C[:, keep], D=found.D, dt=map_.dt,
         states=[names[i] for i in keep], inputs=map_.input_coordinates.names, outputs=outputs,
         point=OperatingPoint(
             joints=map_.side.arm.joint_names, q=read_only(q), moved=read_only(q - start),
-            branches=(*_branches(map_, point, found), *non_smooth), left_out=left, drifting=rest.drifting,
+            branches=(*_branches(map_, found), *non_smooth), left_out=left,
         ),
     )  # fmt: skip
 
 
-def _smooth(map_: LoopMap, at: Point, found: Derivative, states: Sequence[int]) -> tuple[Derivative, list[str]]:
+def _smooth(map_: LoopMap, found: Derivative, states: Sequence[int]) -> tuple[Derivative, list[str]]:
     """The derivative, and sentences about states in which the derivatives to either side differ.
 
     Where those agree but differ from that at the point, it is non-smooth by rounding alone (two energies of zero at
     rest): their mean is the derivative. A length of zero counts by its mean slope too.
     """
-    sides, block = beside(map_, at, states), np.ix_(states, states)
+    sides, block = beside(map_, found.at, states), np.ix_(states, states)
     A, one, other = (x.A[block].T for x in (found, *sides))  # a row for each state that is moved
     least = (
         DIFFERENT * np.minimum(np.abs(one).max(axis=0, initial=0.0), np.abs(other).max(axis=0, initial=0.0)) + FLAT
@@ -170,90 +166,37 @@ def _smooth(map_: LoopMap, at: Point, found: Derivative, states: Sequence[int]) 
             f"the loop is non-smooth in {names[i]}: to one side the slope of {names[k]} is {one[i, k]:.3g}, to the "
             f"other {other[i, k]:.3g}; the model has {A[i, k]:.3g}"
         )
-    more = len(out) - MAX_SENTENCES
-    return found, out if more <= 0 else [*out[:MAX_SENTENCES], f"and {more} non-smooth points more"]
+    return found, out
 
 
-def _branches(map_: LoopMap, at: Point, found: Derivative) -> list[str]:
+def _branches(map_: LoopMap, found: Derivative) -> list[str]:
     """Sentences about known non-smooth elements, and the branch of each that the model is of."""
-    record, memory = map_.recorded(found), map_.memory.views(at.memory)
-    out = [f"quantisation of {path} counts by its mean slope" for path in map_.steps]
-    out += _limits(map_, record)
-    out += _sticking(map_, memory, map_.parameters.views(at.parameters))
-    return out + _flags(map_, record, memory)
-
-
-def _limits(map_: LoopMap, record: Mapping[str, Any]) -> list[str]:
-    names, units = map_.side.arm.joint_names, map_.side.arm.units
-    out = []
+    record, memory = map_.recorded(found), map_.memory.views(found.at.memory)
+    numbers, joints = map_.parameters.views(found.at.parameters), map_.side.arm.joint_names
+    out = [f"quantisation of {path} counts by its mean slope" for path in numbers if path.endswith(RESOLUTION)]
     for term in LIMIT_TERMS:
-        cut = record.get(f"terms.{term}")
-        if cut is None:
-            continue
-        for i in np.flatnonzero(np.abs(cut) > LIMITED):
-            kind = map_.side.probe.kind
-            unit = {"torque": "N m" if units[i] == "rad" else "N", "velocity": f"{units[i]}/s"}.get(kind, units[i])
-            out.append(
-                f"joint '{names[i]}' is at its {term.replace('_', ' ')}, which reduces the command by "
-                f"{abs(cut[i]):.3g} {unit}"
-            )
-    return out
-
-
-def _sticking(map_: LoopMap, memory: Mapping[str, Any], numbers: Mapping[str, Any]) -> list[str]:
-    plant = map_.plant
-    if not isinstance(plant, RigidPlant) or not plant.parts.drivetrain.dry or "plant.friction" not in memory:
-        return []
-    v = memory.get("plant.v_motor", memory["plant.v"])
-    names = plant.arm.joint_names
-    dry = np.zeros(plant.arm.n)
-    for path in ("plant.friction.coulomb", "plant.friction.static"):
-        dry = dry + np.abs(numbers.get(path, 0.0))
-    held = [names[i] for i in np.flatnonzero((np.abs(v) < SLIDING) & (dry > 0.0))]
-    slipping = [names[i] for i in np.flatnonzero((np.abs(v) >= SLIDING) & (dry > 0.0))]
-    out = [f"dry friction holds joint '{name}' (stiction): a small force does not move it" for name in held]
-    return out + [f"joint '{name}' slides, with dry friction of one sign" for name in slipping]
-
-
-def _flags(map_: LoopMap, record: Mapping[str, Any], memory: Mapping[str, Any]) -> list[str]:
-    out = [f"sensor {name} is at its limit" for name, on in subtree(record, "saturated").items() if np.any(on > 0.5)]
-    on = memory.get("plant.contact.on")
-    if on is not None:
-        rows = [str(i) for i in np.flatnonzero(np.atleast_1d(on) > 0.5)]
-        free = [str(i) for i in np.flatnonzero(np.atleast_1d(on) <= 0.5)]
-        out += [f"contact rows {', '.join(rows)} hold, and do not open"] if rows else []
-        out += [f"contact rows {', '.join(free)} are open, and do not close"] if free else []
+        cut = np.abs(record.get(f"terms.{term}", np.zeros(len(joints)))) > LIMITED
+        out += [f"joint '{joints[i]}' is at its {term.replace('_', ' ')}" for i in np.flatnonzero(cut)]
+    if "plant.friction" in memory:
+        v = memory.get("plant.v_motor", memory["plant.v"])
+        dry = sum(np.abs(numbers.get(f"plant.friction.{kind}", 0.0)) for kind in ("coulomb", "static"))
+        held = (np.abs(v) < SLIDING) & (dry > 0.0)
+        out += [f"dry friction holds joint '{joints[i]}' (stiction)" for i in np.flatnonzero(held)]
+    out += [f"sensor {name} is at its limit" for name, on in subtree(record, "saturated").items() if np.any(on > 0.5)]
+    rows = np.atleast_1d(memory.get("plant.contact.on", ())) > 0.5
+    out += [f"contact row {i} is {'closed' if on else 'open'}, and stays so" for i, on in enumerate(rows)]
     notices = map_.side.notices
-    return out + [notices[path] for path in notices if path in memory and np.any(np.asarray(memory[path]) != 0.0)]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Rest:
-    """An equilibrium: a point at which no state changes that has an effect."""
-
-    point: Point
-    found: Derivative
-    drifting: Mapping[str, float]  # states that change without any effect, and by how much in a period
+    return out + [notices[path] for path in notices if np.any(np.asarray(memory.get(path, 0.0)) != 0.0)]
 
 
 def observed_states(A: Float64Array, C: Float64Array) -> Flags:
-    """(n,) whether a state has an effect on an output, now or later."""
+    """(n,) whether a state has an effect on an output, now or later; with A^T and B^T: whether an input has on it."""
     observed: Flags = (C != 0.0).any(axis=0)
     while True:
         more = observed | (A[observed] != 0.0).any(axis=0)
         if (more == observed).all():
             return observed
         observed = more
-
-
-def driven_states(A: Float64Array, B: Float64Array) -> Flags:
-    """(n,) whether an input has an effect on a state, now or later."""
-    driven: Flags = (B != 0.0).any(axis=1)
-    while True:
-        more = driven | (A[:, driven] != 0.0).any(axis=1)
-        if (more == driven).all():
-            return driven
-        driven = more
 
 
 def standing_states(found: Derivative, tolerance: float) -> Flags:
@@ -267,19 +210,22 @@ def standing_states(found: Derivative, tolerance: float) -> Flags:
     return still
 
 
-def equilibrium(map_: PeriodMap, start: Point, within: float = WITHIN, steps: int = NEWTON_STEPS) -> Rest:
-    """The nearest equilibrium to a start, by Newton's method; RangeError if none is `within` [rad | m]."""
+def equilibrium(map_: PeriodMap, start: Point, within: float = WITHIN, steps: int = NEWTON_STEPS) -> Derivative:
+    """The derivative at the nearest equilibrium to a start, where no state changes that has an effect.
+
+    By Newton's method; RangeError if none is `within` [rad | m].
+    """
     memory, coordinates = start.memory, map_.state_coordinates
     joints = coordinates.places["plant.q"]
     step = np.full(len(coordinates), np.inf)
-    at, found = start, finite_derivative(map_, start)
+    found = finite_derivative(map_, start)
     for _ in range(steps):
         solved = observed_states(found.A, found.C) & ~standing_states(found, map_.tolerance)
         scale = 1.0 + np.abs(coordinates.numbers(memory))
         wrong = np.abs(found.residual) / scale
         settled = (np.abs(step) / scale)[solved].max(initial=0.0) < REST_CHANGE and _rests(found, solved, wrong)
         if settled or wrong[solved].max(initial=0.0) < map_.rest:
-            return _at_rest(map_, at, found, wrong, start, within)
+            return _within(map_, found, start, within)
         step = np.zeros(len(coordinates))
         step[solved] = _newton(found, solved, scale)
         longest = float(np.abs(step[joints]).max(initial=0.0))
@@ -287,8 +233,7 @@ def equilibrium(map_: PeriodMap, start: Point, within: float = WITHIN, steps: in
             step *= MAX_NEWTON_STEP / longest
         # A state without an effect, which Newton's method does not solve for, follows the period.
         memory = coordinates.moved(np.where(_expanded(map_, solved), memory, found.memory), step)
-        at = Point(inputs=start.inputs, parameters=start.parameters, memory=memory)
-        found = finite_derivative(map_, at)
+        found = finite_derivative(map_, dataclasses.replace(start, memory=memory))
     raise _never(map_, found)
 
 
@@ -319,8 +264,8 @@ def _rests(found: Derivative, solved: Flags, wrong: Float64Array) -> bool:
     return shown <= EFFECT * size and float(np.abs(found.A @ drift - drift)[solved].max()) <= EFFECT * size
 
 
-def _at_rest(map_: PeriodMap, at: Point, found: Derivative, wrong: Float64Array, start: Point, within: float) -> Rest:
-    q, q0 = (map_.memory.views(point.memory)["plant.q"] for point in (at, start))
+def _within(map_: PeriodMap, found: Derivative, start: Point, within: float) -> Derivative:
+    q, q0 = (map_.memory.views(point.memory)["plant.q"] for point in (found.at, start))
     off = np.abs(q - q0)
     i = int(np.argmax(off))
     if off[i] > within:
@@ -334,35 +279,18 @@ def _at_rest(map_: PeriodMap, at: Point, found: Derivative, wrong: Float64Array,
             value=float(off[i]),
             rule=f"an equilibrium within {within:g}",
         )
-    names = map_.state_coordinates.names
-    # A state that had to follow once, such as the command held until the next tick, does not change again.
-    later = map_.after(at, found.memory[np.newaxis])[0]
-    again = np.abs(map_.state_coordinates.difference(later, found.memory))
-    drifting = {
-        names[j]: float(found.residual[j])
-        for j in np.flatnonzero((wrong > DRIFT) & (again > DRIFT))
-        if not names[j].startswith("plant.work.") and names[j] != "plant.t"
-    }
-    return Rest(point=at, found=found, drifting=drifting)
+    return found
 
 
 def _never(map_: PeriodMap, found: Derivative) -> RangeError:
-    """The error of a loop without an equilibrium near: the joint that still accelerates most, or another state."""
-    arm, coordinates = map_.side.arm, map_.state_coordinates
+    """The error of a loop without an equilibrium near, with the state that changes most."""
     wrong = np.where(observed_states(found.A, found.C), np.abs(found.residual), 0.0)
-    left = np.abs(found.residual[coordinates.places["plant.v"]]) / map_.dt
-    i = int(np.argmax(left))
-    if left[i] > REST_CHANGE:
-        joint, value = arm.joint_names[i], float(left[i])
-        what = f"joint '{joint}' still accelerates with {value:.3g} {arm.units[i]}/s^2"
-    else:
-        joint, value = None, float(wrong.max())
-        what = f"'{coordinates.names[int(np.argmax(wrong))]}' still changes by {value:.3g} in a period"
+    value, name = float(wrong.max()), map_.state_coordinates.names[int(np.argmax(wrong))]
     return RangeError(
-        f"not an equilibrium, and none is near: after all steps of Newton's method {what}; the load is "
-        "not balanced there (gravity, a limit that is reached, a target out of reach); begin at= another pose",
+        f"not an equilibrium, and none is near: after all steps of Newton's method '{name}' still changes by "
+        f"{value:.3g} in a period; the load is not balanced there (gravity, a limit that is reached, a target out of "
+        "reach); begin at= another pose",
         name="at",
-        joint=joint,
         value=value,
         rule="an equilibrium",
     )

@@ -91,46 +91,36 @@ def step_response(
     if not np.isfinite(remaining).all():
         return StepInfo.none(final)
 
-    def state(k: int) -> Float64Array:
-        return np.asarray(np.linalg.matrix_power(step, k) @ start)
+    def value(seen: Float64Array, t: float) -> float:
+        return float(seen @ scipy.linalg.expm(A * t) @ start)
 
-    def crossing(k: int, level: float) -> float:
-        """The time after sample k at which what is still to go passes a level; of a sampled system the next tick."""
-        if dt:
-            return (k + 1) * h
-        x = state(k)
-        ends = [value - level for value in (remaining[k], remaining[k + 1])]
-        if ends[0] * ends[1] >= 0.0:
-            return (k + 1) * h
-        return k * h + float(brentq(lambda t: row @ scipy.linalg.expm(A * t) @ x - level, 0.0, h, rtol=1e-14))
+    def crossing(seen: Float64Array, first: int, last: int, level: float = 0.0) -> float:
+        """Time between two samples at which what a row shows passes a level; of a sampled system the last."""
+        before, after = first * h, last * h
+        if dt or (value(seen, before) - level) * (value(seen, after) - level) >= 0.0:
+            return after
+        return float(brentq(lambda t: value(seen, t) - level, before, after, rtol=1e-14))
 
     def first(level: float) -> float:
         below = np.flatnonzero(remaining <= level)
-        return 0.0 if not len(below) or below[0] == 0 else crossing(int(below[0]) - 1, level)
+        return 0.0 if not len(below) or below[0] == 0 else crossing(row, int(below[0]) - 1, int(below[0]), level)
 
     outside = np.flatnonzero(np.abs(remaining) > BAND)
     last = int(outside[-1]) if len(outside) else -1
-    if last == count - 1:
-        settling = math.nan
-    else:
-        settling = 0.0 if last < 0 else crossing(last, math.copysign(BAND, remaining[last]))
-    peak, k = -float(remaining.min()), int(remaining.argmin())
+    settling = 0.0 if last < 0 else math.nan
+    if 0 <= last < count - 1:
+        settling = crossing(row, last, last + 1, math.copysign(BAND, remaining[last]))
+    k = int(remaining.argmin())
+    peak, peak_time = -float(remaining[k]), k * h
     if dt is None and 0 < k < count - 1:
-        x, rates = state(k - 1), row @ A
-        slope = [float(rates @ scipy.linalg.expm(A * t) @ x) for t in (0.0, 2.0 * h)]
-        if slope[0] < 0.0 < slope[1]:
-            at = float(brentq(lambda t: rates @ scipy.linalg.expm(A * t) @ x, 0.0, 2.0 * h, rtol=1e-14))
-            peak, k_time = -float(row @ scipy.linalg.expm(A * at) @ x), (k - 1) * h + at
-        else:
-            k_time = k * h
-    else:
-        k_time = k * h
+        peak_time = crossing(row @ A, k - 1, k + 1)
+        peak = -value(row, peak_time)
     return StepInfo(
         final=final,
         overshoot=100.0 * peak if peak > NO_OVERSHOOT else 0.0,
         settling_time=settling,
         rise_time=first(LATE) - first(EARLY),
-        peak_time=k_time if peak > NO_OVERSHOOT else math.nan,
+        peak_time=peak_time if peak > NO_OVERSHOOT else math.nan,
     )
 
 
@@ -256,8 +246,7 @@ def _of_signal(name: str, i: int, sensitivity: Sensitivity, omega: Float64Array,
             factor = -1.0 / real
             low, high = (max(low, factor), high) if factor < 1.0 else (low, min(high, factor))
     phase, delay, crossover = np.inf, np.inf, np.nan
-    for w in _crossings(lambda w: abs(loop(w)) - 1.0, omega, np.abs(L) - 1.0):
-        late = float(np.angle(loop(w)) + np.pi) % (2.0 * np.pi)
+    for w, late in _unit_crossings(loop, omega, L):
         turn = min(late, 2.0 * np.pi - late)
         delay = min(delay, late / w)
         if np.degrees(turn) < phase:
@@ -278,6 +267,14 @@ def _crossings(function: Callable[[float], float], omega: Float64Array, values: 
     return [float(brentq(function, low, high, xtol=1e-9 * low, rtol=1e-12)) for low, high in ends]
 
 
+def _unit_crossings(
+    locus: Callable[[float], complex], omega: Float64Array, values: Complex
+) -> list[tuple[float, float]]:
+    """Frequencies at which a locus crosses the unit circle, and its angle there beyond -180 degrees, 0 to 2 pi."""
+    found = _crossings(lambda w: abs(locus(w)) - 1.0, omega, np.abs(values) - 1.0)
+    return [(w, float(np.angle(locus(w)) + np.pi) % (2.0 * np.pi)) for w in found]
+
+
 def common_delay(sensitivity: Sensitivity, dt: float, poles: Float64Array) -> float:
     """Delay margin of all signals delayed together, in periods, not whole, of a stable loop.
 
@@ -289,16 +286,12 @@ def common_delay(sensitivity: Sensitivity, dt: float, poles: Float64Array) -> fl
         found = np.linalg.eigvals(np.linalg.inv(S) - np.eye(S.shape[1]))
         return np.asarray(np.take_along_axis(found, np.argsort(np.abs(found), axis=1), axis=1))
 
-    def size(w: float, i: int) -> float:
-        return float(np.log(np.abs(loci(np.array([w]))[0, i])))
+    def locus(w: float, i: int) -> complex:
+        return complex(loci(np.array([w]))[0, i])
 
     omega = frequency_grid(dt, poles)
-    sizes, least = np.log(np.abs(loci(omega))), math.inf
-    for i in range(sizes.shape[1]):
-        for w in _crossings(partial(size, i=i), omega, sizes[:, i]):
-            late = float(np.angle(loci(np.array([w]))[0, i]) + np.pi) % (2.0 * np.pi)
-            least = min(least, late / (w * dt))
-    return least
+    crossings = (_unit_crossings(partial(locus, i=i), omega, L) for i, L in enumerate(loci(omega).T))
+    return min((late / (w * dt) for each in crossings for w, late in each), default=math.inf)
 
 
 def _disk(sensitivity: Sensitivity, omega: Float64Array, S: Complex) -> DiskMargin:

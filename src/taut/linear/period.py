@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from abc import ABC, abstractmethod
 from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -19,17 +18,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taut.arm.description import CommandKind
+from taut.base.checks import instance_of
 from taut.base.errors import RangeError, UsageError
 from taut.base.paths import subtree
-from taut.base.types import Float64Array, Vector
+from taut.base.types import Float64Array
 from taut.codegen.engine import Steps
 from taut.codegen.loop import compiled_loop
 from taut.codegen.program import Block
 from taut.codegen.tangent import TANGENT, StepTangent
 from taut.control.lawside import LawSide
-from taut.control.trajectories.feed import ReferenceFeed
+from taut.control.tasks.feed import ReferenceFeed
 from taut.control.trajectories.reference import Hold, Reference
-from taut.loop import DT, AnyPlant, Loop, ModelPlant, Values
+from taut.loop import DT, AnyPlant, Loop, Values
 from taut.maths import dynamics as dyn
 from taut.maths.model import model_of
 from taut.maths.spatial import rotation_exp
@@ -63,6 +63,7 @@ class Point:
 class Derivative:
     """The derivative of a period at a point, in all its coordinates."""
 
+    at: Point
     A: Float64Array  # (N, N) memory after the period by memory before it
     B: Float64Array  # (N, m) memory after the period by inputs
     C: Float64Array  # (p, N) outputs by memory before it
@@ -72,44 +73,22 @@ class Derivative:
     record: Float64Array  # of the tick, flat
 
 
-class PeriodMap(ABC):
-    """The map of a control period of a loop from its memory before to its memory after it."""
-
-    memory: Block
-    state_coordinates: BlockCoordinates
-    side: LawSide
-    dt: float
-    tolerance: float  # [-] of a derivative: smaller entries are rounding
-    rest: float  # [-] of a state's size per period: a residual of rounding alone, of which no step can be made
-
-    @abstractmethod
-    def derivative(self, at: Point) -> Derivative:
-        """The map and its derivative at a point."""
-
-    @abstractmethod
-    def after(self, at: Point, memories: Float64Array) -> Float64Array:
-        """(k, size) the memory after a period from k memories, with the inputs and parameters of a point."""
-
-
-class Period(PeriodMap):
+class Period:
     """One period of a loop as it is simulated, from rest at q, reference and clock held; central differences."""
 
-    tolerance, rest = 1e-6, 1e-11
+    tolerance: Final = 1e-6  # [-] of a derivative: smaller entries are rounding
+    rest: Final = 1e-11  # [-] of a state's size per period: a residual of rounding, of which no step can be made
 
     def __init__(self, loop: Loop, q: Float64Array, changes: Mapping[str, Any] = EMPTY) -> None:
         self.side, self.dt, self.arm = loop.side, loop.dt, loop.plant.arm
         self.inputs, self.parameters = Block.of(loop.input_shapes()), Block.of(loop.parameter_shapes())
         checked = {path: loop.parameters.checked(path, value) for path, value in changes.items()}
-        values = self.parameters.pack({**loop.parameters, **checked, DT: loop.dt})
-        row = held_reference(loop, self.inputs, q)
-        memory = loop.start(q, np.zeros_like(q), self.inputs.views(row), self.parameters.views(values))
-        self.memory = Block.of({path: np.shape(value) for path, value in memory.items()})
+        self.memory, self.start = start_of(loop, self.inputs, self.parameters, q, Hold(), checked)
         self.state_coordinates = BlockCoordinates(self.memory)
         self._columns = np.arange(len(self.state_coordinates))
         self._clock = [self.memory.field(CLOCK).offset] if CLOCK in self.memory.shapes else []
-        self.start = Point(inputs=row, parameters=values, memory=self.memory.pack(memory))
-        blocks, example = (self.inputs, self.parameters, self.memory), (row, values, self.start.memory)
-        self._run = compiled_loop(loop, blocks, example)
+        example = (self.start.inputs, self.start.parameters, self.start.memory)
+        self._run = compiled_loop(loop, (self.inputs, self.parameters, self.memory), example)
         outputs = [self._run.outputs.field(path) for path in ("q", "v", "command")]
         self._shown = np.concatenate([np.arange(field.offset, field.offset + field.size) for field in outputs])
 
@@ -141,9 +120,9 @@ class Period(PeriodMap):
         new[self._clock] = memory[self._clock]
         return (new if done else np.full_like(new, np.nan)), row[0]
 
-    def after(self, at: Point, memories: Float64Array) -> Float64Array:
-        """(k, size) the memory after a period from k memories, with the inputs and parameters of a point."""
-        return np.stack([self._period(at, memory)[0] for memory in memories])
+    def after(self, at: Point, memory: Float64Array) -> Float64Array:
+        """(size,) the memory after a period, with the inputs and parameters of a point."""
+        return self._period(at, memory)[0]
 
     def derivative(self, at: Point, step: float = STEP) -> Derivative:
         """The map and its derivative, without inputs, by central differences."""
@@ -160,15 +139,16 @@ class Period(PeriodMap):
         A[:, self._columns] = (states.read(memory, new) / (2.0 * steps)).T
         C[:, self._columns] = (shown / (2.0 * steps)).T
         return Derivative(
-            A=A, B=np.zeros((len(states), 0)), C=C, D=np.zeros((len(self._shown), 0)),
+            at=at, A=A, B=np.zeros((len(states), 0)), C=C, D=np.zeros((len(self._shown), 0)),
             residual=states.difference(memory, at.memory), memory=memory, record=record,
         )  # fmt: skip
 
 
-class LoopMap(PeriodMap):
+class LoopMap:
     """One period of a loop with its exact derivative; quantisation counts by its mean slope, which is one."""
 
-    tolerance, rest = 0.0, 1e-13
+    tolerance: Final = 0.0  # as of `Period`
+    rest: Final = 1e-13
 
     def __init__(self, loop: Loop) -> None:
         side, plant = loop.side, loop.plant
@@ -178,40 +158,26 @@ class LoopMap(PeriodMap):
                 "guards; make a taut.Loop with the law and the reference of the phase that is wanted",
                 name="loop",
             )
-        self.steps = tuple(path for path in loop.parameters if path.endswith(RESOLUTION))
-        self.side, self.engine, self.dt = side, loop.engine, loop.dt  # and not the loop, which may go
-        self.plant = smooth_plant(plant, side.needs) if self.steps else plant
-        self._stepped = Loop(Side(side, side.parameters, loop.engine), self.plant, loop.ref, duration=loop.duration)
+        self.side, self.dt = side, loop.dt  # and not the loop, which may go
+        self._stepped = Loop(Side(side, side.parameters, loop.engine), plant, loop.ref, duration=loop.duration)
         pushes = disturbance_shapes(side.arm.n)
         if not isinstance(plant, RigidPlant):
             pushes = {COMMAND: pushes[COMMAND]}  # what it does of the others is not known
         self.inputs = Block.of(loop.input_shapes() | pushes)
-        self.parameters = Block.of({p: s for p, s in loop.parameter_shapes().items() if p not in self.steps})
-        self._tangent: StepTangent | None = None
+        self.parameters = Block.of(loop.parameter_shapes())
+        self.memory, _ = start_of(loop, self.inputs, self.parameters, plant.arm.home, loop.ref)
+        self.state_coordinates = BlockCoordinates(self.memory)
         self.input_coordinates = BlockCoordinates(self.inputs, [path for path in self.inputs.shapes if path != "t"])
-
-    def start(self, q: Vector, inputs: Float64Array, values: Float64Array) -> Float64Array:
-        """The memory in the first tick, at rest."""
-        views, numbers = self.inputs.views(inputs), self.parameters.views(values)
-        memory = self._stepped.start(q, np.zeros_like(q), views, numbers)
-        if self._tangent is None:
-            self.memory = Block.of({path: np.shape(value) for path, value in memory.items()})
-            self.state_coordinates = BlockCoordinates(self.memory)
-            repeats = self.plant.substeps - 1
-            self.period = Steps(
-                self.step, self.inputs, self.parameters, self.memory, self._stepped.substep, repeats
-            )  # fmt: skip
-            self.tangent = self._tangent = StepTangent(
-                self.period, directed=(), outputs=OUTPUTS, engine=self.engine
-            )  # fmt: skip
-            self.outputs = Block.of({path: self.tangent.outputs.shapes[path] for path in OUTPUTS})
-            self.output_coordinates = BlockCoordinates(self.outputs)
-        return self.memory.pack(memory)
+        blocks = self.inputs, self.parameters, self.memory
+        self.period = Steps(self.step, *blocks, self._stepped.substep, plant.substeps - 1)
+        self.tangent = StepTangent(self.period, directed=(), outputs=OUTPUTS, engine=loop.engine)
+        self.outputs = Block.of({path: self.tangent.outputs.shapes[path] for path in OUTPUTS})
+        self.output_coordinates = BlockCoordinates(self.outputs)
 
     def step(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:
         """A period, with where the tool is in its first instant."""
         record, after = self._stepped.step(inputs, parameters, memory)
-        model, q, v = model_of(self.plant.arm), memory["plant.q"], memory["plant.v"]
+        model, q, v = model_of(self._stepped.plant.arm), memory["plant.q"], memory["plant.v"]
         T = dyn.pose(model, q)
         return {**record, "tip.p": T.p, "tip.R": T.R, "tip.twist": dyn.twist(model, q, v)}, after
 
@@ -219,7 +185,10 @@ class LoopMap(PeriodMap):
         """The map and its derivative at a point."""
         states, ins = self.state_coordinates, self.input_coordinates
         N, count = len(states), len(states) + len(ins)
-        inputs, parameters, memory = self._rows(at, count)
+        blocks = (self.tangent.inputs, self.tangent.parameters, self.tangent.memory)
+        inputs, parameters, memory = (np.zeros((count, block.size)) for block in blocks)
+        for rows, flat in zip((inputs, parameters, memory), (at.inputs, at.parameters, at.memory), strict=True):
+            rows[:, : len(flat)] = flat  # without a direction
         memory[:N, self.memory.size :] = states.basis(at.memory)
         inputs[N:, self.inputs.size :] = ins.basis(at.inputs)
         out, new = self.tangent.rows(inputs, parameters, memory)
@@ -230,38 +199,22 @@ class LoopMap(PeriodMap):
         ways = np.hstack([views[TANGENT + path].reshape(count, -1) for path in OUTPUTS])
         seen = self.output_coordinates.read(shown, ways).T
         return Derivative(
-            A=moved[:, :N], B=moved[:, N:], C=seen[:, :N], D=seen[:, N:],
+            at=at, A=moved[:, :N], B=moved[:, N:], C=seen[:, :N], D=seen[:, N:],
             residual=states.difference(after, at.memory), memory=after, record=out[0],
         )  # fmt: skip
-
-    def after(self, at: Point, memories: Float64Array) -> Float64Array:
-        """(k, size) the memory after a period from k memories, with the inputs and parameters of a point."""
-        inputs, parameters, rows = self._rows(at, len(memories))
-        rows[:, : self.memory.size] = memories
-        return np.asarray(self.tangent.rows(inputs, parameters, rows)[1][:, : self.memory.size])
-
-    def _rows(self, at: Point, count: int) -> list[Float64Array]:
-        """A point's inputs, parameters and memory, repeated, without a direction."""
-        blocks = (self.tangent.inputs, self.tangent.parameters, self.tangent.memory)
-        rows = [np.zeros((count, block.size)) for block in blocks]
-        for row, flat in zip(rows, (at.inputs, at.parameters, at.memory), strict=True):
-            row[:, : len(flat)] = flat
-        return rows
 
     def recorded(self, found: Derivative) -> Mapping[str, Float64Array]:
         """What the tick of a derivative records, by column."""
         return {p: x for p, x in self.tangent.outputs.views(found.record).items() if not p.startswith(TANGENT)}
 
 
+PeriodMap = Period | LoopMap
 _MAPS: Final[WeakKeyDictionary[Loop, LoopMap]] = WeakKeyDictionary()
 
 
 def loop_map(loop: Loop) -> LoopMap:
     """The map of a loop, compiled once however often it is asked for."""
-    if not isinstance(loop, Loop):  # callers without a type checker
-        raise UsageError(
-            f"a taut.Loop(ctrl, plant, ref, duration=...) is needed; got {type(loop).__name__}", name="loop"
-        )
+    instance_of("loop", loop, Loop, "a taut.Loop(ctrl, plant, ref, duration=...)")
     if loop not in _MAPS:
         _MAPS[loop] = LoopMap(loop)
     return _MAPS[loop]
@@ -270,10 +223,26 @@ def loop_map(loop: Loop) -> LoopMap:
 def starting(loop: Loop, map_: LoopMap, q: Float64Array) -> Point:
     """The start of a loop at rest at joint positions (n,), in the sample of its reference there."""
     loop.side.check_start(q, {**loop.parameters, DT: loop.dt}, loop.ref)
-    inputs = held_reference(loop, map_.inputs, q, loop.ref)
-    values = map_.parameters.pack({**loop.parameters, DT: loop.dt})
-    memory = map_.start(q, inputs, values)
-    return Point(inputs=inputs, parameters=values, memory=memory)
+    return start_of(loop, map_.inputs, map_.parameters, q, loop.ref)[1]
+
+
+def start_of(
+    loop: Loop,
+    inputs: Block,
+    parameters: Block,
+    q: Float64Array,  # (n,) [rad | m]
+    ref: Reference,
+    changes: Mapping[str, Any] = EMPTY,  # of its parameters
+) -> tuple[Block, Point]:
+    """The memory's block and the start at rest, the reference held: no quantisation, noise or disturbance."""
+    rows, side = np.zeros((1, inputs.size)), loop.side
+    feed = ReferenceFeed(ref, side.law.reference, side.arm, loop.dt, side.at_rest(q))
+    feed.fill(subtree(inputs.views(rows), "ref"), 0, lambda: None)
+    steps = {path: np.zeros(shape) for path, shape in parameters.shapes.items() if path.endswith(RESOLUTION)}
+    values = parameters.pack({**loop.parameters, **changes, **steps, DT: loop.dt})
+    memory = loop.start(q, np.zeros_like(q), inputs.views(rows[0]), parameters.views(values))
+    block = Block.of({path: np.shape(value) for path, value in memory.items()})
+    return block, Point(inputs=rows[0], parameters=values, memory=block.pack(memory))
 
 
 def beside(map_: PeriodMap, at: Point, states: Iterable[int]) -> tuple[Derivative, Derivative]:
@@ -309,14 +278,6 @@ def finite_derivative(map_: PeriodMap, at: Point) -> Derivative:
     return found
 
 
-def held_reference(loop: Loop, inputs: Block, q: Float64Array, ref: Reference | None = None) -> Float64Array:
-    """(size,) inputs of a tick: the reference (of q if left out) held at the start, no noise, no disturbance."""
-    rows, side = np.zeros((1, inputs.size)), loop.side
-    feed = ReferenceFeed(Hold() if ref is None else ref, side.law.reference, side.arm, loop.dt, side.at_rest(q))
-    feed.fill(subtree(inputs.views(rows), "ref"), 0, lambda: None)
-    return np.asarray(rows[0])
-
-
 @dataclass(frozen=True)
 class Side:
     """A controller as a loop takes it."""
@@ -340,30 +301,18 @@ class HasStages(Protocol):
     def sensors(self) -> Sensors: ...
 
 
-def smooth_plant(plant: AnyPlant, needs: Container[str]) -> ModelPlant:
-    """The same arm, drives and sensors as a model plant without quantisation; else as a `RigidPlant`."""
-    if isinstance(plant, ModelPlant) and not isinstance(plant, RigidPlant):
-        return plant  # a model of the user's own
+def model_in_place_of(plant: AnyPlant, needs: Container[str]) -> RigidPlant:
+    """The same arm, with the drives and sensors where they are known, in place of an engine or a robot."""
     stages = plant if isinstance(plant, HasStages) else RigidPlant(plant.arm)
-    actuation, sensors = _without_steps(stages.actuation), stages.sensors
-    sensors = dataclasses.replace(
-        sensors, **{field.name: _without_steps(getattr(sensors, field.name)) for field in dataclasses.fields(sensors)}
-    )
-    if isinstance(plant, RigidPlant):
-        return dataclasses.replace(plant, actuation=actuation, sensors=sensors)
     return RigidPlant(
         plant.arm,
         stages.friction,
         takes=cast(CommandKind, plant.takes),
-        actuation=actuation,
-        sensors=sensors,
+        actuation=stages.actuation,
+        sensors=stages.sensors,
         adds=plant.adds,
-        environment=Push(peak=np.zeros(6)) if "F_ext" in needs or sensors.wrench is not None else None,
+        environment=Push(peak=np.zeros(6)) if "F_ext" in needs or stages.sensors.wrench is not None else None,
     )
-
-
-def _without_steps(part: Any) -> Any:
-    return dataclasses.replace(part, resolution=None) if getattr(part, "resolution", None) is not None else part
 
 
 class BlockCoordinates:

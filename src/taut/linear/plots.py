@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,28 +21,26 @@ MARGIN: Final = 1.15  # [-] of the farthest pole: the size of its axes
 SETTLED: Final = 1.3  # [-] settling times that a step response shows
 MAX_SIGNALS: Final = 8  # in one picture
 NYQUIST_SIZE: Final = 2.5  # [-] of the Nyquist diagram about -1
-ROW_HEIGHT: Final = 2.7  # [inch] of a row of panels
+ROW_HEIGHT: Final = 1.35  # [inch] of a row of panels
 
 
 def figure_of(system: LinearSystem) -> Figure:
     """Step response, poles, Bode and Nyquist diagram of a system: those for which it has the signals."""
     from matplotlib.figure import Figure as NewFigure
 
-    drawn = [_draw_step] * _has(system, "ref.q[0]", "q[0]") + [_draw_poles]
-    loop = _has(system, "disturbance.command[0]", "command[0]")
-    rows = 2 if loop else 1
-    figure = NewFigure(figsize=(WIDTH, rows * ROW_HEIGHT), dpi=150, layout="constrained", facecolor="white")
-    grid = figure.add_gridspec(2 * rows, 2)
-    for k, draw in enumerate(drawn):
-        draw(figure.add_subplot(grid[:2, k if len(drawn) > 1 else slice(None)]), system)
+    signals = {*system.inputs, *system.outputs}
+    step, loop = {"ref.q[0]", "q[0]"} <= signals, {"disturbance.command[0]", "command[0]"} <= signals
+    panels: list[Any] = [["step" if step else "poles", "poles"]] * 2
+    panels += [["size", "nyquist"], ["phase", "nyquist"]] * loop
+    figure = NewFigure(figsize=(WIDTH, len(panels) * ROW_HEIGHT), dpi=150, layout="constrained", facecolor="white")
+    axes = figure.subplot_mosaic(panels)
+    _draw_poles(axes["poles"], system)
+    if step:
+        _draw_step(axes["step"], system)
     if loop:
-        _draw_bode(figure.add_subplot(grid[2, 0]), figure.add_subplot(grid[3, 0]), system)
-        _draw_nyquist(figure.add_subplot(grid[2:, 1]), system)
+        _draw_bode(axes["size"], axes["phase"], system)
+        _draw_nyquist(axes["nyquist"], system)
     return figure
-
-
-def _has(system: LinearSystem, input: str, output: str) -> bool:
-    return input in system.inputs and output in system.outputs
 
 
 def pole_axes(ax: Axes, shown: NDArray[np.complex128], dt: float | None) -> None:
@@ -75,9 +73,8 @@ def _draw_poles(ax: Axes, system: LinearSystem) -> None:
 def _draw_step(ax: Axes, system: LinearSystem) -> None:
     """The error after a unit step of the first joint's reference."""
     found = system.step()
-    settled = (
-        found.settling_time if np.isfinite(found.settling_time) else 10.0 / max(float(system.omega_n.min()), 1e-3)
-    )
+    settles = bool(np.isfinite(found.settling_time))
+    settled = found.settling_time if settles else 10.0 / max(float(system.omega_n.min()), 1e-3)
     h = system.dt or SETTLED * settled / PLOT_POINTS
     sampled = system if system.dt else system.zoh(h)
     count = max(2, min(int(SETTLED * settled / h) + 1, 10 * PLOT_POINTS))
@@ -90,7 +87,7 @@ def _draw_step(ax: Axes, system: LinearSystem) -> None:
     ax.axhline(1.0, color=INK, linewidth=0.6)
     style = "." if system.dt and count < PLOT_POINTS else "-"
     ax.plot(h * np.arange(count), y, style, color=colour(0), linewidth=1.5, markersize=4.0)
-    if np.isfinite(found.settling_time):
+    if settles:
         label = f"settled, {found.settling_time:.3g} s"
         ax.axvline(found.settling_time, color=colour(1), linewidth=1.0, linestyle=DASHED, label=label)
         ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK, loc="lower right")
@@ -125,13 +122,8 @@ def _draw_nyquist(ax: Axes, system: LinearSystem) -> None:
         name = system.outputs[system.rows("command")[i]]
         ax.plot(L[:, i].real, L[:, i].imag, color=colour(i), linewidth=1.3, label=name)
     ax.plot(-1.0, 0.0, "+", color=colour(1), markersize=8.0, markeredgewidth=1.5)
-    _legend(ax, system)
+    if L.shape[1] > 1:
+        ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     ax.set_xlim(-NYQUIST_SIZE, NYQUIST_SIZE - 1.0)
     ax.set_ylim(-NYQUIST_SIZE, NYQUIST_SIZE)
     ax.set_aspect("equal", adjustable="box")
-
-
-def _legend(ax: Axes, system: LinearSystem) -> None:
-    """Names of the commands beside the axes, where there are several."""
-    if len(system.rows("command")) > 1:
-        ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK, loc="upper left", bbox_to_anchor=(1.0, 1.0))

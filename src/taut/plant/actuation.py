@@ -15,6 +15,7 @@ from taut.base.fields import Declared, Field, Part
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.plant.drivetrain import Transmission
+from taut.plant.sensors import quantised
 from taut.trace import math as tm
 
 Values = Mapping[str, Any]
@@ -378,7 +379,7 @@ class Actuation(Declared):
             error = tau + added - memory["tau_link"] - parameters.get("sensors.torque.bias", 0.0)
             tau = tau + p["torque_loop.kp"] * error + memory["torque_loop"]
         if self.resolution is not None:
-            tau = p["resolution"] * tm.floor(tau / p["resolution"] + 0.5)
+            tau = quantised(tau, p["resolution"])
         ripple: Any = 1.0
         if self.ripple is not None:
             ripple = 1.0 + p["ripple.amplitude"] * tm.sin(p["ripple.periods"] * arm.gear * q)

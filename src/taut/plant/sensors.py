@@ -94,10 +94,7 @@ class FaultySensor(Sensor):
 
 
 def quantised(x: Array, step: Array) -> Array:
-    """The nearest whole number of steps; an entry of several whose step is zero has none."""
-    if np.ndim(step) == 0:  # which is above zero
-        nearest: Array = step * tm.floor(x / step + 0.5)
-        return nearest
+    """The nearest whole number of steps; an entry whose step is zero has none."""
     some = tm.where(step > 0.0, step, 1.0)
     steps: Array = tm.where(step > 0.0, some * tm.floor(x / some + 0.5), x)
     return steps

@@ -1,4 +1,4 @@
-"""One figure for several runs: errors over time and what they cost; and of runs that differ by chance."""
+"""One figure for several runs: errors over time, and bars of their metrics."""
 
 from __future__ import annotations
 
@@ -213,11 +213,9 @@ def _draw_bars(ax: Axes, values: Sequence[float]) -> None:
     """A bar with its number for each run."""
     finite = [value if math.isfinite(value) else 0.0 for value in values]
     places = np.arange(len(values))[::-1]
-    ax.barh(places, finite, height=0.68, color=[colour(i) for i in range(len(values))])
-    edge = max(abs(value) for value in finite) or 1.0
-    for place, value, size in zip(places, values, finite, strict=True):
-        ax.text(max(size, 0.0) + 0.03 * edge, place, _number(value), fontsize=7.5, color=INK, va="center", ha="left")
-    ax.set_xlim(1.1 * min([0.0, *finite]), 1.55 * edge)
+    bars = ax.barh(places, finite, height=0.68, color=[colour(i) for i in range(len(values))])
+    ax.bar_label(bars, [_number(value) for value in values], padding=3.0, fontsize=7.5, color=INK)
+    ax.set_xlim(1.1 * min([0.0, *finite]), 1.55 * (max(map(abs, finite)) or 1.0))
     ax.set_yticks(places, [""] * len(places))
     ax.set_xticks([])
     ax.grid(False)
@@ -232,52 +230,3 @@ def _number(value: float) -> str:
     if value and not 1e-4 <= abs(value) < 1e6:
         return f"{value:.2e}"
     return np.format_float_positional(float(f"{value:.3g}"), trim="-")
-
-
-SPREAD_HEIGHT: Final = 4.6  # [in]
-WINDOW: Final = 0.02  # [s]
-
-
-def spread_figure(runs: Mapping[str, Run]) -> Figure:
-    """The tool's path from above, its height and the environment's force over time, one line for each run."""
-    from matplotlib.figure import Figure
-
-    for name, run in runs.items():
-        if run.info.tool is None:
-            raise UsageError(f"run '{name}' does not say where its tool is", name="runs")
-    figure = Figure(figsize=(WIDTH, SPREAD_HEIGHT), dpi=150, layout="constrained")
-    grid = figure.add_gridspec(2, 2, width_ratios=[1.0, 1.35])
-    above, height, force = (figure.add_subplot(place) for place in (grid[:, 0], grid[0, 1], grid[1, 1]))
-    prepared(above, f"the tool from above, {len(runs)} runs", "y [m]")
-    prepared(height, "the tool's height", "z [m]")
-    prepared(force, "force: mean of 20 ms, and each run's peak", "|F| [N]")
-    for i, run in enumerate(runs.values()):
-        p = run.task.p
-        line(above, p[:, 0], p[:, 1], colour(i))
-        above.plot(p[-1:, 0], p[-1:, 1], "o", color=colour(i), markersize=3.0)
-        line(height, run.t, p[:, 2], colour(i))
-        if "F_ext" in run.extra:
-            size = np.linalg.norm(run.extra["F_ext"][:, :3], axis=1)
-            peak = int(size.argmax())
-            line(force, run.t, _moving_mean(run.t, size), colour(i))
-            force.plot(run.t[peak], size[peak], "o", color=colour(i), markersize=3.0)
-    wanted = next(iter(runs.values())).task.wanted
-    if wanted is not None:
-        p_des = np.asarray(wanted.p)
-        line(above, p_des[:, 0], p_des[:, 1], INK, reference=True)
-        line(height, next(iter(runs.values())).t, p_des[:, 2], INK, reference=True)
-    above.set_aspect("equal", adjustable="datalim")
-    above.set_xlabel("x [m]", fontsize=SMALL, color=INK)
-    above.locator_params(nbins=4)
-    force.set_xlabel("t [s]", fontsize=SMALL, color=INK)
-    for ax in (height, force):
-        ax.margins(x=0.01)
-    return figure
-
-
-def _moving_mean(t: Float64Array, x: Float64Array) -> Float64Array:
-    """(k,) mean of the last while: contacts that slide open and close from tick to tick."""
-    ticks = min(len(t), max(1, round(WINDOW / float(t[1] - t[0])))) if len(t) > 1 else 1
-    sums = np.cumsum(np.concatenate([np.zeros(ticks), x]))
-    mean: Float64Array = (sums[ticks:] - sums[:-ticks]) / ticks
-    return mean

@@ -1,15 +1,13 @@
-"""Films of a run: pictures by MuJoCo, as GIF or MP4."""
+"""Films of a run: pictures by MuJoCo, as a GIF."""
 
 from __future__ import annotations
 
 import itertools
 import math
 import os
-import shutil
-import subprocess
 import tempfile
 from collections.abc import Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
@@ -31,8 +29,8 @@ if TYPE_CHECKING:
 
 Ticks: TypeAlias = np.ndarray[Any, np.dtype[np.intp]]
 
-SUFFIXES: Final = (".gif", ".mp4")
-FASTEST: Final = {".gif": 50, ".mp4": 240}  # [1/s] a GIF counts in hundredths of a second
+SUFFIXES: Final = (".gif",)
+MAX_FPS: Final = 50  # [1/s] a GIF counts in hundredths of a second
 SIZES: Final = (16, 4096)  # [pixel]
 MAX_POSITION: Final = 1e6  # [rad | m] positions beyond this are not drawn: the run had diverged
 
@@ -46,15 +44,13 @@ def film(
     speed: float,
     camera: tuple[float, float] | None,
     arm: Arm | None,
-    progress: bool | None,
 ) -> Path:
     """Write a film of a run; see `Run.video`."""
     target = checked_target("video", path, SUFFIXES)
-    size = _checked_size(size, target.suffix.lower())
-    whole_number("fps", fps, minimum=1, maximum=FASTEST[target.suffix.lower()])
+    size = _checked_size(size)
+    whole_number("fps", fps, minimum=1, maximum=MAX_FPS)
     if camera is not None:
         finite_array("camera", camera, shape=(2,), unit="deg")
-    ffmpeg = _ffmpeg(target)
     shown = _checked_arm(run, arm)
     ticks = _ticks(run, positive_scalar("speed", speed) / fps)
     with ExitStack() as stack, written_aside("video", target) as aside:
@@ -67,48 +63,28 @@ def film(
             ) from cause
         if remark:
             warn(f"video '{target}' {remark}")
-        bar = stack.enter_context(Progress(len(ticks), progress, "drawing"))
+        bar = stack.enter_context(Progress(len(ticks), None, "drawing"))
         images = bar.over(_captioned(pictures, run.t[ticks]))
         try:
-            if ffmpeg is None:
-                _write_gif(aside, images, fps)
-            else:
-                _write_mp4(aside, images, fps, size, ffmpeg, target)
+            _write_gif(aside, images, fps)
         except render.NoRendererError as cause:
             raise FileError(f"video '{target}' broke off: {cause}; try again", name=str(target)) from cause
     return target
 
 
-def _checked_size(size: tuple[int, int], suffix: str) -> tuple[int, int]:
+def _checked_size(size: tuple[int, int]) -> tuple[int, int]:
     try:
         width, height = (whole_number("an edge of size", edge, minimum=SIZES[0], maximum=SIZES[1]) for edge in size)
     except (TypeError, ValueError) as cause:
         words = f"size must be width and height in pixels, from {SIZES[0]} to {SIZES[1]}; got {size!r}"
         raise RangeError(words, name="size", value=size) from cause
-    if suffix == ".mp4" and (width % 2 or height % 2):
-        raise RangeError(f"size must be even numbers for .mp4; got {size!r}", name="size", value=size)
     return width, height
 
 
-def _ffmpeg(target: Path) -> str | None:
-    """The program that makes an MP4; None for a GIF."""
-    if target.suffix.lower() == ".gif":
-        return None
-    found = shutil.which("ffmpeg")
-    if found is None:
-        raise FileError(
-            f"video '{target}' needs the program ffmpeg, which is not on the PATH; install it, or write a .gif",
-            name=str(target),
-        )
-    return found
-
-
 def _checked_arm(run: Run, arm: Arm | None) -> Arm:
-    shown = run.arm if arm is None else arm
+    shown = arm or run.arm or run.info.plant_arm
     if shown is None:
-        name = run.info.arm
-        example = f"taut.load_arm({name!r})" if name else "taut.load_arm(...)"
-        raise UsageError(f"the run does not know its arm, as a log keeps none; pass arm={example}", name="arm")
+        raise UsageError("the run does not know its arm; pass arm=taut.load_arm(...)", name="arm")
     run.require_arm(shown)
     return shown
 
@@ -211,29 +187,3 @@ def _palette(first: Any) -> Any:
     palette = Image.new("P", (1, 1))
     palette.putpalette([*own, *(round(255.0 * part) for part in render.TRAIL[:3])])
     return palette
-
-
-def _write_mp4(path: Path, images: Iterator[Any], fps: int, size: tuple[int, int], ffmpeg: str, target: Path) -> None:
-    command = [
-        ffmpeg, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{size[0]}x{size[1]}",
-        "-r", str(fps), "-i", "-", "-an", "-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4", str(path),
-    ]  # fmt: skip
-    with tempfile.TemporaryFile() as errors:
-        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=errors)
-        assert process.stdin is not None
-        try:
-            with suppress(BrokenPipeError):  # ffmpeg has given up; its own words follow below
-                for image in images:
-                    process.stdin.write(image.tobytes())
-        finally:
-            with suppress(BrokenPipeError):
-                process.stdin.close()
-            status = process.wait()
-        if status:
-            errors.seek(0)
-            said = errors.read().decode(errors="replace").strip().splitlines()
-            raise FileError(
-                f"video '{target}' cannot be written: ffmpeg says {said[-1] if said else f'status {status}'!r}; "
-                "write a .gif instead",
-                name=str(target),
-            )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
@@ -33,6 +34,7 @@ class PhaseWindow:
     start: float  # [s] time of the first tick
     end: float  # [s] time of the first tick of what followed; of its last one where nothing did
     ended: str | None  # "until", "unless", "timeout", "no contact"; None where nothing followed
+    visit: int = 0  # which time that the phase acts, from 0 on
 
     def __str__(self) -> str:
         if self.name == STOP:
@@ -53,18 +55,21 @@ def windows(
     if not lasts or lasts[-1] != len(t) - 1:
         lasts.append(len(t) - 1)
     out, first = [], 0
+    visits: Counter[str] = Counter()
     for last in lasts:
-        followed = last + 1 < len(t)
+        followed, name = last + 1 < len(t), names[int(phase[last])]
         out.append(
             PhaseWindow(
-                name=names[int(phase[last])],
+                name=name,
                 first=first,
                 last=last,
                 start=float(t[first]),
                 end=float(t[last + 1] if followed else t[last]),
                 ended=ENDED.get(int(ended[last])),
+                visit=visits[name],
             )
         )
+        visits[name] += 1
         first = last + 1
     return tuple(out)
 

@@ -31,46 +31,31 @@ MIN_TICKS_OF_REPORT: Final = 2
 LATE: Final = 1.5  # periods between two ticks that follow each other
 MAX_VALUE_LETTERS: Final = 400  # of a value
 STYLE: Final = """
-:root { color-scheme: light dark; --ink: #1c1c1c; --paper: #fff; --line: #d0d0d0; --soft: #f4f4f4; --bad: #a40000; }
-@media (prefers-color-scheme: dark) {
-  :root { --ink: #e6e6e6; --paper: #17181a; --line: #44474b; --soft: #222427; --bad: #ff8a80; }
-}
+:root { color-scheme: light dark; }
 * { box-sizing: border-box; }
-body { margin: 0 auto; max-width: 62rem; padding: 1rem; background: var(--paper); color: var(--ink);
-  font: 1rem/1.5 system-ui, -apple-system, "Segoe UI", Roboto, "Liberation Sans", sans-serif; }
+body { margin: 0 auto; max-width: 62rem; padding: 1rem; font: 1rem/1.5 system-ui, sans-serif; }
 h1 { font-size: 1.4rem; line-height: 1.25; }
-h2 { font-size: 1.1rem; margin: 2rem 0 .5rem; border-bottom: 1px solid var(--line); }
-.fault { border-left: .3rem solid var(--bad); padding: .2rem .8rem; background: var(--soft); }
-.fault, h1, p { overflow-wrap: anywhere; }
-.fault b { color: var(--bad); }
+h2 { font-size: 1.1rem; margin: 2rem 0 .5rem; border-bottom: 1px solid #8886; }
+h1, p { overflow-wrap: anywhere; }
+.fault { border-left: .3rem solid #d33; padding-left: .8rem; }
 .wide, pre { overflow-x: auto; }
-.wide { margin: .5rem 0 1rem; }
+.wide, figure { margin: .5rem 0 1rem; }
 table { border-collapse: collapse; font-size: .875rem; }
-caption { text-align: left; font-weight: 600; padding: .3rem 0; }
-th, td { padding: .2rem .7rem .2rem 0; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line); }
-td { overflow-wrap: break-word; }
-.n { text-align: right; white-space: nowrap; font-variant-numeric: tabular-nums; }
+caption { text-align: left; font-weight: 600; }
+th, td { padding: .2rem .7rem .2rem 0; text-align: left; vertical-align: top; border-bottom: 1px solid #8886; }
+.n { text-align: right; font-variant-numeric: tabular-nums; }
+td.n { white-space: nowrap; }
 .w { min-width: 6.5rem; }
-@media (min-width: 40rem) { td.w:first-child { white-space: nowrap; } }
-.note { font-size: .875rem; margin-top: -.6rem; }
-pre { background: var(--soft); padding: .7rem; white-space: pre;
-  font: .8rem/1.4 ui-monospace, Consolas, "Liberation Mono", monospace; }
+.note { font-size: .875rem; }
+pre { background: #8882; padding: .7rem; font-size: .8rem; }
 .again { white-space: pre-wrap; overflow-wrap: anywhere; }
-th.n { white-space: normal; }
-figure { margin: .5rem 0 1rem; }
-figure img { width: 100%; min-width: 40rem; height: auto; background: #fff; display: block; }
+figure img { width: 100%; min-width: 40rem; background: #fff; display: block; }
 @media print {
-  :root { --ink: #000; --paper: #fff; --line: #bbb; --soft: #f4f4f4; --bad: #a40000; }
-  body { max-width: none; padding: 0; font-size: 10pt; }
   .wide, pre { overflow: visible; }
   table { font-size: 7.5pt; }
-  th, td { padding-right: .4rem; overflow-wrap: anywhere; }
-  .n, td.w:first-child { white-space: normal; }
-  .w { min-width: 0; }
-  pre { white-space: pre-wrap; overflow-wrap: anywhere; }
+  th, td, pre { overflow-wrap: anywhere; white-space: pre-wrap; }
   figure img { min-width: 0; max-height: 24cm; width: auto; max-width: 100%; }
-  figure, tr, .fault { break-inside: avoid; }
-  h2 { break-after: avoid; }
+  figure, tr { break-inside: avoid; }
 }
 """
 POLICY: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
@@ -103,19 +88,14 @@ def report(x: object, path: str | os.PathLike[str], *, title: str = "", repeat: 
         True
     """
     target = checked_target("report", path, (".html", ".htm"))
-    content = content_of(x, title=title, repeat=repeat)
-    with written_aside("report", target) as aside:
-        aside.write_text(html_of(content), encoding="utf-8", errors="replace")
-    return target
-
-
-def content_of(x: object, *, title: str = "", repeat: str = "") -> Content:
-    """The content of a report, before it is a file; UsageError for what has none."""
     if not isinstance(x, (Run, Result)):
         got = x.__name__ if isinstance(x, type) else type(x).__name__
         raise UsageError(f"a report is of a taut.Run or of a result, which has content(); got {got}", name="x")
     content = x.content()
-    return dataclasses.replace(content, title=title or content.title, repeat=repeat or content.repeat)
+    content = dataclasses.replace(content, title=title or content.title, repeat=repeat or content.repeat)
+    with written_aside("report", target) as aside:
+        aside.write_text(html_of(content), encoding="utf-8", errors="replace")
+    return target
 
 
 def content_of_run(run: Run) -> Content:

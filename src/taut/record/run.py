@@ -14,7 +14,7 @@ import numpy as np
 
 from taut.arm.description import Arm
 from taut.arm.parts import short_way
-from taut.base.checks import finite_scalar
+from taut.base.checks import finite_scalar, instance_of
 from taut.base.errors import MatchError, RangeError, UsageError, count_of
 from taut.base.paths import Named
 from taut.base.types import Float64Array
@@ -130,8 +130,7 @@ class Run:
 
     def require_arm(self, arm: Arm) -> None:
         """Require that an arm has the joints of the run (UsageError, MatchError)."""
-        if not isinstance(arm, Arm):  # callers without a type checker
-            raise UsageError(f"arm must be an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
+        instance_of("arm", arm, Arm, "an Arm from taut.load_arm")
         if arm.joint_names != self.joint_names:
             raise MatchError(
                 f"arm '{arm.name}' does not have the joints of the run: {', '.join(arm.joint_names)} against "
@@ -210,12 +209,11 @@ class Run:
             reference=type(self.reference).of(fields),
         )
 
-    def plot(self, *, joints: Iterable[str | int] | None = None) -> Figure:
+    def plot(self, *, joints: Iterable[str] | None = None) -> Figure:
         """Positions, tracking error, torque and its terms over time, as a matplotlib Figure (`figure.savefig`).
 
         Args:
-            joints: Names or indices; by default all, of more than eight those with the largest error.
-
+            joints: Names; by default all, of more than eight those with the largest error.
 
         Raises:
             UnknownNameError: The run has no such joint.
@@ -233,7 +231,6 @@ class Run:
         speed: float = 1.0,
         camera: tuple[float, float] | None = None,
         arm: Arm | None = None,
-        progress: bool | None = None,
     ) -> Path:
         """A film, rendered by MuJoCo, which needs OpenGL: EGL, OSMesa or a screen.
 
@@ -241,60 +238,44 @@ class Run:
         contacts and walls declare; a warning says what declares none. A log keeps them.
 
         Args:
-            path: Where to: .gif, or .mp4 where ffmpeg is installed.
+            path: Where to (.gif).
             fps: Frames per second of the film.
             size: Width and height in pixels.
             speed: Speed of the film over that of the run [-].
             camera: Azimuth (from the x axis towards y) and elevation of the view [deg]; by default across
                 the plane of an arm that moves in one, else from ahead and above.
-            arm: The arm to draw; the plant's by default. A run from a file needs it.
-            progress: Show progress; by default on a terminal when it takes a while.
+            arm: The arm to draw; the plant's by default, of which a log has no meshes.
 
         Raises:
-            FileError: Another suffix, no such folder, no ffmpeg.
+            FileError: Another suffix, no such folder.
             MissingExtraError: No OpenGL works here.
             UsageError: The run does not know its arm.
         """
         from taut.record.film import film
 
-        return film(
-            self,
-            path,
-            fps=fps,
-            size=size,
-            speed=speed,
-            camera=camera,
-            arm=arm,
-            progress=progress,
-        )
+        return film(self, path, fps=fps, size=size, speed=speed, camera=camera, arm=arm)
 
     def arrays(self) -> dict[str, Float64Array]:
         """Everything by name: t, q, v, tau, command, terms.P, reference.q, extra.F_ext, ...; one row per tick."""
-        from taut.record.log.writing import columns_of
+        fields = type(self.reference).fields(self.n)
+        return {
+            **{name: getattr(self, name) for name in ("t", "q", "v", "tau", "command")},
+            **{f"terms.{name}": value for name, value in self.terms.items()},
+            **{f"reference.{name}": getattr(self.reference, name) for name in fields},
+            **{f"extra.{name}": value for name, value in self.extra.items()},
+        }
 
-        return columns_of(self)
-
-    def to_csv(self, path: str | os.PathLike[str], *, progress: bool | None = None) -> Path:
-        """Write a table (.csv): a header with names and units, then one line per tick that reads back exactly.
-
-        Args:
-            path: Where to.
-            progress: Show progress; by default on a terminal when it takes a while.
-        """
+    def to_csv(self, path: str | os.PathLike[str]) -> Path:
+        """Write a table (.csv): a header of names such as q.elbow, then one line per tick that reads back exactly."""
         from taut.record.log.export import to_csv
 
-        return to_csv(self, path, progress=progress)
+        return to_csv(self, path)
 
-    def save(self, path: str | os.PathLike[str], *, progress: bool | None = None) -> Path:
-        """Write a log (.mcap) that common viewers open and `taut.load_run` reads back exactly.
-
-        Args:
-            path: Where to.
-            progress: Show progress; by default on a terminal when it takes a while.
-        """
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write a log (.mcap) that common viewers open and `taut.load_run` reads back exactly."""
         from taut.record.log.writing import save
 
-        return save(self, path, progress=progress)
+        return save(self, path)
 
     def __len__(self) -> int:
         return len(self.t)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from taut.base.errors import RangeError, UsageError, unknown_name
+from taut.base.errors import UsageError, unknown_name
 from taut.base.plot_style import (
     DASHED,
     DOTTED,
@@ -53,7 +53,7 @@ AXES: Final = ("x", "y", "z")
 _NUMBER: Final = re.compile(r"\b\d+\.\d+(e[+-]?\d+)?\b")
 
 
-def plot(run: Run, *, joints: Iterable[str | int] | None = None) -> Figure:
+def plot(run: Run, *, joints: Iterable[str] | None = None) -> Figure:
     """Positions with the reference dashed, tracking error, torque with its limits, and the terms, over time.
 
     With a reference of the task, the tool's position and both its errors stand above, and where something touched the
@@ -86,24 +86,16 @@ def plot(run: Run, *, joints: Iterable[str | int] | None = None) -> Figure:
     return figure
 
 
-def _chosen(run: Run, joints: Iterable[str | int] | None) -> list[int]:
+def _chosen(run: Run, joints: Iterable[str] | None) -> list[int]:
     if joints is None:
         size = run.q - run.q[:1] if run.error is None else run.error
         largest = np.argsort(-np.max(np.abs(size), axis=0, initial=0.0), kind="stable")
         return sorted(int(i) for i in largest[:MAX_JOINTS])
-    shown: list[int] = []
-    for joint in [joints] if isinstance(joints, str) else joints:
-        if isinstance(joint, str):
-            if joint not in run.joint_names:
-                raise unknown_name("the run", "joint", joint, run.joint_names)
-            shown.append(run.joint_names.index(joint))
-        elif isinstance(joint, bool) or not isinstance(joint, (int, np.integer)):
-            raise UsageError(f"joints must be names or indices; got {joint!r}", name="joints", value=joint)
-        elif not 0 <= joint < run.n:
-            raise RangeError(f"joints must be indices from 0 to {run.n - 1}; got {joint}", name="joints", value=joint)
-        else:
-            shown.append(int(joint))
-    shown = list(dict.fromkeys(shown))
+    names = dict.fromkeys([joints] if isinstance(joints, str) else joints)
+    for name in names:
+        if name not in run.joint_names:
+            raise unknown_name("the run", "joint", str(name), run.joint_names)
+    shown = [run.joint_names.index(name) for name in names]
     if not 0 < len(shown) <= MAX_JOINTS:
         raise UsageError(f"joints must name 1 to {MAX_JOINTS} joints for one figure; got {len(shown)}", name="joints")
     return shown
@@ -218,12 +210,7 @@ def _pieces(run: Run) -> list[Run]:
     """A run; one of a task whose phases follow different kinds of reference, phase by phase."""
     if not isinstance(run.reference, PhaseSample):
         return [run]
-    visits: dict[str, int] = {}
-    out = []
-    for window in run.phases:
-        visit = visits[window.name] = visits.get(window.name, -1) + 1
-        out.append(run.phase(window.name, visit))
-    return out
+    return [run.phase(window.name, window.visit) for window in run.phases]
 
 
 def _axis_keys(heading: str) -> list[Line2D]:
@@ -290,15 +277,6 @@ def _mark_phases(run: Run, figure: Figure) -> None:
         for ax in axes if window.first else ():
             ax.axvline(window.start, color=INK, linewidth=0.7, linestyle=DOTTED, zorder=0.5)
         if window.end - window.start >= MIN_PHASE * float(run.t[-1] - run.t[0]):
-            axes[0].annotate(
-                short_name(window.name, PHASE_LETTERS),
-                (window.start, 1.0),
-                xycoords=("data", "axes fraction"),
-                xytext=(3.0, -2.0),
-                textcoords="offset points",
-                fontsize=PHASE_SIZE,
-                color=INK,
-                va="top",
-                rotation=90,
-                bbox={"facecolor": "white", "alpha": 0.7, "linewidth": 0.0, "pad": 0.5},
-            )
+            letters: Any = {"fontsize": PHASE_SIZE, "color": INK, "va": "top", "rotation": 90}
+            label, place = short_name(window.name, PHASE_LETTERS), axes[0].get_xaxis_transform()
+            axes[0].text(window.start, 0.98, label, transform=place, **letters)

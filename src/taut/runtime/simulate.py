@@ -14,9 +14,9 @@ from taut.base.checks import whole_number
 from taut.base.errors import RangeError, StabilityWarning, UsageError, warn
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
+from taut.control.combine import SideBySide
 from taut.control.law import Law
 from taut.control.lawside import LawSide
-from taut.control.side_by_side import SideBySide
 from taut.control.tasks.phase import Phase
 from taut.control.tasks.task import Task
 from taut.control.trajectories.reference import Hold, Reference, as_reference
@@ -184,7 +184,7 @@ def _judged(verdict: Judgement | str, plant: Plant) -> Stability:
         if isinstance(plant, PlantBase) and plant.real:
             raise RangeError(f"{verdict.message} (plant '{plant.name}' is a real arm: nothing was sent)", name="law")
         warn(verdict.message, StabilityWarning)
-    return Stability(**verdict.record())
+    return Stability(**{field.name: getattr(verdict, field.name) for field in dataclasses.fields(Stability)})
 
 
 def _recorded(going: FusedRun | HostedRun, log: str | os.PathLike[str] | None, progress: bool | None) -> Run:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import statistics
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from taut.base.errors import FileError, MissingExtraError, ScenarioError, TautEr
 from taut.base.result import Cell, Content, Result, Table
 from taut.codegen.engine import EngineChoice
 from taut.controller import Controller
-from taut.record.comparison_plot import compare, spread_figure
+from taut.record.comparison_plot import MAX_RUNS, compare
 from taut.record.info import ScenarioInfo
 from taut.record.log.files import checked_target, written_aside
 from taut.record.metrics import METRICS, Metrics
@@ -99,7 +98,7 @@ class ScenarioResult(Result):
                 *(f"no {kind}: {reason}" for kind, reason in self.skipped.items()),
             ],
             summary=[*outcomes, *([reached] if verdicts else [])],
-            tables=[self._of_runs() if self.scenario.spread is None else self._of_spread()],
+            tables=[self._of_runs()],
             notes=[f"{kind:8} {path}" for kind, path in self.outputs.items()],
             texts=self.scenario.experiment.texts,
         )
@@ -128,19 +127,6 @@ class ScenarioResult(Result):
         of += [] if window is None else [f"from {window[0]:g} to {window[1]:g} s"]
         return Table(title=", ".join(of), columns=[str(head) for head in rows[0]], rows=rows[1:])
 
-    def _of_spread(self) -> Table:
-        """A row for each metric: how it is spread over the runs of each law, and which run has the largest."""
-        rows: list[list[Cell]] = []
-        for law in self.scenario.laws:
-            runs = {trial: one for trial, one in self.runs.items() if trial.law == law}
-            for title, numbers in self._rows(runs):
-                known = {trial.case: x for trial, x in zip(runs, numbers, strict=True) if not math.isnan(x)}
-                smallest, median, largest = (f(known.values()) for f in (min, statistics.median, max))
-                rows.append([law, title, len(known), smallest, median, largest, max(known, key=known.__getitem__)])
-            rows.append([law, "completed", sum(one.outcome.ok for one in runs.values()), None, None, None, ""])
-        heads = ("law", "metric", "runs", "smallest", "median", "largest", "largest in")
-        return Table(columns=heads, rows=rows)
-
 
 def _within(one: Run, window: tuple[float, float] | None) -> Metrics:
     """The metrics of a run in a window of it; of all of it where it ended before."""
@@ -153,12 +139,10 @@ def _apart(runs: Mapping[Trial, Run]) -> dict[Trial, Run]:
     """Runs of laws side by side by their parts, those of a task by its phases, and all others as they are."""
     out: dict[Trial, Run] = {}
     for trial, one in _by_part(runs).items():
-        visits: dict[str, int] = {}
         for window in one.phases if one.info.phases else ():
-            visits[window.name] = visit = visits.get(window.name, -1) + 1
-            label = f"{window.name} {visit + 1}" if visit else window.name
-            out[Trial(trial.case, label)] = one.phase(window.name, visit)
-        if not visits:
+            label = f"{window.name} {window.visit + 1}" if window.visit else window.name
+            out[Trial(trial.case, label)] = one.phase(window.name, window.visit)
+        if not one.info.phases:
             out[trial] = one
     return out
 
@@ -233,7 +217,7 @@ def _info(scenario: Scenario, trial: Trial) -> ScenarioInfo:
         name=scenario.name,
         **trial._asdict(),
         text=scenario.experiment.texts["Scenario"],
-        built_in=scenario.source.partition(":")[0] == f"scenario '{scenario.name}'",
+        built_in=scenario.experiment.name.partition(":")[0] == f"scenario '{scenario.name}'",
     )
 
 
@@ -245,7 +229,7 @@ def _blamed(scenario: Scenario, trial: Trial) -> Iterator[None]:
     except TautError as cause:
         section = SECTIONS.get((cause.name or "").partition(".")[0])
         place = f"[{section}]" if section else f"law '{trial.law}':"
-        raise ScenarioError(f"{scenario.source}: {place} {cause}") from cause
+        raise ScenarioError(f"{scenario.experiment.name}: {place} {cause}") from cause
 
 
 def _targets(scenario: Scenario, folder: Path) -> dict[str, Path]:
@@ -301,14 +285,13 @@ def _save_plot(scenario: Scenario, runs: Mapping[Trial, Run], path: Path) -> Non
     drawn = {_plot_label(trial, laws): one for trial, one in parts.items() if len(one)}
     if not drawn:
         raise UsageError("there is nothing to plot: no law got through its first tick", name="plot")
-    if scenario.spread is not None:
-        figure = spread_figure(drawn)
-    elif len(runs) > 1:
+    if len(runs) > 1 and len(drawn) <= MAX_RUNS:
         whole = outputs.span is None or all(one.t[-1] >= outputs.span[1] for one in drawn.values())
         window = outputs.span if whole else None
         figure = compare(drawn, measures=outputs.columns, joint=outputs.joint, window=window)
     else:
-        figure = next(iter(drawn.values())).plot(joints=None if outputs.joint is None else [outputs.joint])
+        one = drawn.get(_plot_label(scenario.shown, laws), next(iter(drawn.values())))
+        figure = one.plot(joints=None if outputs.joint is None else [outputs.joint])
     with written_aside("plot", path) as aside:
         figure.savefig(aside, dpi=150)
 

@@ -16,82 +16,51 @@ from taut.trace.array import has_symbols, traced_array
 from taut.trace.graph import BOOLEAN_OPS, Graph, Op
 from taut.trace.scalar import Condition, Scalar, active_graph, to_node, to_symbol, tracing
 
-Tangent = int | None
-"""The node of a derivative, or None where it is zero."""
-
 
 def tangents(graph: Graph, outputs: Sequence[int], seeds: Mapping[int, int], *, means: bool = False) -> list[int]:
     """Nodes of the directional derivatives of `outputs`; `seeds` has that of each independent node. The graph grows.
 
     With `means`, infinite slopes at a constant argument count as 0: |x| at x = 0 has the mean of both sides' slopes.
     """
-    known: dict[int, Tangent] = dict(seeds)
+    zero = graph.const(0.0)
+    known: dict[int, int] = dict(seeds)
     for i in graph.live(outputs):
         if i not in known:
-            way = _tangent(graph, i, known)
-            if means and way is not None and graph.ops[i] in _STEEP:
-                way = _where_moved(graph, known[graph.a[i]], way)
-            known[i] = way
-    zero = graph.const(0.0)
-    return [zero if (tangent := known[i]) is None else tangent for i in outputs]
+            slope = _tangent(graph, i, known, zero)
+            if means and slope != zero and graph.ops[i] in _STEEP:  # zero where the argument does not change
+                slope = graph.select(graph.compare(int(Op.EQ), known[graph.a[i]], zero), zero, slope)
+            known[i] = slope
+    return [known[i] for i in outputs]
 
 
-def _where_moved(g: Graph, moved: Tangent, way: int) -> int:
-    """A derivative, or zero where the argument does not change."""
-    assert moved is not None
-    zero = g.const(0.0)
-    return g.select(g.compare(int(Op.EQ), moved, zero), zero, way)
-
-
-def _tangent(g: Graph, i: int, known: Mapping[int, Tangent]) -> Tangent:
-    op = Op(g.ops[i])
-    if op in (Op.CONST, Op.INPUT, Op.FLOOR) or op in BOOLEAN_OPS:
-        return None
-    a, b, c = g.a[i], g.b[i], g.c[i]
+def _tangent(g: Graph, i: int, known: Mapping[int, int], zero: int) -> int:
+    op, operands = Op(g.ops[i]), g.operands(i)
+    if op == Op.FLOOR or op in BOOLEAN_OPS or all(known[x] == zero for x in operands):
+        return zero
     if op == Op.SELECT:
-        return _chosen(g, a, known[b], known[c])
-    da = known[a]
+        condition, a, b = operands
+        return g.select(condition, known[a], known[b])
+    a, da = operands[0], known[operands[0]]
     if op in _CHAIN:
-        return None if da is None else g.mul(_CHAIN[op](g, a, i), da)
+        return g.mul(_CHAIN[op](g, a, i), da)
     if op == Op.NEG:
-        return None if da is None else g.neg(da)
+        return g.neg(da)
     if op == Op.ABS:
-        return None if da is None else _chosen(g, g.compare(int(Op.LT), a, g.const(0.0)), g.neg(da), da)
-    db = known[b]
-    if da is None and db is None:
-        return None
+        return g.select(g.compare(int(Op.LT), a, zero), g.neg(da), da)
+    b, db = operands[1], known[operands[1]]
     if op in (Op.MIN, Op.MAX):
         less = g.compare(int(Op.LT), a, b)
-        return _chosen(g, less, da, db) if op == Op.MIN else _chosen(g, less, db, da)
-    return _binary(g, op, i, a, b, da, db)
-
-
-def _binary(g: Graph, op: Op, i: int, a: int, b: int, da: Tangent, db: Tangent) -> Tangent:
+        return g.select(less, da, db) if op == Op.MIN else g.select(less, db, da)
     if op == Op.ADD:
-        return _plus(g, da, db)
+        return g.add(da, db)
     if op == Op.SUB:
-        return _plus(g, da, None if db is None else g.neg(db))
+        return g.sub(da, db)
     if op == Op.MUL:
-        return _plus(g, None if da is None else g.mul(da, b), None if db is None else g.mul(a, db))
+        return g.add(g.mul(da, b), g.mul(a, db))
     if op == Op.DIV:  # y = a / b: dy = (da - y db) / b
-        top = _plus(g, da, None if db is None else g.neg(g.mul(i, db)))
-        return None if top is None else g.div(top, b)
+        return g.div(g.sub(da, g.mul(i, db)), b)
     assert op == Op.ATAN2, op  # y = atan2(a, b): dy = (b da - a db) / (a^2 + b^2)
-    top = _plus(g, None if da is None else g.mul(b, da), None if db is None else g.neg(g.mul(a, db)))
-    return None if top is None else g.div(top, g.add(g.mul(a, a), g.mul(b, b)))
-
-
-def _plus(g: Graph, x: Tangent, y: Tangent) -> Tangent:
-    if x is None or y is None:
-        return y if x is None else x
-    return g.add(x, y)
-
-
-def _chosen(g: Graph, condition: int, x: Tangent, y: Tangent) -> Tangent:
-    if x is None and y is None:
-        return None
-    zero = g.const(0.0)
-    return g.select(condition, zero if x is None else x, zero if y is None else y)
+    return g.div(g.sub(g.mul(b, da), g.mul(a, db)), g.add(g.mul(a, a), g.mul(b, b)))
 
 
 def _inverse_root(g: Graph, a: int) -> int:

@@ -8,6 +8,7 @@ zero. Zero has no sign. Nodes that nothing needs are dropped when a target reads
 from __future__ import annotations
 
 import math
+import operator
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from enum import IntEnum
@@ -61,23 +62,7 @@ CONST, INPUT, ADD, SUB, MUL, DIV, NEG = (int(op) for op in list(Op)[:7])
 SELECT, MIN, MAX, NOT = int(Op.SELECT), int(Op.MIN), int(Op.MAX), int(Op.NOT)
 ABS, AND, OR = int(Op.ABS), int(Op.AND), int(Op.OR)
 
-_UNARY: Final[dict[int, Callable[[float], float]]] = {
-    int(Op.SQRT): math.sqrt,
-    int(Op.SIN): math.sin,
-    int(Op.COS): math.cos,
-    int(Op.ASIN): math.asin,
-    int(Op.ACOS): math.acos,
-    int(Op.EXP): math.exp,
-    int(Op.LOG): math.log,
-    int(Op.TANH): math.tanh,
-    int(Op.ABS): abs,
-    int(Op.FLOOR): math.floor,
-}
-_COMPARE: Final[dict[int, Callable[[float, float], bool]]] = {
-    int(Op.LT): lambda a, b: a < b,
-    int(Op.LE): lambda a, b: a <= b,
-    int(Op.EQ): lambda a, b: a == b,
-}
+COMPARISONS: Final = (int(Op.LT), int(Op.LE), int(Op.EQ))
 
 
 class Graph:
@@ -237,13 +222,14 @@ class Graph:
         """sqrt, sin, cos and the other functions of one number."""
         value = self.value[a]
         if value is not None:
-            try:
-                return self.const(_UNARY[op](value))
-            except (ValueError, OverflowError) as cause:
+            with np.errstate(all="ignore"):
+                result = float(_VALUES[op](value))
+            if not math.isfinite(result):
                 raise TraceError(
                     f"the law takes {Op(op).name.lower()}({value!r}) at {user_location()}, which is no number",
                     value=value,
-                ) from cause
+                )
+            return self.const(result)
         if op == ABS and self.ops[a] in (ABS, NEG):
             a = self.a[a]
         return self.node(op, a)
@@ -260,7 +246,7 @@ class Graph:
             return a
         va, vb = self.value[a], self.value[b]
         if va is not None and vb is not None:
-            return self.const(min(va, vb) if op == MIN else max(va, vb))
+            return self.const(float(_VALUES[op](va, vb)))
         neutral = math.inf if op == MIN else -math.inf
         if va == neutral:
             return b
@@ -271,7 +257,7 @@ class Graph:
     def compare(self, op: int, a: int, b: int) -> int:
         va, vb = self.value[a], self.value[b]
         if va is not None and vb is not None:
-            return self.const(1.0 if _COMPARE[op](va, vb) else 0.0)
+            return self.const(float(_VALUES[op](va, vb)))
         return self.node(op, a, b)
 
     def logic(self, op: int, a: int, b: int) -> int:
@@ -298,25 +284,15 @@ class Graph:
             return a if value != 0.0 else b
         return a if a == b else self.node(SELECT, condition, a, b)
 
-    def operate(self, op: int, a: int, b: int = NONE, c: int = NONE) -> int:
+    def operate(self, op: int, *operands: int) -> int:
         """Any operation by its number, folded like the others."""
-        direct = {ADD: self.add, SUB: self.sub, MUL: self.mul, DIV: self.div, int(Op.ATAN2): self.atan2}
-        if op in direct:
-            return direct[op](a, b)
-        if op == NEG:
-            return self.neg(a)
-        if op == NOT:
-            return self.invert(a)
-        if op in _UNARY:
-            return self.unary(op, a)
+        if op in _FOLDED:
+            return _FOLDED[op](self, *operands)
         if op in (MIN, MAX):
-            return self.extremum(op, a, b)
+            return self.extremum(op, *operands)
         if op in (AND, OR):
-            return self.logic(op, a, b)
-        if op in _COMPARE:
-            return self.compare(op, a, b)
-        assert op == SELECT, op
-        return self.select(a, b, c)
+            return self.logic(op, *operands)
+        return self.compare(op, *operands) if op in COMPARISONS else self.unary(op, *operands)
 
     def operands(self, i: int) -> tuple[int, ...]:
         """The nodes that node i computes with."""
@@ -349,7 +325,13 @@ class Graph:
         self.check_closed(live)
         with np.errstate(all="ignore"):  # what is not finite shows in the result, as in native code
             for i in live:
-                values[i] = self._evaluate_node(i, values, inputs)
+                op = self.ops[i]
+                if op == INPUT:
+                    values[i] = inputs[self.a[i]]
+                elif (known := self.value[i]) is not None:
+                    values[i] = known
+                else:
+                    values[i] = float(_VALUES[op](*(values[x] for x in self.operands(i))))
         return np.array([values[i] for i in outputs], dtype=np.float64)
 
     def check_closed(self, nodes: Iterable[int], before: int = 0) -> None:
@@ -361,49 +343,41 @@ class Graph:
                 rule="closed functions",
             )
 
-    def _evaluate_node(self, i: int, values: dict[int, float], inputs: Sequence[float]) -> float:
-        op, a, b, c = self.ops[i], self.a[i], self.b[i], self.c[i]
-        if op == CONST:
-            value = self.value[i]
-            assert value is not None
-            return value
-        if op == INPUT:
-            return float(inputs[a])
-        x = values[a]
-        if op in _UNARY:
-            return float(_EVALUATE[op](x))
-        if op == NEG:
-            return -x
-        if op == NOT:
-            return 1.0 - x
-        y = values[b]
-        if op in _COMPARE:
-            return 1.0 if _COMPARE[op](x, y) else 0.0
-        if op == SELECT:
-            return y if x != 0.0 else values[c]
-        return float(_BINARY[op](x, y))
 
-
-_BINARY: Final[dict[int, Callable[[float, float], float]]] = {
-    ADD: lambda x, y: x + y,
-    SUB: lambda x, y: x - y,
-    MUL: lambda x, y: x * y,
-    DIV: np.divide,
-    int(Op.ATAN2): math.atan2,
-    MIN: np.minimum,
-    MAX: np.maximum,
-    AND: lambda x, y: x * y,
-    OR: max,
+_FOLDED: Final[dict[int, Callable[..., int]]] = {
+    ADD: Graph.add,
+    SUB: Graph.sub,
+    MUL: Graph.mul,
+    DIV: Graph.div,
+    NEG: Graph.neg,
+    int(Op.ATAN2): Graph.atan2,
+    SELECT: Graph.select,
+    NOT: Graph.invert,
 }
-_EVALUATE: Final[dict[int, Callable[[float], float]]] = {  # like _UNARY, with NaN and infinity for what is no number
+_VALUES: Final[dict[int, Callable[..., float]]] = {  # with NaN and infinity for what is no number
+    ADD: operator.add,
+    SUB: operator.sub,
+    MUL: operator.mul,
+    DIV: np.divide,
+    NEG: operator.neg,
     int(Op.SQRT): np.sqrt,
     int(Op.SIN): np.sin,
     int(Op.COS): np.cos,
     int(Op.ASIN): np.arcsin,
     int(Op.ACOS): np.arccos,
+    int(Op.ATAN2): math.atan2,
     int(Op.EXP): np.exp,
     int(Op.LOG): np.log,
     int(Op.TANH): np.tanh,
-    int(Op.ABS): np.abs,
+    ABS: np.abs,
     int(Op.FLOOR): np.floor,
+    MIN: np.minimum,
+    MAX: np.maximum,
+    SELECT: lambda condition, a, b: a if condition else b,
+    int(Op.LT): operator.lt,
+    int(Op.LE): operator.le,
+    int(Op.EQ): operator.eq,
+    AND: min,
+    OR: max,
+    NOT: operator.not_,
 }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Final, NoReturn
 
@@ -219,26 +219,63 @@ class Condition(Symbol):
 
     __rmul__ = __mul__
 
-    def __truediv__(self, other: Any) -> Any:
-        return self.number() / _number(other)
-
-    def __rtruediv__(self, other: Any) -> Any:
-        return other / self.number()
-
-    def __lt__(self, other: Any) -> Any:
-        return self.number() < _number(other)
-
-    def __le__(self, other: Any) -> Any:
-        return self.number() <= _number(other)
-
-    def __gt__(self, other: Any) -> Any:
-        return self.number() > _number(other)
-
-    def __ge__(self, other: Any) -> Any:
-        return self.number() >= _number(other)
-
     def __repr__(self) -> str:
         return f"<traced condition {self.node}>"
+
+
+def _arithmetic(operate: Callable[[Graph, int, int], int], neutral: float) -> Callable[[Scalar, Any], Any]:
+    """An operator of traced values, under which `neutral` as the second operand changes nothing."""
+
+    def apply(x: Scalar, other: Any) -> Any:
+        g = x.graph
+        if type(other) is Scalar and other.graph is g:  # nearly always
+            node = operate(g, x.node, other.node)
+        elif type(other) is float:
+            if other == neutral:
+                return x
+            node = operate(g, x.node, g.const(other))
+        elif isinstance(other, Symbol) or not _foreign(other):
+            node = operate(g, x.node, _operand(g, other))
+        else:
+            return NotImplemented
+        value = g.value[node]
+        return Scalar(g, node) if value is None else value
+
+    return apply
+
+
+def _reflected(operate: Callable[[Graph, int, int], int]) -> Callable[[Scalar, Any], Any]:
+    """The same operator after a plain number."""
+
+    def apply(x: Scalar, number: Any) -> Any:
+        if _foreign(number):
+            return NotImplemented
+        g = x.graph
+        return to_symbol(g, operate(g, _operand(g, number), x.node))
+
+    return apply
+
+
+def _comparison(op: int, *, swapped: bool = False) -> Callable[[Scalar, Any], Any]:
+    """x op other, or other op x if `swapped`."""
+
+    def apply(x: Scalar, other: Any) -> Any:
+        if not isinstance(other, Scalar) and _foreign(other):
+            return NotImplemented
+        g = x.graph
+        a, b = x.node, _operand(g, other)
+        return to_symbol(g, g.compare(op, b, a) if swapped else g.compare(op, a, b), truth=True)
+
+    return apply
+
+
+def _function(op: int) -> Callable[[Scalar], Any]:
+    """A function of one number."""
+
+    def apply(x: Scalar) -> Any:
+        return to_symbol(x.graph, x.graph.unary(op, x.node))
+
+    return apply
 
 
 class Scalar(Symbol):
@@ -246,77 +283,12 @@ class Scalar(Symbol):
 
     __slots__ = ()
 
-    def __add__(self, other: Any) -> Any:
-        g = self.graph
-        if type(other) is Scalar and other.graph is g:  # nearly always
-            node = g.add(self.node, other.node)
-        elif type(other) is float:
-            if other == 0.0:
-                return self
-            node = g.add(self.node, g.const(other))
-        elif isinstance(other, Symbol) or not _foreign(other):
-            node = g.add(self.node, _operand(g, other))
-        else:
-            return NotImplemented
-        value = g.value[node]
-        return Scalar(g, node) if value is None else value
-
-    __radd__ = __add__
-
-    def __sub__(self, other: Any) -> Any:
-        g = self.graph
-        if type(other) is Scalar and other.graph is g:  # nearly always
-            node = g.sub(self.node, other.node)
-        elif type(other) is float:
-            node = g.sub(self.node, g.const(other))
-        elif isinstance(other, Symbol) or not _foreign(other):
-            node = g.sub(self.node, _operand(g, other))
-        else:
-            return NotImplemented
-        value = g.value[node]
-        return Scalar(g, node) if value is None else value
-
-    def __rsub__(self, other: Any) -> Any:
-        if _foreign(other):
-            return NotImplemented
-        g = self.graph
-        return to_symbol(g, g.sub(_operand(g, other), self.node))
-
-    def __mul__(self, other: Any) -> Any:
-        g = self.graph
-        if type(other) is Scalar and other.graph is g:  # nearly always
-            node = g.mul(self.node, other.node)
-        elif type(other) is float:
-            if other == 0.0 or other == 1.0:  # a third of all in a mass matrix
-                return self if other else 0.0
-            node = g.mul(self.node, g.const(other))
-        elif isinstance(other, Symbol) or not _foreign(other):
-            node = g.mul(self.node, _operand(g, other))
-        else:
-            return NotImplemented
-        value = g.value[node]
-        return Scalar(g, node) if value is None else value
-
-    __rmul__ = __mul__
-
-    def __truediv__(self, other: Any) -> Any:
-        g = self.graph
-        if type(other) is Scalar and other.graph is g:  # nearly always
-            node = g.div(self.node, other.node)
-        elif type(other) is float:
-            node = g.div(self.node, g.const(other))
-        elif isinstance(other, Symbol) or not _foreign(other):
-            node = g.div(self.node, _operand(g, other))
-        else:
-            return NotImplemented
-        value = g.value[node]
-        return Scalar(g, node) if value is None else value
-
-    def __rtruediv__(self, other: Any) -> Any:
-        if _foreign(other):
-            return NotImplemented
-        g = self.graph
-        return to_symbol(g, g.div(_operand(g, other), self.node))
+    __add__ = __radd__ = _arithmetic(Graph.add, 0.0)
+    __sub__ = _arithmetic(Graph.sub, 0.0)
+    __rsub__ = _reflected(Graph.sub)
+    __mul__ = __rmul__ = _arithmetic(Graph.mul, 1.0)
+    __truediv__ = _arithmetic(Graph.div, 1.0)
+    __rtruediv__ = _reflected(Graph.div)
 
     def __pow__(self, exponent: Any) -> Any:
         if isinstance(exponent, Symbol):
@@ -334,8 +306,7 @@ class Scalar(Symbol):
                 value=base,
                 rule="base > 0",
             )
-        scaled = self * math.log(base)  # a plain zero where the base is 1
-        return scaled.exp() if isinstance(scaled, Scalar) else 1.0
+        return np.exp(self * math.log(base))
 
     def __neg__(self) -> Any:
         return to_symbol(self.graph, self.graph.neg(self.node))
@@ -343,73 +314,45 @@ class Scalar(Symbol):
     def __pos__(self) -> Scalar:
         return self
 
-    def __abs__(self) -> Any:
-        return self._unary(ABS)
-
     def __floordiv__(self, other: Any) -> Any:
-        if not isinstance(other, Symbol) and _foreign(other):
-            return NotImplemented
-        return _floored(self / other)
+        return np.floor(self / other)
 
     def __rfloordiv__(self, other: Any) -> Any:
-        return NotImplemented if _foreign(other) else _floored(other / self)
+        return np.floor(other / self)
 
     def __mod__(self, other: Any) -> Any:
-        if not isinstance(other, Symbol) and _foreign(other):
-            return NotImplemented
-        return self - other * _floored(self / other)
+        return self - other * np.floor(self / other)
 
     def __rmod__(self, other: Any) -> Any:
-        return NotImplemented if _foreign(other) else other - self * _floored(other / self)
+        return other - self * np.floor(other / self)
 
-    def _compare(self, op: int, a: Any, b: Any) -> Any:
-        g = self.graph
-        return to_symbol(g, g.compare(op, _operand(g, a), _operand(g, b)), truth=True)
-
-    def __lt__(self, other: Any) -> Any:
-        return NotImplemented if _no_number(other) else self._compare(LT, self, other)
-
-    def __le__(self, other: Any) -> Any:
-        return NotImplemented if _no_number(other) else self._compare(LE, self, other)
-
-    def __gt__(self, other: Any) -> Any:
-        return NotImplemented if _no_number(other) else self._compare(LT, other, self)
-
-    def __ge__(self, other: Any) -> Any:
-        return NotImplemented if _no_number(other) else self._compare(LE, other, self)
-
-    def __eq__(self, other: Any) -> Any:
-        return NotImplemented if _no_number(other) else self._compare(EQ, self, other)
+    __lt__ = _comparison(LT)
+    __le__ = _comparison(LE)
+    __gt__ = _comparison(LT, swapped=True)
+    __ge__ = _comparison(LE, swapped=True)
+    __eq__ = _comparison(EQ)
 
     def __ne__(self, other: Any) -> Any:
-        if _no_number(other):
-            return NotImplemented
-        return ~self._compare(EQ, self, other)
+        equal = self.__eq__(other)
+        return NotImplemented if equal is NotImplemented else ~equal
 
     __hash__ = Symbol.__hash__
+    __abs__ = _function(ABS)
 
     # NumPy calls these by name on the entries of an object array.
 
-    def _unary(self, op: int) -> Any:
-        return to_symbol(self.graph, self.graph.unary(op, self.node))
-
-    def sqrt(self) -> Any:
-        return self._unary(SQRT)
-
-    def sin(self) -> Any:
-        return self._unary(SIN)
-
-    def cos(self) -> Any:
-        return self._unary(COS)
+    sqrt = _function(SQRT)
+    sin = _function(SIN)
+    cos = _function(COS)
+    arcsin = _function(ASIN)
+    arccos = _function(ACOS)
+    exp = _function(EXP)
+    log = _function(LOG)
+    tanh = _function(TANH)
+    floor = __floor__ = _function(FLOOR)
 
     def tan(self) -> Any:
         return self.sin() / self.cos()
-
-    def arcsin(self) -> Any:
-        return self._unary(ASIN)
-
-    def arccos(self) -> Any:
-        return self._unary(ACOS)
 
     def arctan(self) -> Any:
         return self.arctan2(1.0)
@@ -418,22 +361,9 @@ class Scalar(Symbol):
         g = self.graph
         return to_symbol(g, g.atan2(self.node, _operand(g, x)))
 
-    def exp(self) -> Any:
-        return self._unary(EXP)
-
-    def log(self) -> Any:
-        return self._unary(LOG)
-
-    def tanh(self) -> Any:
-        return self._unary(TANH)
-
-    def floor(self) -> Any:
-        return self._unary(FLOOR)
-
     def ceil(self) -> Any:
         return -(-self).floor()
 
-    __floor__ = floor
     __ceil__ = ceil
 
     def conjugate(self) -> Scalar:
@@ -441,14 +371,6 @@ class Scalar(Symbol):
 
     def __repr__(self) -> str:
         return f"<traced value {self.node}>"
-
-
-def _no_number(other: object) -> bool:
-    return not isinstance(other, Scalar) and _foreign(other)
-
-
-def _floored(x: Any) -> Any:
-    return x.floor() if isinstance(x, Scalar) else float(math.floor(x))
 
 
 def _operand(graph: Graph, x: Any) -> int:

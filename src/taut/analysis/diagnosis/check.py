@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
 
-from taut.analysis.diagnosis.model import ArmModel, Fit, fit_residual
+from taut.analysis.diagnosis.model import ArmModel, Fit, external_torque, fit_residual, stretched_length
 from taut.analysis.diagnosis.spectrum import Oscillation, find_oscillation
 from taut.arm.parts import short_way
 from taut.base.errors import UsageError
@@ -240,10 +240,7 @@ class ExaminedRun:
     @cached_property
     def length(self) -> float:
         """[m] of the stretched arm, from the first joint to the tool: 1 rad of a joint moves the tool as far."""
-        chain = self.run.info.tool
-        if chain is None:
-            return 1.0
-        return float(sum(np.linalg.norm(p) for p in [*(link.p for link in chain.links[1:]), chain.p])) or 1.0
+        return 1.0 if self.run.info.tool is None else stretched_length(self.run.info.tool) or 1.0
 
     @property
     def of_task(self) -> bool:
@@ -402,10 +399,7 @@ class ExaminedRun:
     @cached_property
     def external(self) -> Float64Array:
         """(k, n) J^T F_ext of the measured wrench; zeros where none was measured."""
-        tool = self.run.info.tool if self.model is None else self.model.tool
-        if "F_ext" not in self.run.extra or tool is None:
-            return np.zeros_like(self.run.q)
-        return np.asarray(np.einsum("kij,ki->kj", tool.jacobians(self.run.q), self.run.extra["F_ext"]))
+        return external_torque(self.run, self.run.info.tool if self.model is None else self.model.tool)
 
     @cached_property
     def steps(self) -> Float64Array:
@@ -433,7 +427,7 @@ class ExaminedRun:
             joint: Index of the joint where it is worst; None where it concerns the whole arm.
             fraction: As of `Finding`.
             evidence: Value and unit by name; "joint" and "torque" stand for the unit of the joint and of its torque.
-            signals: (k,) by name with unit: its figure; error, feedback and command of the joint if left out.
+            signals: (k,) by name with unit: its figure; error, feedback, term and command of the joint if left out.
             marked: (k,) ticks that are shaded in it.
             window: The ticks that it shows; all if left out.
             of: What `fraction` is a part of.
@@ -443,9 +437,12 @@ class ExaminedRun:
         run, i, shown = self.run, joint or 0, slice(None) if window is None else window
         units = {"joint": run.units[i], "torque": run.effort_units[i]}
         if signals is None:
-            error = {} if self.error is None else {f"error [{run.units[i]}]": self.error[:, i]}
-            feedback = {f"feedback [{run.effort_units[i]}]": self.feedback[:, i]} if self.of_torque else {}
-            signals = {**error, **feedback, f"command [{run.command_units[i]}]": run.command[:, i]}
+            torques = {"feedback": self.feedback, term: run.terms.get(term)} if self.of_torque else {}
+            kinds = [({"error": self.error}, run.units), (torques, run.effort_units)]
+            kinds += [({"command": run.command}, run.command_units)]
+            signals = {
+                f"{name} [{unit[i]}]": x[:, i] for kind, unit in kinds for name, x in kind.items() if x is not None
+            }
         return Finding(
             term=term,
             joint=None if joint is None else run.joint_names[joint],
@@ -480,7 +477,7 @@ NEEDS: Final[Mapping[Need, tuple[str, Callable[[ExaminedRun], bool]]]] = {
     ),
     "effort": ("the effort limits of the arm are not known", lambda run: run.effort_limit is not None),
     "model": (
-        "the model of the arm, or a contact force on it, is not known",
+        "the model of the arm (arm= or --arm), or a contact force on it, is not known",
         lambda run: run.fit is not None,
     ),
 }

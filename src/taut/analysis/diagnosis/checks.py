@@ -57,10 +57,10 @@ def _multiple(y: Array, x: Float64Array) -> tuple[Float64Array, Float64Array]:
     return k, np.sum((y - k * x) ** 2, axis=0) / np.maximum(np.sum(y**2, axis=0), TINY)
 
 
-def _load(run: ExaminedRun) -> tuple[str, Float64Array, float]:
-    """The load that the law does not compensate: name of its check or "", torque (k, n), gravity by the law [1]."""
+def _load(run: ExaminedRun) -> tuple[str, Float64Array]:
+    """The load that the law does not compensate: name of its check or "", and its torque (k, n)."""
     fit, model, limit = run.fit, run.model, run.threshold
-    none = "", np.zeros_like(run.run.q), 0.0
+    none = "", np.zeros_like(run.run.q)
     if fit is None or model is None:
         return none
     g = model.gravity / run.scale
@@ -74,16 +74,16 @@ def _load(run: ExaminedRun) -> tuple[str, Float64Array, float]:
         error = np.zeros(run.n) if run.error is None else np.sqrt(np.mean(run.error**2, axis=0))
         off = np.where(run.settled, np.abs(run.steady_error), error) > run.tolerance
         missing = fit.kind != "gravity" and run.fraction_of(load) >= 0.5 and off.any()
-        return ("gravity not compensated", load, by_law) if missing else none
+        return ("gravity not compensated", load) if missing else none
     if fit.kind == "gravity" and run.fraction_of(load) >= limit["part"]:
-        return "gravity compensated twice", load, by_law
+        return "gravity compensated twice", load
     heavy = np.abs(fit.load / run.scale).max() >= limit["part"] * np.abs(g).max()
-    return ("wrong payload", load, by_law) if fit.kind == "payload" and heavy else none
+    return ("wrong payload", load) if fit.kind == "payload" and heavy else none
 
 
 def load(run: ExaminedRun, name: str) -> Finding | None:
     """Gravity that nobody or two compensate, or a payload that was not declared: what the feedback then holds."""
-    found, torque, by_law = _load(run)
+    found, torque = _load(run)
     fit = run.fit
     if found != name or fit is None or run.model is None:
         return None
@@ -91,20 +91,15 @@ def load(run: ExaminedRun, name: str) -> Finding | None:
     i = int(np.argmax(np.sqrt(np.mean(torque**2, axis=0)) / run.scale))
     evidence = {"largest torque": (np.abs(torque[:, i]).max(), "torque")}
     if name != "wrong payload":
-        evidence |= {"gravity by the law": (100.0 * by_law, "%"), "gravity by the plant": (100.0 * fit.gravity, "%")}
+        evidence["gravity by the plant"] = (100.0 * fit.gravity, "%")
         return run.finding(term, i, run.fraction_of(torque), evidence)
-    declared, error = (
-        float(run.model.payload()[0]),
-        np.sqrt(np.maximum(np.linalg.eigvalsh(fit.covariance[1:, 1:])[-1], 0.0)),
-    )
+    beyond, at = fit.mass - run.model.payload[0], ""
+    error = np.sqrt(np.maximum(np.linalg.eigvalsh(fit.covariance[1:, 1:])[-1], 0.0))
     evidence |= {
-        "declared": (declared, "kg"),
-        "beyond the declared": (fit.mass - declared, "kg"),
-        "payload": (fit.mass, "kg"),
+        "beyond the declared": (beyond, "kg"),
         "standard error": (np.sqrt(max(fit.covariance[0, 0], 0.0)), "kg"),
     }
-    at = ""
-    if fit.mass > 0.01 * abs(fit.mass - declared):
+    if fit.mass > 0.01 * abs(beyond):
         evidence |= {f"centre {axis}": (x, "m") for axis, x in zip("xyz", fit.centre, strict=True)}
         evidence["standard error of the centre"] = (error, "m")
         at = f", com=({', '.join(f'{x + 0.0:.3f}' for x in fit.centre.round(3))})"
@@ -120,7 +115,7 @@ def _unmodelled(run: ExaminedRun) -> tuple[Float64Array, Float64Array]:
         return run.feedback, np.zeros(run.n)
     known = float(fit.unexplained <= run.threshold["unexplained"])
     viscous = known * fit.viscous * run.run.v[run.model.ticks + 1]
-    name, torque, _ = _load(run)
+    name, torque = _load(run)
     torque = torque if name in ("wrong payload", "gravity compensated twice") else np.zeros_like(torque)
     return run.at_all_ticks(run.model.residual - viscous) - torque, known * fit.coulomb
 
@@ -193,7 +188,6 @@ def steady_state_error(run: ExaminedRun) -> Finding | None:
     stiffness = f"{run.run.effort_units[i]}/{run.run.units[i]}"
     evidence = {
         "steady-state error": (run.steady_error[i], "joint"),
-        "tolerance": (run.tolerance[i], "joint"),
         "constant load": (held[i], "torque"),
         "stiffness": (abs(held[i] / run.steady_error[i]), stiffness),
     }
@@ -210,18 +204,14 @@ def saturation(run: ExaminedRun) -> Finding | None:
     if not taken:
         return None
     term = max(taken, key=lambda name: float(taken[name].sum()))
-    i, unit, command = int(np.argmax(taken[term])), record.command_units, record.command
-    cut, acting = run.cuts[term][:, i], (run.cuts[term][:, i] != 0.0) & run.off_target[:, i]
-    demanded, applied = (
-        (command[:, i] - cut, command[:, i]) if term != "torque" else (command[:, i], record.tau[:, i])
-    )
+    i = int(np.argmax(taken[term]))
+    acting = (run.cuts[term][:, i] != 0.0) & run.off_target[:, i]
+    applied = (record.tau if term == "torque" else record.command)[:, i]
     evidence = {
         "time cut": (100.0 * acting.mean(), "% of the run"),
-        "demanded": (np.abs(demanded).max(), unit[i]),
-        "applied": (np.abs(applied).max(), unit[i]),
+        "applied": (np.abs(applied).max(), record.command_units[i]),
     }
-    signals = {f"demanded [{unit[i]}]": demanded, f"applied [{unit[i]}]": applied}
-    return run.finding(term, i, taken[term].sum() / run.effort, evidence, marked=acting, signals=signals)
+    return run.finding(term, i, taken[term].sum() / run.effort, evidence, marked=acting)
 
 
 def wind_up(run: ExaminedRun) -> Finding | None:
@@ -244,18 +234,13 @@ def wind_up(run: ExaminedRun) -> Finding | None:
         enough = gained >= run.threshold["effect"] * np.abs(run.feedback[:, i]).max()
         kept = overshoot > run.tolerance[i] and sign * integral[at, i] >= 0.5 * gained
         if enough and kept and gained / run.scale[i] > largest:
-            largest, best = gained / run.scale[i], (i, gained, overshoot, at)
+            largest, best = gained / run.scale[i], (i, gained, overshoot)
     if best is None:
         return None
-    i, gained, overshoot, at = best
-    evidence = {
-        "gained while cut": (gained, "torque"),
-        "overshoot": (overshoot, "joint"),
-        "target reached after": (record.t[at] - record.t[0], "s"),
-    }
-    signals = {f"error [{record.units[i]}]": error[:, i], f"integral [{record.effort_units[i]}]": integral[:, i]}
+    i, gained, overshoot = best
+    evidence = {"gained while cut": (gained, "torque"), "overshoot": (overshoot, "joint")}
     fraction = run.energy(integral * (np.arange(run.n) == i)) / run.effort
-    return run.finding("I", i, fraction, evidence, signals=signals, marked=cut[:, i] != 0.0)
+    return run.finding("I", i, fraction, evidence, marked=cut[:, i] != 0.0)
 
 
 def effort_exceeded(run: ExaminedRun) -> Finding | None:
@@ -268,7 +253,6 @@ def effort_exceeded(run: ExaminedRun) -> Finding | None:
     evidence = {
         "largest torque": (np.abs(run.run.tau[:, i]).max(), "torque"),
         "effort limit": (run.arm_effort[i], "torque"),
-        "time above it": (100.0 * over[:, i].mean(), "% of the run"),
     }
     fraction = np.sum(np.where(over, ratio - 1.0, 0.0) ** 2) / run.effort
     return run.finding("command", i, fraction, evidence)
@@ -287,7 +271,6 @@ def torque_jump(run: ExaminedRun) -> Finding | None:
     evidence = {
         "jump": (run.feedback[0, i], "torque"),
         "relative to the effort limit": (100.0 * feedback[0, i], "%"),
-        **({} if run.error is None else {"error at the start": (run.error[0, i], "joint")}),
     }
     term = max(run.feedback_terms, key=lambda name: abs(run.feedback_terms[name][0, i]))
     return run.finding(term, i, run.fraction_of(part), evidence, window=slice(0, max(64, 2 * end)))
@@ -320,7 +303,6 @@ def singularity(run: ExaminedRun) -> Finding | None:
         "smallest singular value": (sigma[k], "1"),
         "limit": (border, "1"),
         "time": (record.t[k], "s"),
-        **({"joint speed": (100.0 * used[near, i].max(), "% of its limit")} if fast else {}),
     }
     fraction = energy[near].sum() / run.effort
     return run.finding(term, i, fraction, evidence, signals={"smallest singular value of J": sigma}, marked=near)
@@ -350,7 +332,6 @@ def wrong_surface(run: ExaminedRun) -> Finding | None:
     slope = np.linalg.norm(np.linalg.lstsq(p - p.mean(axis=0), y - y.mean(), rcond=0.2)[0])
     straight = phi.shape[1] == 1 and np.linalg.norm(np.ptp(p, axis=0)) > 0.02 and slope < 0.8  # a stroke of 2 cm
     evidence = {
-        "mean of phi": (y.mean(), "m | rad"),
         "RMS of phi": (rms[row], "m | rad"),
         **({"tilt along the path": (np.degrees(np.arcsin(slope)), "deg")} if straight else {}),
     }
@@ -368,7 +349,7 @@ def contact_bounce(run: ExaminedRun) -> Finding | None:
     if len(ticks) < MIN_CONTACT_TICKS:
         return None
     window = slice(int(ticks[0]), int(ticks[-1]) + 1)
-    mean, deviation = force[window].mean(), force[window].std()
+    mean = force[window].mean()
     is_open = force < 0.1 * mean
     openings = int(np.sum(is_open[window][1:] & ~is_open[window][:-1]))
     if is_open[window].mean() < limit["part"]:
@@ -376,7 +357,6 @@ def contact_bounce(run: ExaminedRun) -> Finding | None:
     evidence = {
         "openings": (openings / ((window.stop - window.start) * run.dt), "1/s"),
         "mean force": (mean, "N"),
-        "standard deviation": (deviation, "N"),
         "largest force": (force.max(), "N"),
     }
     shown = {"signals": {"contact force [N]": force}, "marked": is_open, "window": window}

@@ -12,7 +12,7 @@ import numpy as np
 
 from taut.analysis.diagnosis.check import Check, ExaminedRun, Finding
 from taut.analysis.diagnosis.checks import CHECKS, SHARED
-from taut.analysis.diagnosis.model import model_of_run
+from taut.analysis.diagnosis.model import ArmModel
 from taut.arm.description import Arm
 from taut.base.errors import UsageError
 from taut.base.result import Content, Result, Table
@@ -33,13 +33,11 @@ class Diagnosis(Result):
         findings: Causes before their consequences; of each, those first that explain most of the feedback effort.
         problems: Why the run could not be examined as a whole: a fault, gaps, too few ticks.
         notes: Checks that were left out, with the reason.
-        model: Where the model comes from that the torques were compared with.
     """
 
     findings: tuple[Finding, ...]
     problems: tuple[str, ...]
     notes: tuple[str, ...]
-    model: str
 
     @property
     def healthy(self) -> bool:
@@ -78,7 +76,7 @@ class Diagnosis(Result):
             summary=[f"{i}. {finding}" for i, finding in enumerate(self.findings, start=1)],
             faults=self.problems,
             tables=[table for table in tables if table.rows],
-            notes=[*(f"not checked: {note}" for note in self.notes), f"model: {self.model}"],
+            notes=[f"not checked: {note}" for note in self.notes],
             figures=figures,
         )
 
@@ -126,7 +124,7 @@ def doctor(run: Run, *, arm: Arm | None = None, checks: Sequence[Check] = CHECKS
     whole, lost = _longest_complete(run, int(threshold["ticks"]))
     problems += lost
     if whole is None:
-        return Diagnosis(findings=(), problems=tuple(problems), notes=(), model="none was needed")
+        return Diagnosis(findings=(), problems=tuple(problems), notes=())
     kept = _before_running_away(whole, int(threshold["ticks"]) // 2)
     ran_away = len(kept) < len(whole) or run.outcome.kind == "diverged"
     if len(kept) < len(whole):
@@ -135,14 +133,15 @@ def doctor(run: Run, *, arm: Arm | None = None, checks: Sequence[Check] = CHECKS
     if len(kept) < shortest:
         problems.append(f"{len(kept)} ticks, {len(kept) / run.rate:.3g} s, are too short for most checks")
     found: dict[tuple[str, str], list[Finding]] = {}
-    notes, models = list[str](), list[str]()
+    notes = list[str]()
     for part, own in _parts(kept):
         label = "" if part is None else f"{part}: "
         if part is not None and len(own) < shortest:
             notes.append(f"{label}{len(own) / run.rate:.3g} s are too short")
             continue
-        model, source = model_of_run(own, arm)
-        models.append(source)
+        known, model = own.info.controller_arm if arm is None else arm, None
+        if known is not None and known.joint_names == own.joint_names:  # one of laws side by side has fewer
+            model = ArmModel(run=own, arm=known)
         case = ExaminedRun(run=own, model=model, threshold=threshold, ran_away=ran_away)
         with np.errstate(over="ignore"):
             findings, left_out = _examined(case, checks)
@@ -154,7 +153,6 @@ def doctor(run: Run, *, arm: Arm | None = None, checks: Sequence[Check] = CHECKS
         findings=_ordered([_once(group) for group in found.values()]),
         problems=tuple(problems),
         notes=tuple(notes),
-        model=", ".join(dict.fromkeys(models)) or "none was needed",
     )
 
 

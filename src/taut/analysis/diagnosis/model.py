@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Final, Literal
 
@@ -31,15 +31,6 @@ TINY: Final = float(np.finfo(np.float64).tiny)
 CENTRE_WEIGHT: Final = 0.01  # of the prior, which only keeps an unobservable centre of mass at the tool
 
 
-def model_of_run(run: Run, arm: Arm | None) -> tuple[ArmModel | None, str]:
-    """The model that the controller of a run had, of a known arm or of the run's own, and where it comes from."""
-    known = run.info.controller_arm if arm is None else arm
-    if known is None or known.joint_names != run.joint_names:  # of laws side by side, one part has fewer
-        return None, "none: give the arm of the controller, arm= or --arm, to have gravity and payload checked"
-    source = f"arm '{run.info.arm}' of the controller, as the run holds it"
-    return ArmModel(run=run, arm=known), source if arm is None else f"arm '{arm.name}' as given"
-
-
 @functools.lru_cache(maxsize=16)
 def _native_torques(arm: Arm) -> Callable[..., Float64Array]:
     """(n,) M a + C v + g of an arm with a payload, in native code."""
@@ -49,6 +40,18 @@ def _native_torques(arm: Arm) -> Callable[..., Float64Array]:
         return dyn.inverse_dynamics(model, q, v, a, PayloadValues(mass=mass, com=com, inertia=inertia))
 
     return native(torques, q=n, v=n, a=n, mass=(), com=3, inertia=6)
+
+
+def external_torque(run: Run, tool: Chain | None) -> Float64Array:
+    """(k, n) J^T F_ext of the measured wrench; zeros where none was measured."""
+    if "F_ext" not in run.extra or tool is None:
+        return np.zeros_like(run.q)
+    return np.asarray(np.einsum("kij,ki->kj", tool.jacobians(run.q), run.extra["F_ext"]))
+
+
+def stretched_length(tool: Chain) -> float:
+    """[m] from the first joint to the tool, were the arm stretched."""
+    return float(sum(np.linalg.norm(p) for p in [*(link.p for link in tool.links[1:]), tool.p]))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,10 +73,10 @@ class ArmModel:
                     out[self.run.t >= t - 0.5 / self.run.rate, columns] = values[f"model.payload.{name}"]
         return out
 
-    def payload(self, tick: int = -1) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """Mass [kg], centre (3,) [m] and inertia (6,) [kg m^2] declared to the law."""
-        row = self.payloads[tick]
-        return np.array(row[0]), row[1:4].copy(), row[4:].copy()
+    @property
+    def payload(self) -> tuple[float, Float64Array]:
+        """Mass [kg] and centre (3,) [m] declared to the law at the end."""
+        return float(self.payloads[-1, 0]), self.payloads[-1, 1:4]
 
     @cached_property
     def ticks(self) -> np.ndarray[Any, np.dtype[np.intp]]:
@@ -111,11 +114,7 @@ class ArmModel:
     @cached_property
     def residual(self) -> Float64Array:
         """(ticks, n) tau + J^T F_ext - (M a + C v + g): what acted beyond what the model needs for the motion."""
-        pushed = np.zeros_like(self.motion)
-        if "F_ext" in self.run.extra:
-            J = self.tool.jacobians(self.run.q[self.ticks])
-            pushed = np.einsum("kij,ki->kj", J, self.run.extra["F_ext"][self.ticks])
-        return np.asarray(self.run.tau[self.ticks] + pushed - self.motion)
+        return np.asarray(self.run.tau[self.ticks] + external_torque(self.run, self.tool)[self.ticks] - self.motion)
 
     @cached_property
     def payload_columns(self) -> Float64Array:
@@ -131,11 +130,6 @@ class ArmModel:
         return np.stack([at, *moments, *turning], axis=2)
 
     @cached_property
-    def length(self) -> float:
-        """[m] from the first joint to the tool, were the arm stretched."""
-        return float(sum(np.linalg.norm(p) for p in [*(link.p for link in self.tool.links[1:]), self.tool.p]))
-
-    @cached_property
     def tool(self) -> Chain:
         """The arm's tool, at which F_ext is measured."""
         return Chain.of(model_of(self.arm), None)
@@ -149,13 +143,13 @@ class Fit:
     load: Float64Array  # (ticks, n) its torque [N m | N]
     explained: float  # 0 to 1: of what friction alone leaves, in squares
     unexplained: float  # 0 to 1: of the torque beyond the model, in squares
-    gravity: float  # fraction that something else compensates
-    mass: float  # [kg] of the whole payload, never negative
-    centre: Float64Array  # (3,) [m] its centre of mass in the tool frame
-    covariance: Float64Array  # (4, 4) of mass [kg] and centre of mass [m]
     viscous: Float64Array  # (n,) [N m s/rad | N s/m]
     coulomb: Float64Array  # (n,) [N m | N]; 0 of joints without motion
     moved: Array  # (n,) joints that moved enough to show their friction
+    gravity: float = 0.0  # fraction that something else compensates
+    mass: float = 0.0  # [kg] of the whole payload, never negative
+    centre: Float64Array = field(default_factory=lambda: np.zeros(3))  # [m] its centre of mass in the tool frame
+    covariance: Float64Array = field(default_factory=lambda: np.zeros((4, 4)))  # of mass [kg] and centre of mass [m]
 
 
 def fit_residual(model: ArmModel, scale: Float64Array, threshold: Mapping[str, float]) -> Fit:
@@ -175,7 +169,7 @@ def fit_residual(model: ArmModel, scale: Float64Array, threshold: Mapping[str, f
     if not len(moving) or moving.any(axis=1).mean() < MIN_MOTION:
         return _fit(model, scale, threshold, everywhere, False)
     fit = _fit(model, scale, threshold, moving, True)
-    uncertain = abs(fit.mass - float(model.payload()[0])) <= 3.0 * math.sqrt(max(float(fit.covariance[0, 0]), 0.0))
+    uncertain = abs(fit.mass - model.payload[0]) <= 3.0 * math.sqrt(max(float(fit.covariance[0, 0]), 0.0))
     return _fit(model, scale, threshold, everywhere, False) if fit.kind == "payload" and uncertain else fit
 
 
@@ -198,7 +192,6 @@ def _fit(model: ArmModel, scale: Float64Array, threshold: Mapping[str, float], u
         kind: Literal["none", "gravity", "payload"], load: Float64Array, by: Float64Array, **numbers: Any
     ) -> Fit:
         after = float(np.sum((d - rows(load[:, :, np.newaxis])[:, 0] - friction @ by) ** 2))
-        none = {"gravity": 0.0, "mass": 0.0, "centre": np.zeros(3), "covariance": np.zeros((4, 4))}
         return Fit(
             kind=kind,
             load=load,
@@ -207,7 +200,7 @@ def _fit(model: ArmModel, scale: Float64Array, threshold: Mapping[str, float], u
             viscous=by[:n],
             coulomb=by[n:],
             moved=np.asarray(used.any(axis=0) & in_motion),
-            **{**none, **numbers},
+            **numbers,
         )
 
     by_friction = made("none", np.zeros_like(model.residual), alone)
@@ -218,9 +211,9 @@ def _fit(model: ArmModel, scale: Float64Array, threshold: Mapping[str, float], u
     fit = made("gravity", -values[0] * model.gravity, values[1:], gravity=float(values[0]))
     if fit.explained >= threshold["explained by the load"] and abs(fit.gravity - 1.0) <= 0.25:
         return fit
-    reach = threshold["centre of mass"] * model.length
+    reach = threshold["centre of mass"] * stretched_length(model.tool)
     p, covariance = _payload(model, rows(model.payload_columns), friction, d, floor, reach)
-    beyond = _point_mass(p[0], p[1:4]) - _point_mass(*model.payload()[:2])
+    beyond = _point_mass(p[0], p[1:4]) - _point_mass(*model.payload)
     load = model.payload_columns @ beyond
     fit = made("payload", load, p[4:], mass=float(p[0]), centre=p[1:4], covariance=covariance)
     near = float(np.linalg.norm(fit.centre)) <= reach
@@ -236,11 +229,11 @@ def _payload(
     Standard errors are those of a model that is as accurate as its threshold says.
     """
     Q, R = np.linalg.qr(np.concatenate([Y, friction], axis=1))  # the same problem in as many rows as parameters
-    y, (mass, centre, _) = Q.T @ d, model.payload()
+    y, (mass, centre) = Q.T @ d, model.payload
     declared, low = _point_mass(mass, centre), np.array([-mass, *np.full(3, -math.inf), *np.zeros(friction.shape[1])])
     linear = _bounded(d, np.concatenate([Y[:, :4], friction], axis=1), low)
     moment = mass * centre + linear[1:4]
-    guess = max(float(mass) + linear[0], float(np.linalg.norm(moment)) / reach, 0.0)
+    guess = max(mass + linear[0], float(np.linalg.norm(moment)) / reach, 0.0)
     sigma = floor * math.sqrt(len(d) / INDEPENDENT_TICKS)
     weight = np.concatenate([np.zeros((3, 1)), np.eye(3), np.zeros((3, friction.shape[1]))], axis=1) * sigma / reach
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.signal import butter, sosfiltfilt
+from scipy.signal import butter, detrend, sosfiltfilt
 
 from taut.base.types import Float64Array
 from taut.control.limits import LIMIT_TERMS
@@ -51,7 +51,7 @@ def fit_sinusoid(y: Float64Array, dt: float, above: float = 0.0, fraction: float
         return None
     x = np.linspace(-1.0, 1.0, k)  # growth is scaled with half of the window
     trend = np.column_stack([np.ones(k), x])
-    ac = without_trend(y[:, np.newaxis])[:, 0]
+    ac = detrend(y)
     power = float(np.sum(ac**2))
     spectrum = np.abs(np.fft.rfft(ac * np.hanning(k)))
     omegas = TWO_PI * np.fft.rfftfreq(k, dt)
@@ -81,12 +81,6 @@ def fit_sinusoid(y: Float64Array, dt: float, above: float = 0.0, fraction: float
         last=amplitude * math.exp(p[0]),
         fraction=1.0 - float(np.sum(rest(p) ** 2)),
     )
-
-
-def without_trend(x: Float64Array) -> Float64Array:
-    """(k, n) without its straight trend."""
-    basis = np.column_stack([np.ones(len(x)), np.linspace(-1.0, 1.0, len(x))])
-    return np.asarray(x - basis @ np.linalg.lstsq(basis, x, rcond=None)[0])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -200,10 +194,10 @@ def _work(run: ExaminedRun, window: slice) -> tuple[dict[str, float], float]:
     """
     record = run.run
     window = slice(window.start, min(window.stop, len(record) - 1))
-    steps = without_trend(run.steps[window])
+    steps = detrend(run.steps[window], axis=0)
 
     def work(x: Float64Array) -> float:
-        return float(np.sum(without_trend(x[window]) * steps))
+        return float(np.sum(detrend(x[window], axis=0) * steps))
 
     pinned = run.cuts["torque"]
     names = [*run.feedback_terms, *(name for name in (*LIMIT_TERMS, *EXCITATION) if name in record.terms)]
@@ -218,10 +212,13 @@ def _work(run: ExaminedRun, window: slice) -> tuple[dict[str, float], float]:
 
 def _third_harmonic(run: ExaminedRun, window: slice, i: int, omega: float) -> float:
     """The third harmonic of the acceleration of a joint over its first: a spring gives next to none."""
-    a = np.diff(run.run.v[window, i]) / run.dt
-    angle, hann = omega * run.dt * np.arange(len(a)), np.hanning(len(a))
-    first, third = (abs(complex(np.sum(a * hann * np.exp(-1j * m * angle)))) for m in (1, 3))
+    first, third = (abs(_component(np.diff(run.run.v[window, i]), m * omega * run.dt)) for m in (1, 3))
     return third / max(first, np.finfo(np.float64).tiny)
+
+
+def _component(x: Float64Array, angle: float) -> complex:
+    """The component of a signal that rotates by an angle a tick [rad], in a Hann window."""
+    return complex(np.sum(x * np.hanning(len(x)) * np.exp(-1j * angle * np.arange(len(x)))))
 
 
 def _integrates(run: ExaminedRun, i: int) -> bool:
@@ -232,11 +229,8 @@ def _integrates(run: ExaminedRun, i: int) -> bool:
 
 def _delay(run: ExaminedRun, found: Oscillation, omega: float) -> float:
     """[s] between command and torque, less than a period of the oscillation."""
-    angle = omega * run.dt * np.arange(found.window.stop - found.window.start)
-    turn = np.hanning(len(angle)) * np.exp(-1j * angle)
     asked, given = (
-        np.sum(without_trend(x[found.window, found.joint, np.newaxis])[:, 0] * turn)
-        for x in (run.run.command, run.run.tau)
+        _component(detrend(x[found.window, found.joint]), omega * run.dt) for x in (run.run.command, run.run.tau)
     )
     return float(-np.angle(given / asked) % TWO_PI) / omega if asked else 0.0
 
@@ -247,7 +241,6 @@ def oscillation(run: ExaminedRun, kind: str) -> Finding | None:
     if found is None or found.kind != kind:
         return None
     i, line, ticks = found.joint, found.sinusoid, len(run.run)
-    unit = run.run.effort_units[i]
     judged = run.run.info.stability
     evidence: dict[str, tuple[float, str]] = {}
     if line is None:
@@ -266,7 +259,6 @@ def oscillation(run: ExaminedRun, kind: str) -> Finding | None:
     stability = f"; {judged.message}" if judged is not None and judged.stable is False else ""
     return run.finding(
         *(found.term, i, found.fraction, {**evidence, **found.evidence}),
-        signals={f"{name} [{unit}]": x[:, i] for name, x in run.feedback_terms.items() if np.any(x[shown, i])},
         window=shown,
         remedy=f"raise the damping (kd, B or zeta){factor}" if lacks else "",
         note=stability,
@@ -300,13 +292,10 @@ def chatter(run: ExaminedRun) -> Finding | None:
     power = np.cumsum(np.abs(np.fft.rfft(noise[inside, i] * np.hanning(inside.stop - inside.start))) ** 2)
     frequencies = np.fft.rfftfreq(inside.stop - inside.start, run.dt)
     low, high = (float(frequencies[int(np.searchsorted(power / power[-1], x))]) for x in (0.1, 0.9))
-    unit = record.effort_units[i]
     evidence = {
-        "total variation": (rate[i], f"{unit}/s"),
-        "limit": (limit["torque rate"] * run.scale[i], f"{unit}/s"),
+        "total variation": (rate[i], f"{record.effort_units[i]}/s"),
         "lowest frequency": (low, "Hz"),
         "highest frequency": (high, "Hz"),
     }
     fraction = run.energy(noise * (bad if bad.all() else np.arange(run.n) == i)) / run.effort
-    signals = {f"commanded torque [{unit}]": asked[:, i], f"its noise [{unit}]": noise[:, i]}
-    return run.finding(max(parts, key=lambda name: parts[name]), i, fraction, evidence, signals=signals)
+    return run.finding(max(parts, key=lambda name: parts[name]), i, fraction, evidence)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -16,15 +16,17 @@ import numpy as np
 from taut.arm.parts import BASE, STANDARD_GRAVITY, TURN, Body, CommandKind, Frame, Joint, Visual
 from taut.arm.rules import (
     AXIS_TOLERANCE,
+    FIX_MASS,
     OTHER_KINDS,
     check_inertia,
     indefinite,
     joint_problems,
     mass_problems,
+    problem_at,
     structure_problems,
     wrong_mass,
 )
-from taut.base.checks import finite_scalar, vector
+from taut.base.checks import entry_names, finite_scalar, vector
 from taut.base.errors import ModelError, Problem, RangeError, UsageError, quoted_list, unknown_name
 from taut.base.types import ArrayLike, Float64Array
 from taut.trace.pose import Pose, axis_angle
@@ -69,16 +71,6 @@ class TreeJoint:
         return self.joint.name
 
 
-@dataclass(frozen=True, kw_only=True)
-class Words:
-    """What sentences about a model call its parts, and where its numbers are mended."""
-
-    link: str = "link"
-    no_mass: str = "give it an inertial element"
-    wrong_inertia: str = "fix the inertial element"
-    hold: str = "or hold it still: load_arm(..., locked={{'{joint}': 0.0}})"  # how a joint is locked
-
-
 @dataclass(kw_only=True)
 class Tree:
     """Links and joints of one model, with the problems met while reading it, and what the catalogue adds."""
@@ -93,12 +85,12 @@ class Tree:
     notes: list[str] = field(default_factory=list)
     gravity: ArrayLike | None = None  # (3,) [m/s^2] where the file states it
     home: dict[str, float] = field(default_factory=dict)  # joint positions where the file states them
-    locked: dict[str, float] = field(default_factory=dict)  # joints that do not move, with their positions [rad | m]
+    locked: Mapping[str, float | None] = field(default_factory=dict)  # positions of joints held [rad | m]; None: free
     tool: str | None = None  # the frame that carries the payload, where it is known
     commands: tuple[CommandKind, ...] = ("torque",)  # what the real arm takes
     leaves: list[str] | None = None  # frames at the ends, where links alone do not tell
     structure_unknown: bool = False  # something unreadable hides how the links hang together
-    words: Words = field(default_factory=Words)
+    link_word: str = "link"  # what messages call a link
 
     def problem(self, object_: str, attribute: str | None, message: str, line: int | None = None) -> None:
         """Report one thing that is wrong."""
@@ -175,6 +167,8 @@ def _checked_locks(tree: Tree) -> dict[str, float]:
         joint, at = joints[name], f"locked['{name}']"
         if joint.kind == "fixed":
             raise UsageError(f"joint '{name}' is fixed in the file already; leave it out of locked=", name=at)
+        if value is None:
+            continue
         locked[name] = finite_scalar(at, value, unit=joint.unit)
         one_position = joint.kind not in OTHER_KINDS and np.linalg.norm(joint.axis) > AXIS_TOLERANCE
         if locked[name] != 0.0 and not one_position:
@@ -185,11 +179,11 @@ def _checked_locks(tree: Tree) -> dict[str, float]:
                 joint=name,
                 value=locked[name],
             )
-        require_within_limits(at, locked[name], joint)
+        _require_within_limits(at, locked[name], joint)
     return locked
 
 
-def require_within_limits(at: str, value: float, joint: Joint) -> None:
+def _require_within_limits(at: str, value: float, joint: Joint) -> None:
     """Refuse a position out of the joint's limits, called `at` in the message."""
     slack = 1e-9 * max(1.0, abs(value))
     if joint.lower < joint.upper and not joint.lower - slack <= value <= joint.upper + slack:
@@ -235,20 +229,25 @@ def _tool(tree: Tree, lumps: _Lumps, names: list[str]) -> str:
 
 def _home(tree: Tree, joints: list[Joint], home: Mapping[str, float] | ArrayLike | None) -> Float64Array:
     """The pose that was asked for, else the file's, else zero or what of it the limits allow."""
-    names = [joint.name for joint in joints]
     by_name = tree.home if home is None else home
     if isinstance(by_name, Mapping):
         for name in by_name:
             if name not in {joint.name for joint in tree.joints}:
-                raise unknown_name(f"model '{tree.name}'", "joint", name, names)
-        by_name = [by_name.get(joint.name, rest_position(joint)) for joint in joints]
-    q = vector("home", by_name, len(joints), joints=names)
+                raise unknown_name(f"model '{tree.name}'", "joint", name, [joint.name for joint in joints])
+        by_name = [by_name.get(joint.name, _rest_position(joint)) for joint in joints]
+    return positions_within_limits("home", by_name, joints)
+
+
+def positions_within_limits(name: str, q: ArrayLike, joints: Sequence[Joint]) -> Float64Array:
+    """(n,) positions that the joints can have [rad | m], called `name` in messages. Raises ShapeError, RangeError."""
+    names = [joint.name for joint in joints]
+    positions = vector(name, q, len(joints), joints=names)
     for i, joint in enumerate(joints):
-        require_within_limits(f"home[{i}] (joint '{joint.name}')", float(q[i]), joint)
-    return q
+        _require_within_limits(entry_names(name, [i], names), float(positions[i]), joint)
+    return positions
 
 
-def rest_position(joint: Joint) -> float:
+def _rest_position(joint: Joint) -> float:
     """Zero, or where the limits leave it out, the middle between them [rad | m]."""
     if joint.lower <= 0.0 <= joint.upper or math.isnan(joint.lower) or math.isnan(joint.upper):
         return 0.0
@@ -339,7 +338,6 @@ class _Lumps:
 
     def problems(self) -> Iterator[Problem]:
         """Bodies that no joint can move: without mass, or with an inertia that no rigid body has."""
-        words = self._tree.words
         for i, joint in enumerate(self.joints):
             links = self._on_body[i]
             if any(link.unreadable or wrong_mass(link) for link in links):
@@ -354,17 +352,12 @@ class _Lumps:
                 yield links[0].if_massless
                 continue
             if owner is None:
-                owner, text = links[0], f" is moved by joint '{joint.name}' and has no mass; {words.no_mass}"
+                owner, text = links[0], f" is moved by joint '{joint.name}' and has no mass; give it mass and inertia"
             else:
                 fixed = [link.name for link in links if link is not owner and link.is_frame]
                 along = f", with {quoted_list(fixed, 3)} fixed to it" if fixed else ""
-                text = f"{along}: {text}; {words.wrong_inertia}"
-            yield Problem(
-                object=owner.name,
-                attribute=attribute,
-                message=f"{words.link} '{owner.name}'{text}",
-                line=owner.lines.get(attribute, owner.line),
-            )
+                text = f"{along}: {text}; {FIX_MASS}"
+            yield problem_at(owner, attribute, f"{self._tree.link_word} '{owner.name}'{text}")
 
 
 def _unit_axis(axis: Float64Array) -> Float64Array:

@@ -14,7 +14,7 @@ import json
 import os
 import re
 import zlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import prod
@@ -31,7 +31,6 @@ from taut.control.trajectories.compound import Compound
 from taut.record.info import Outcome, RunInfo, check_info
 from taut.record.log.files import cannot_write, checked_target, written_aside
 from taut.record.plain import plain
-from taut.record.progress import Progress
 from taut.record.run import Run
 
 if TYPE_CHECKING:
@@ -173,14 +172,6 @@ def _identifiers(names: Iterable[str]) -> dict[str, str]:
     return out
 
 
-def columns_of(run: Run) -> dict[str, Float64Array]:
-    """Every array of a run by the names that `Header.shapes` has."""
-    out = {"t": run.t, "q": run.q, "v": run.v, "tau": run.tau, "command": run.command}
-    out |= {f"terms.{name}": value for name, value in run.terms.items()}
-    out |= {f"reference.{name}": getattr(run.reference, name) for name in type(run.reference).fields(run.n)}
-    return out | {f"extra.{name}": value for name, value in run.extra.items()}
-
-
 @dataclass(frozen=True, kw_only=True)
 class Ending:
     """How a run ended, and how many ticks were written."""
@@ -235,8 +226,8 @@ class Log:
         self.safe_ticks = 0
         """Ticks that are on the disk."""
 
-    def write(self, rows: Run, advance: Callable[[int], None] | None = None) -> None:
-        """Append the ticks of a piece of the run; `advance` gets the number of ticks written, block by block."""
+    def write(self, rows: Run) -> None:
+        """Append the ticks of a piece of the run."""
         if self._refusal is not None:
             return
         if self._stream is not None and self._writer is None:
@@ -244,12 +235,10 @@ class Log:
         try:
             if self._writer is None:
                 self._writer = self._begin(rows)
-            columns = columns_of(rows)
+            columns = rows.arrays()
             for first in range(0, len(rows), BLOCK_TICKS):
                 block = {name: column[first : first + BLOCK_TICKS] for name, column in columns.items()}
                 self._append(self._writer, block)
-                if advance is not None:
-                    advance(len(block["t"]))
         except OSError as cause:
             self._refuse(cause)
 
@@ -324,11 +313,10 @@ def open_log(path: str | os.PathLike[str]) -> Log:
     return Log(checked_target("log", path, SUFFIXES), strict=False)
 
 
-def save(run: Run, path: str | os.PathLike[str], *, progress: bool | None = None) -> Path:
+def save(run: Run, path: str | os.PathLike[str]) -> Path:
     """Write a whole run as a log; what was there before stays if anything goes wrong."""
     target = checked_target("log", path, SUFFIXES)
     with written_aside("log", target) as aside, Log(target, to=aside) as log:
-        with Progress(len(run), progress, "writing") as bar:
-            log.write(run, bar.advance)
+        log.write(run)
         log.finish(run.outcome)
     return target

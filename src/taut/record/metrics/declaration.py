@@ -6,14 +6,12 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias, TypeVar
 
 import numpy as np
 
 from taut.base.checks import read_only
 from taut.base.errors import ShapeError, UsageError, unknown_name
-from taut.base.paths import Named
 from taut.base.result import Content, Result, Table
 from taut.base.types import Float64Array
 
@@ -22,7 +20,6 @@ if TYPE_CHECKING:
 
 Numbers: TypeAlias = Float64Array | float
 Together: TypeAlias = "Literal['sum', 'largest', 'norm'] | Callable[[Run, Sequence[int]], float]"
-Needs: TypeAlias = Literal["", "set-point", "joint motion", "task motion", "force", "press"]
 Compute: TypeAlias = "Callable[[Run], Float64Array | float | None]"
 F = TypeVar("F", bound="Callable[[Run], Float64Array | float | None]")
 
@@ -45,7 +42,6 @@ class Metric:
         doc: What it is, in a sentence; the first sentence of the function's docstring if left out.
         per_joint: Whether the function gives (n,) numbers, one for each joint; else it gives one, of the arm or tool.
         together: Of several joints: their sum, the largest with its sign, their norm, or a function.
-        needs: What the reference has to ask for, so that a scenario can refuse it elsewhere.
         compute: The function; given by decorating it.
 
     Raises:
@@ -70,7 +66,6 @@ class Metric:
     doc: str = ""
     per_joint: bool = False
     together: Together = "largest"
-    needs: Needs = ""
     compute: Compute = _nothing
 
     def __call__(self, function: F) -> F:
@@ -85,18 +80,15 @@ class Metric:
         METRICS[name] = dataclasses.replace(self, name=name, title=title, doc=doc, compute=function)
         return function
 
-    @property
-    def per_unit(self) -> bool:
-        """Whether joints in rad and joints in m have no common number of it."""
-        return "{" in self.unit
-
     def meaning(self, joints: int = 1) -> str:
         """What it is, and how it is put together for several joints."""
         words = f"the {self.together}" if isinstance(self.together, str) else "that of all together"
         return f"{self.doc}; for all joints {words}" if self.per_joint and joints > 1 else self.doc
 
     def units_of(self, run: Run) -> tuple[str, ...]:
-        """Unit of each joint's number."""
+        """Unit of each joint's number, or of the one number."""
+        if not self.per_joint:
+            return (self.unit,)
         rows = zip(run.units, run.effort_units, run.command_units, strict=True)
         texts = (self.unit.format(q=q, tau=tau, command=command) for q, tau, command in rows)
         return tuple(text.replace("(N)^2", "N^2") for text in texts)
@@ -134,25 +126,6 @@ def _place(function: object) -> tuple[object, object]:
     return getattr(function, "__module__", None), getattr(function, "__qualname__", None)
 
 
-class JointsTogether(Mapping[str, float]):
-    """One number of each metric for some joints together."""
-
-    def __init__(self, metrics: Metrics, joints: Sequence[int] | None) -> None:
-        self._metrics, self._joints = metrics, joints
-
-    def __getitem__(self, name: str) -> float:
-        return self._metrics._together(name, self._joints)
-
-    def __iter__(self) -> Iterator[str]:
-        return (name for name, one in METRICS.items() if self._joints is None or one.per_joint)
-
-    def __len__(self) -> int:
-        return sum(1 for _ in self)
-
-    def __repr__(self) -> str:
-        return repr(dict(self))
-
-
 class Metrics(Mapping[str, "Float64Array | float"], Result):
     """How well a run went, in numbers: a mapping from names to one number, or (n,) one of each joint.
 
@@ -166,9 +139,7 @@ class Metrics(Mapping[str, "Float64Array | float"], Result):
     """
 
     def __init__(self, run: Run) -> None:
-        self._run = dataclasses.replace(
-            run
-        )  # not the run itself, which keeps its metrics: no circle holds its arrays
+        self._run = dataclasses.replace(run)  # a run keeps its metrics: without a circle its arrays are freed
         self._values: dict[str, Numbers] = {}
 
     def __getitem__(self, name: str) -> Numbers:
@@ -194,58 +165,30 @@ class Metrics(Mapping[str, "Float64Array | float"], Result):
         return id(self)
 
     @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Names of the joints."""
-        return self._run.joint_names
-
-    @property
     def duration(self) -> float:
         """Time from the first tick to the last [s]."""
         return float(self._run.t[-1] - self._run.t[0]) if len(self._run) else 0.0
 
-    @property
-    def setpoint(self) -> bool:
-        """Whether the reference asks for one position of the joints throughout."""
-        return self._run.is_setpoint
-
-    @property
-    def overall(self) -> Mapping[str, float]:
-        """One number of each for all joints together; NaN where joints of different units have none."""
-        return JointsTogether(self, None)
-
-    @cached_property
-    def groups(self) -> Mapping[str, Mapping[str, float]]:
-        """The same for the joints of each unit: {"rad": {"rms_error": ...}, "m": {"rms_error": ...}}."""
-        units = self._run.units
-        joints = {unit: [i for i, each in enumerate(units) if each == unit] for unit in dict.fromkeys(units)}
-        of_unit = {unit: JointsTogether(self, places) for unit, places in joints.items()}
-        return Named("a run", "group of joints, by unit,", of_unit)
-
-    def _together(self, name: str, joints: Sequence[int] | None) -> float:
-        one, values = _declared(name), self[name]
-        if not isinstance(values, np.ndarray):
-            return values
-        if joints is None and one.per_unit and len(self.groups) > 1:
-            return np.nan
-        return one.of_joints(self._run, values, range(self._run.n) if joints is None else joints)
-
-    def unit(self, name: str, group: str | None = None) -> str:
-        """Unit of a metric, of a group if one is named; of joints with different units, both."""
-        one = _declared(name)
-        if not one.per_joint:
-            return one.unit
-        places = zip(self._run.units, one.units_of(self._run), strict=True)
-        return " | ".join(dict.fromkeys(unit for of, unit in places if group in (None, of)))
+    def unit(self, name: str) -> str:
+        """Unit of a metric; of joints with different units, both."""
+        return " | ".join(dict.fromkeys(_declared(name).units_of(self._run)))
 
     def by_unit(self, name: str, joint: str | None = None) -> dict[str, float]:
-        """A metric by its unit: of one joint; or the overall number, or one for each group where there is none."""
+        """A metric by its unit: one number for all joints that share a unit, or that of one joint."""
         one, values = _declared(name), self[name]
-        if joint is not None and isinstance(values, np.ndarray):
-            i = self.joint_names.index(joint)
-            return {one.units_of(self._run)[i]: float(values[i])}
-        if len(self.groups) == 1 or not one.per_unit:
-            return {self.unit(name): self.overall[name]}
-        return {self.unit(name, group): numbers[name] for group, numbers in self.groups.items()}
+        if not isinstance(values, np.ndarray):
+            return {one.unit: values}
+        units = one.units_of(self._run)
+        if joint is not None:
+            i = self._run.joint_names.index(joint)
+            return {units[i]: float(values[i])}
+        places = {unit: [i for i, each in enumerate(units) if each == unit] for unit in dict.fromkeys(units)}
+        return {unit: one.of_joints(self._run, values, joints) for unit, joints in places.items()}
+
+    def overall(self, name: str) -> float:
+        """A metric as one number for all joints; NaN where joints of different units have none."""
+        numbers = list(self.by_unit(name).values())
+        return numbers[0] if len(numbers) == 1 else np.nan
 
     def content(self) -> Content:
         """Two tables: of the whole arm, and joint by joint."""
@@ -268,16 +211,13 @@ class Metrics(Mapping[str, "Float64Array | float"], Result):
         return Content(title="Metrics", tables=tables)
 
     def json(self) -> dict[str, Any]:
-        """As plain values: {"duration", "setpoint", "rms_error": {"unit", "overall", "groups", "joints"}, ...}."""
-        out: dict[str, Any] = {"duration": {"unit": "s", "overall": self.duration}, "setpoint": self.setpoint}
+        """As plain values: {"duration", "rms_error": {"unit", "overall", "by_unit", "joints"}, ...}."""
+        out: dict[str, Any] = {"duration": {"unit": "s", "overall": self.duration}}
         for name, values in self.items():
-            out[name] = {"unit": self.unit(name), "overall": _plain(self.overall[name])}
+            out[name] = {"unit": self.unit(name), "overall": _plain(self.overall(name))}
             if isinstance(values, np.ndarray):
-                out[name]["groups"] = {
-                    group: {"unit": self.unit(name, group), "overall": _plain(numbers[name])}
-                    for group, numbers in self.groups.items()
-                }
-                out[name]["joints"] = dict(zip(self.joint_names, map(_plain, values.tolist()), strict=True))
+                out[name]["by_unit"] = {unit: _plain(number) for unit, number in self.by_unit(name).items()}
+                out[name]["joints"] = dict(zip(self._run.joint_names, map(_plain, values.tolist()), strict=True))
         return out
 
 

@@ -8,8 +8,7 @@ References:
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import partial
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
 
@@ -84,27 +83,25 @@ def _of_step(run: Run, entry: int) -> Float64Array | None:
     return np.array([step_response(run.t, error[:, i])[entry] for i in range(run.n)])
 
 
-_STEP: Final = (
-    (
-        "overshoot",
-        "%",
-        "Percentage of the initial error by which the joint goes beyond where it comes to rest (figure 10.4)",
-    ),
-    (
-        "settling_time",
-        "s",
-        "Time after which the error stays within 2 % of where it comes to rest; infinite if it does not settle",
-    ),
-    ("steady_state_error", "%", "Percentage of the initial error that remains: mean of the last 2 % of the run"),
-)
-for _entry, (_name, _unit, _doc) in enumerate(_STEP):
-    _title = _name.replace("steady_state", "steady-state").replace("_", " ")
-    Metric(name=_name, title=_title, unit=_unit, doc=_doc, per_joint=True, needs="set-point")(
-        partial(_of_step, entry=_entry)
-    )
+@Metric(unit="%", per_joint=True)
+def overshoot(run: Run) -> Float64Array | None:
+    """Percentage of the initial error by which the joint goes beyond where it comes to rest (figure 10.4)."""
+    return _of_step(run, 0)
 
 
-@Metric(title="RMS error", unit="{q}", per_joint=True, together="norm", needs="joint motion")
+@Metric(unit="s", per_joint=True)
+def settling_time(run: Run) -> Float64Array | None:
+    """Time after which the error stays within 2 % of where it comes to rest; infinite if it does not settle."""
+    return _of_step(run, 1)
+
+
+@Metric(title="steady-state error", unit="%", per_joint=True)
+def steady_state_error(run: Run) -> Float64Array | None:
+    """Percentage of the initial error that remains: mean of the last 2 % of the run."""
+    return _of_step(run, 2)
+
+
+@Metric(title="RMS error", unit="{q}", per_joint=True, together="norm")
 def rms_error(run: Run) -> Float64Array | None:
     """Root of the mean square of the tracking error."""
     return None if run.error is None else np.sqrt(np.mean(run.error**2, axis=0))
@@ -114,13 +111,13 @@ def _peak_of_norm(run: Run, joints: Sequence[int]) -> float:
     return np.nan if run.error is None else float(np.max(np.sqrt(np.sum(run.error[:, list(joints)] ** 2, axis=1))))
 
 
-@Metric(unit="{q}", per_joint=True, together=_peak_of_norm, needs="joint motion")
+@Metric(unit="{q}", per_joint=True, together=_peak_of_norm)
 def peak_error(run: Run) -> Float64Array | None:
     """Largest magnitude of the tracking error."""
     return None if run.error is None else _peak(run.error)
 
 
-@Metric(unit="{q}", per_joint=True, together="norm", needs="joint motion")
+@Metric(unit="{q}", per_joint=True, together="norm")
 def final_error(run: Run) -> Float64Array | None:
     """Tracking error of the last tick."""
     return None if run.error is None else np.asarray(run.error[-1])
@@ -152,14 +149,14 @@ def _any_stuck(run: Run, joints: Sequence[int]) -> float:
     return float(np.sum((rows[:-1, list(joints)] == 1.0).any(axis=1) * np.diff(run.t)))
 
 
-@Metric(title="stuck", unit="s", per_joint=True, together=_any_stuck, needs="joint motion")
+@Metric(title="stuck", unit="s", per_joint=True, together=_any_stuck)
 def stuck_time(run: Run) -> Float64Array | None:
     """Time in which the joint rests, slower than 1e-4, while its reference moves, faster than 1e-3: stiction."""
     rows = stuck(run)
     return None if rows is None else np.asarray(np.sum(rows[:-1] * _period(run), axis=0))
 
 
-@Metric(unit="{q}", per_joint=True, needs="joint motion")
+@Metric(unit="{q}", per_joint=True)
 def reversal_error(run: Run) -> Float64Array | None:
     """Largest tracking error after a reversal of the reference, until halfway to the next one.
 
@@ -192,32 +189,22 @@ def peak_torque(run: Run) -> Float64Array:
     return _peak(run.tau)
 
 
-def _limited(run: Run, terms: Sequence[str]) -> Array | None:
-    """(k, n) whether one of these terms acts on the command."""
-    parts = [run.terms[name] != 0.0 for name in terms if name in run.terms]
+def _limited(run: Run) -> Array | None:
+    """(k, n) whether a limit acts on the command."""
+    parts = [run.terms[name] != 0.0 for name in LIMIT_TERMS if name in run.terms]
     return np.any(parts, axis=0) if parts else None
 
 
-def _time_limited(run: Run, terms: Sequence[str]) -> Float64Array | None:
-    rows = _limited(run, terms)
-    return None if rows is None else np.asarray(np.sum(rows[:-1] * _period(run), axis=0))
-
-
-def _any_limited(run: Run, joints: Sequence[int], terms: Sequence[str]) -> float:
-    rows = _limited(run, terms)
+def _any_limited(run: Run, joints: Sequence[int]) -> float:
+    rows = _limited(run)
     return np.nan if rows is None else float(np.sum(rows[:-1, list(joints)].any(axis=1) * np.diff(run.t)))
 
 
-_LIMITED: Final[Mapping[str, tuple[str, str, Sequence[str]]]] = {
-    "saturation_time": ("saturated", "Time in which the limits cut the command", LIMIT_TERMS),
-    "speed_limit_time": ("speed limited", "Time in which the speed limit cut the command", ["speed_limit"]),
-    "blend_time": ("blending", "Time in which a change of law or parameters was blended in", ["blend"]),
-}
-for _name, (_title, _doc, _terms) in _LIMITED.items():
-    _together = partial(_any_limited, terms=_terms)
-    Metric(name=_name, title=_title, unit="s", doc=_doc, per_joint=True, together=_together)(
-        partial(_time_limited, terms=_terms)
-    )
+@Metric(title="saturated", unit="s", per_joint=True, together=_any_limited)
+def saturation_time(run: Run) -> Float64Array | None:
+    """Time in which the limits cut the command."""
+    rows = _limited(run)
+    return None if rows is None else np.asarray(np.sum(rows[:-1] * _period(run), axis=0))
 
 
 @Metric(unit="{tau}/s", per_joint=True, together="sum")

@@ -11,13 +11,14 @@ import numpy as np
 from taut.base.types import Float64Array
 from taut.control.trajectories.force_reference import HybridMotion
 from taut.control.trajectories.task_reference import TaskMotion
-from taut.record.metrics.declaration import Metric, Needs
+from taut.record.metrics.declaration import Metric
 from taut.record.tool import Deviation, estimated_normal, force_error, true_normal, wanted_press
 
 if TYPE_CHECKING:
     from taut.record.run import Run
 
 Series: TypeAlias = "Callable[[Run], Float64Array | None]"
+Number: TypeAlias = Callable[[Float64Array], float]
 
 MIN_DEVIATION: Final = 1e-6  # [m] RMS below which nothing moved the tool
 
@@ -30,22 +31,20 @@ def _peak(x: Float64Array) -> float:
     return float(np.max(np.abs(x)))
 
 
-def _declare(
-    name: str, title: str, unit: str, doc: str, series: Series, number: Callable[[Float64Array], float], needs: Needs
-) -> None:
+def _declare(name: str, title: str, unit: str, doc: str, series: Series, number: Number) -> None:
     """A metric that is one number of a series over the run, which is None where it has no meaning."""
 
     def compute(run: Run) -> float | None:
         values = series(run)
         return None if values is None else number(values)
 
-    Metric(name=name, title=title, unit=unit, doc=doc, needs=needs)(compute)
+    Metric(name=name, title=title, unit=unit, doc=doc)(compute)
 
 
-def _declare_error(name: str, title: str, unit: str, what: str, series: Series, needs: Needs) -> None:
+def _declare_error(name: str, title: str, unit: str, what: str, series: Series) -> None:
     """RMS and peak of an error."""
-    _declare(f"{name}_rms", f"{title} RMS", unit, f"RMS of {what}", series, _rms, needs)
-    _declare(f"{name}_peak", f"{title} peak", unit, f"Peak of {what}", series, _peak, needs)
+    _declare(f"{name}_rms", f"{title} RMS", unit, f"RMS of {what}", series, _rms)
+    _declare(f"{name}_peak", f"{title} peak", unit, f"Peak of {what}", series, _peak)
 
 
 def _final(run: Run, axis: int) -> float | None:
@@ -84,22 +83,15 @@ def _last(x: Float64Array) -> float:
     return float(x[-1])
 
 
-_declare_error("task", "task", "m", "the norm of the tool's position error", _position_errors, "task motion")
-_declare(
-    "task_final",
-    "task final",
-    "m",
-    "Norm of the tool's position error in the last tick",
-    _position_errors,
-    _last,
-    "task motion",
-)
+_declare_error("task", "task", "m", "the norm of the tool's position error", _position_errors)
+_what = "Norm of the tool's position error in the last tick"
+_declare("task_final", "task final", "m", _what, _position_errors, _last)
 _ANGLE: Final = "the angle of the tool's rotation error, log(R_des R^T)"
-_declare("task_rms_rotation", "rotation RMS", "rad", f"RMS of {_ANGLE}", _rotation_errors, _rms, "task motion")
-_declare("task_peak_rotation", "rotation peak", "rad", f"Peak of {_ANGLE}", _rotation_errors, _peak, "task motion")
+_declare("task_rms_rotation", "rotation RMS", "rad", f"RMS of {_ANGLE}", _rotation_errors, _rms)
+_declare("task_peak_rotation", "rotation peak", "rad", f"Peak of {_ANGLE}", _rotation_errors, _peak)
 
 
-@Metric(title="smallest singular value", unit="1", needs="task motion")
+@Metric(title="smallest singular value", unit="1")
 def min_singular_value(run: Run) -> float | None:
     """Smallest singular value of the tool's Jacobian in the run, metres and radians alike; 0 at a singularity."""
     return float(run.task.min_singular_value.min()) if _is_of_task(run) else None
@@ -130,14 +122,14 @@ def _least(x: Float64Array) -> float:
 
 
 _force, _moment = partial(_external, part=_FORCE), partial(_external, part=_MOMENT)
-_declare("min_force", "least force", "N", "Smallest norm of the environment's force on the arm", _force, _least, "")
-_declare("force_rms", "force RMS", "N", "RMS of the norm of the environment's force", _force, _rms, "")
-_declare("peak_force", "peak force", "N", "Peak of the norm of the environment's force", _force, _peak, "")
-_declare("peak_moment", "peak moment", "N m", "Peak of the norm of the environment's moment", _moment, _peak, "")
-_declare("moment_rms", "moment RMS", "N m", "RMS of the norm of the environment's moment", _moment, _rms, "")
+_declare("min_force", "least force", "N", "Smallest norm of the environment's force on the arm", _force, _least)
+_declare("force_rms", "force RMS", "N", "RMS of the norm of the environment's force", _force, _rms)
+_declare("peak_force", "peak force", "N", "Peak of the norm of the environment's force", _force, _peak)
+_declare("peak_moment", "peak moment", "N m", "Peak of the norm of the environment's moment", _moment, _peak)
+_declare("moment_rms", "moment RMS", "N m", "RMS of the norm of the environment's moment", _moment, _rms)
 _what = "the norm of the error of the {} at the tool, wanted less applied by the arm"
-_declare_error("force_error", "force error", "N", _what.format("force"), partial(_error, part=_FORCE), "force")
-_declare_error("moment_error", "moment error", "N m", _what.format("moment"), partial(_error, part=_MOMENT), "force")
+_declare_error("force_error", "force error", "N", _what.format("force"), partial(_error, part=_FORCE))
+_declare_error("moment_error", "moment error", "N m", _what.format("moment"), partial(_error, part=_MOMENT))
 
 
 @Metric(title="contact lost", unit="s")
@@ -160,7 +152,7 @@ def _normal_force_error(run: Run) -> Float64Array | None:
 
 
 _along = "the error of the force along the true normals, which a MujocoPlant with a scene gives"
-_declare_error("normal_force_error", "normal force error", "N", _along, _normal_force_error, "press")
+_declare_error("normal_force_error", "normal force error", "N", _along, _normal_force_error)
 
 
 @Metric(title="peak normal force", unit="N")
@@ -183,10 +175,10 @@ def _path_errors(run: Run) -> Float64Array | None:
 
 
 _across = "the tool's position error along the true surface, in contact"
-_declare_error("path_error", "path error", "m", _across, _path_errors, "press")
+_declare_error("path_error", "path error", "m", _across, _path_errors)
 
 
-@Metric(title="normal error", unit="deg", needs="press")
+@Metric(title="normal error", unit="deg")
 def normal_error(run: Run) -> float | None:
     """Angle between the normal that the law estimates and the true one, when the tool last touched."""
     contact, estimate = true_normal(run), estimated_normal(run)
@@ -201,7 +193,7 @@ def normal_error(run: Run) -> float | None:
     return float(np.rad2deg(np.arctan2(sine, cosine)))
 
 
-@Metric(title="against eq. 10.48", unit="%", needs="task motion")
+@Metric(title="against eq. 10.48", unit="%")
 def impedance_error(run: Run) -> float | None:
     """RMS distance of the tool from where eq. 10.48, integrated with the run's own F_ext, puts it; of its RMS.
 
@@ -216,7 +208,7 @@ def impedance_error(run: Run) -> float | None:
     return 100.0 * error / size if size > MIN_DEVIATION else None
 
 
-@Metric(title="apparent mass", unit="kg", needs="task motion")
+@Metric(title="apparent mass", unit="kg")
 def apparent_mass(run: Run) -> float | None:
     """m of F_ext - K x = m a + b v, by least squares over ticks and directions, K being the law's.
 
