@@ -174,10 +174,7 @@ def test_a_file_in_the_place_of_the_folder_costs_one_warning(
 ) -> None:
     folder.write_text("a file")
     monkeypatch.setenv("TAUT_CACHE_DIR", str(tmp_path / where))
-    with pytest.warns(
-        RuntimeWarning,
-        match=r"^the cache folder '.*' (is no folder|cannot be used \(.*\)); code is compiled each time",
-    ):
+    with pytest.warns(RuntimeWarning, match=r"^the cache folder .*cannot be (used|written) \(.*\); code is compiled"):
         assert not compile_one().cached
     assert not compile_one().cached  # without another warning, which would be an error
     assert folder.read_text() == "a file"
@@ -220,7 +217,7 @@ def test_a_user_without_a_home_compiles_each_time(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(native, "_WARNED", set())
     monkeypatch.setattr(Path, "home", homeless)
     message = (
-        r"^the cache folder cannot be used \(Could not determine home directory\.\); code is compiled each time$"
+        r"^the cache folder cannot be used \(Could not determine home directory\.\); code is compiled each time; "
     )
     with pytest.warns(RuntimeWarning, match=message) as caught:
         assert not compile_one(11.0).cached

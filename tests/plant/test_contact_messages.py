@@ -79,16 +79,6 @@ CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
         "gantry",
     ),
     (
-        lambda: contact(torsion=0.02),
-        taut.errors.UsageError,
-        "torsion",
-    ),
-    (
-        lambda: contact(friction=0.3, torsion=-0.02),
-        taut.errors.RangeError,
-        "torsion",
-    ),
-    (
         lambda: rubbing(taut.Constraint.of_joints(lambda q: q[0], one_sided=True)),
         taut.errors.UsageError,
         "friction",

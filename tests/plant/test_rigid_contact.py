@@ -317,57 +317,6 @@ def test_energy_does_not_grow_where_elastic_joints_bounce(backlash: float) -> No
     assert np.mean(total[-20:]) - total[0] < 0.003 * fall  # of second order in the step
 
 
-PAD_MASS, PAD_INERTIA, RADIUS = 2.0, 0.05, 0.03
-
-
-@functools.cache
-def pad(wide: bool) -> Arm:
-    """A pad that goes up and down and turns about the vertical; a wide one has x and y too."""
-    ways = ([1, 0, 0], [0, 1, 0], [0, 0, 1])[0 if wide else 2 :]
-    kinds = [*(("prismatic", axis) for axis in ways), ("revolute", [0, 0, 1])]
-    joints = tuple(
-        Joint(name=f"j{i}", kind=kind, parent=BASE if not i else i - 1, placement=taut.Pose(), axis=np.array(axis, float))  # type: ignore[arg-type]
-        for i, (kind, axis) in enumerate(kinds)
-    )  # fmt: skip
-    light = Body(mass=0.0, com=np.zeros(3), inertia=np.zeros((3, 3)))
-    bodies = (*(light,) * len(ways), Body(mass=PAD_MASS, com=np.zeros(3), inertia=np.diag([0.05, 0.05, PAD_INERTIA])))
-    return Arm(
-        name="pad", joints=joints, bodies=bodies, frames=(Frame(name="tip", body=len(ways), placement=taut.Pose()),),
-        tool="tip", home=np.zeros(len(joints)), gravity=np.array([0.0, 0.0, -9.81]), T_WB=taut.Pose(),
-    )  # fmt: skip
-
-
-def turned(tau: float, omega: float, *, wide: bool = False, **more: object) -> Run:
-    arm = pad(wide)
-    table = taut.Constraint.plane(point=[0.0, 0.0, 0.0], normal=[0.0, 0.0, 1.0])
-    contact = taut.RigidContact(constraint=table, friction=MU, torsion=RADIUS)
-    still = np.zeros(arm.n - 1)
-    return run(contact, [*still, tau], arm=arm, v0=[*still, omega], **more)
-
-
-MOST = MU * RADIUS * PAD_MASS * 9.81  # [N m]
-
-
-@pytest.mark.parametrize("wide", [False, True])  # where no joint moves the point sideways, too
-def test_a_face_that_turns_is_braked_by_its_torsion_and_stops_as_in_closed_form(wide: bool) -> None:
-    found = turned(0.0, 2.0, wide=wide)
-    stops = PAD_INERTIA * 2.0 / MOST
-    half = int(500.0 * stops)
-    assert found.v[half, -1] == pytest.approx(2.0 - MOST / PAD_INERTIA * found.t[half], rel=1e-9)
-    assert found.t[int(np.argmax(np.abs(found.v[:, -1]) < 1e-9))] == pytest.approx(stops, abs=2e-3)
-    assert np.abs(found.v[-1]).max() < 1e-12
-    np.testing.assert_allclose(found.extra["F_ext"][half], [0, 0, PAD_MASS * 9.81, 0, 0, -MOST], atol=1e-6)
-
-
-def test_torsion_holds_just_inside_its_bound_and_not_outside() -> None:
-    assert np.abs(turned(0.99 * MOST, 0.0).v[-1]).max() < 1e-12
-    free = turned(1.01 * MOST, 0.0)
-    assert free.v[-1, -1] == pytest.approx(0.01 * MOST / PAD_INERTIA, rel=1e-6)
-    events = [taut.Event(t=0.5, set={"contact.torsion": 0.0})]
-    loose = turned(0.99 * MOST, 0.0, events=events)
-    assert loose.v[-1, -1] == pytest.approx(0.99 * MOST / PAD_INERTIA * 0.5, rel=5e-3)
-
-
 def test_contacts_and_environments_act_together() -> None:
     spring = taut.environments.Spring(stiffness=100.0, at=[0.1, 0.0, -0.2])
     found = run(taut.RigidContact(constraint=FLOOR, friction=MU), environment=spring, duration=0.1)

@@ -99,7 +99,7 @@ def test_an_arm_may_be_believed_without_friction(tmp_path: Path) -> None:
 def test_gears_and_rotors_reach_both_arms(tmp_path: Path) -> None:
     text = GOOD.replace(
         'model = "planar2"',
-        'model = "planar2"\ngears = { ratio = { joint1 = 100.0 }, motor_inertia = { joint1 = 1e-5 } }',
+        'model = "planar2"\ngears = { ratio = { joint1 = 100.0 }, motor_inertia = 1e-5 }',
     ).replace('kind = "rigid"', 'kind = "rigid"\njoint_values = { gear = 50.0, rotor_inertia = [0.2, 0.1] }')
     scenario = load_scenario(write(tmp_path, text))
     assert scenario.experiment.arm.gear.tolist() == [100.0, 1.0]
@@ -130,11 +130,11 @@ def test_a_motor_without_electrical_numbers_is_a_curve(tmp_path: Path) -> None:
     assert isinstance(plant.actuation.motor, taut.drives.Motor)
 
 
-def test_sweeps_substeps_and_energy_reach_the_plant(tmp_path: Path) -> None:
-    text = GOOD.replace('kind = "rigid"', 'kind = "rigid"\nsweeps = 7\nsubsteps = 2\nenergy = true')
+def test_substeps_and_energy_reach_the_plant(tmp_path: Path) -> None:
+    text = GOOD.replace('kind = "rigid"', 'kind = "rigid"\nsubsteps = 2\nenergy = true')
     plant = load_scenario(write(tmp_path, text)).experiment.plant
     assert isinstance(plant, taut.RigidPlant)
-    assert (plant.sweeps, plant.substeps, plant.energy) == (7, 2, True)
+    assert (plant.substeps, plant.energy) == (2, True)
 
 
 def test_the_same_joints_move_alike_in_both_plants(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,8 +11,8 @@ import numpy as np
 
 from taut.arm.description import Arm
 from taut.arm.parts import TURN, require_radians
-from taut.base.checks import one_of, positive_scalar, require_range, vector
-from taut.base.errors import RangeError, UsageError, count_of
+from taut.base.checks import instance_of, one_of, positive_scalar, require_range, vector
+from taut.base.errors import RangeError, count_of
 from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.kernel import NativeFunction, native
 from taut.maths import dynamics as dyn
@@ -111,10 +111,8 @@ def inverse_kinematics(
     References:
         Section 10.2.3, equation 10.28. Bertsekas, SIAM J. Control and Optimization 20 (1982): projected Newton.
     """
-    if not isinstance(arm, Arm):  # callers without a type checker
-        raise UsageError(f"inverse kinematics is of an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
-    if not isinstance(pose, Pose):
-        raise UsageError(f"pose must be a taut.Pose(p=..., rpy=...); got {type(pose).__name__}", name="pose")
+    instance_of("arm", arm, Arm, "an Arm from taut.load_arm")
+    instance_of("pose", pose, Pose, "a taut.Pose")
     one_of("directions", directions, DIRECTIONS)
     search = _search_of(arm, arm.frame(frame).name, directions)
     start = search.checked("q0", arm.home if q0 is None else q0)
@@ -123,20 +121,11 @@ def inverse_kinematics(
     within = positive_scalar("tolerance[0]", linear, unit="m"), positive_scalar("tolerance[1]", angular, unit="rad")
     require_range("restarts", restarts, minimum=0.0)
     found = search.from_starts(pose, start, wanted, within, int(restarts), seed)
-    return search.near(found, start, wanted, pose, within)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Found:
-    """Where one start led, or the best of all."""
-
-    q: Float64Array
-    cost: float
-    error: tuple[float, float]
-    held: Float64Array
-    level: bool
-    iterations: int
-    starts: int
+    if found.ok and search.posture is not None:
+        found = search.to_posture(search.posture, found, wanted, pose, within)
+    elif found.outcome is IkOutcome.OUT_OF_REACH and search.has_fewer_joints(found.q):
+        found = replace(found, outcome=IkOutcome.FEWER_JOINTS)
+    return replace(found, q=search.turned(found.q, start))
 
 
 class _Search:
@@ -188,11 +177,11 @@ class _Search:
         within: tuple[float, float],
         restarts: int,
         seed: int,
-    ) -> _Found:
+    ) -> IkResult:
         """The first start that leads to the target, else the best."""
         target = np.concatenate([pose.p, pose.R.ravel(), posture])
         best = self._from(q0, target, within)
-        if _solved(best, within) or not restarts:
+        if best.ok or not restarts:
             return best
         rng = np.random.default_rng(seed)
         low, high = np.maximum(self.lower, q0 - math.pi), np.minimum(self.upper, q0 + math.pi)
@@ -201,13 +190,17 @@ class _Search:
         for _ in range(restarts):
             found = self._from(rng.uniform(low, high), target, within)
             iterations, starts = iterations + found.iterations, starts + 1
-            if found.cost < best.cost:
+            if self._cost(found) < self._cost(best):
                 best = found
-            if _solved(found, within):
+            if found.ok:
                 break
         return replace(best, iterations=iterations, starts=starts)
 
-    def _from(self, q: Float64Array, target: Float64Array, within: tuple[float, float]) -> _Found:
+    def _cost(self, found: IkResult) -> float:
+        """The square of the error, without dimension."""
+        return (found.error[0] / self.task.length) ** 2 + found.error[1] ** 2
+
+    def _from(self, q: Float64Array, target: Float64Array, within: tuple[float, float]) -> IkResult:
         n, step = self.arm.n, self.search.call
         state = np.concatenate([q, q, [math.inf, 1.0, 0.0, 0.0, 0.0, 0.0]])
         linear, angular = within
@@ -222,49 +215,26 @@ class _Search:
                 cost = float(state[2 * n])
                 level, before = level or cost > FALLING * before, cost
             done = level or (left < linear and turn < angular)
-        cost = float(state[2 * n])
-        error = float(state[2 * n + 2]), float(state[2 * n + 3])
-        q = state[:n].copy()
-        at = (q <= self.lower) | (q >= self.upper)
-        held = at.astype(np.float64) if state[2 * n + 5] else np.zeros(n)
-        return _Found(q=q, cost=cost, error=error, held=held, level=level, iterations=count, starts=1)
+        q, error = state[:n].copy(), (float(state[2 * n + 2]), float(state[2 * n + 3]))
+        solved = error[0] < linear and error[1] < angular
+        at = ((q <= self.lower) | (q >= self.upper)) & (not solved and state[2 * n + 5] > 0.0)
+        held = tuple(name for name, there in zip(self.arm.joint_names, at, strict=True) if there)
+        outcome = IkOutcome.AT_LIMIT if held else IkOutcome.OUT_OF_REACH
+        if solved or not level:
+            outcome = IkOutcome.SOLVED if solved else IkOutcome.STALLED
+        return IkResult(q=q, outcome=outcome, error=error, iterations=count, starts=1, held=held)
 
-    def near(
-        self, found: _Found, q0: Float64Array, posture: Float64Array, pose: Pose, within: tuple[float, float]
-    ) -> IkResult:
-        """The result: of a redundant arm with the posture nearest to the wanted one, with whole turns taken off."""
-        q, error, iterations = found.q, found.error, found.iterations
-        solved = _solved(found, within)
-        if solved and self.posture is not None:
-            q, error, more = self._to_posture(found, posture, pose, within)
-            iterations += more
-        held = () if solved else tuple(n for n, h in zip(self.arm.joint_names, found.held, strict=True) if h)
-        return IkResult(
-            q=self._turned(q, q0),
-            outcome=self._outcome(found, solved),
-            error=error,
-            iterations=iterations,
-            starts=found.starts,
-            held=held,
-        )
-
-    def _outcome(self, found: _Found, solved: bool) -> IkOutcome:
-        if solved:
-            return IkOutcome.SOLVED
-        if not found.level:
-            return IkOutcome.STALLED
-        if found.held.any():
-            return IkOutcome.AT_LIMIT
+    def has_fewer_joints(self, q: Float64Array) -> bool:
+        """Whether joints move the tool in fewer directions than were asked for, and in all of these at q."""
         model, task = model_of(self.arm), self.task
-        rows = task.seen(dyn.pose(model, found.q, task.frame), dyn.jacobian(model, found.q, task.frame))
-        regular = np.linalg.matrix_rank(rows, tol=NEARLY_SINGULAR) == task.rank
-        return IkOutcome.FEWER_JOINTS if regular and task.rank < task.asked else IkOutcome.OUT_OF_REACH
+        rows = task.seen(dyn.pose(model, q, task.frame), dyn.jacobian(model, q, task.frame))
+        return task.rank < task.asked and np.linalg.matrix_rank(rows, tol=NEARLY_SINGULAR) == task.rank
 
-    def _to_posture(
-        self, found: _Found, posture: Float64Array, pose: Pose, within: tuple[float, float]
-    ) -> tuple[Float64Array, tuple[float, float], int]:
-        assert self.posture is not None
-        n, step = self.arm.n, self.posture.call
+    def to_posture(
+        self, native: NativeFunction, found: IkResult, posture: Float64Array, pose: Pose, within: tuple[float, float]
+    ) -> IkResult:
+        """The posture nearest to the wanted one that keeps the tool at the target."""
+        n, step = self.arm.n, native.call
         posture = found.q + self.arm.difference(posture, found.q)
         target = np.concatenate([pose.p, pose.R.ravel(), posture])
         state = np.concatenate([found.q, np.zeros(n + 4)])
@@ -279,19 +249,12 @@ class _Search:
                 best, error = before[:n], (left, turn)
             if moved < NEAREST_POSTURE_STEP:
                 break
-        return best.copy(), error, count
+        return replace(found, q=best.copy(), error=error, iterations=found.iterations + count)
 
-    def _turned(self, q: Float64Array, q0: Float64Array) -> Float64Array:
+    def turned(self, q: Float64Array, q0: Float64Array) -> Float64Array:
         """q with whole turns taken off hinges, towards q0, where limits allow."""
-        if (np.abs(q - q0) <= math.pi).all():
-            return q
-        rounds = np.round((q - q0) / TURN)
-        turned = q - self.turns * rounds
+        turned = q - self.turns * np.round((q - q0) / TURN)
         return np.where((turned >= self.lower) & (turned <= self.upper), turned, q)
-
-
-def _solved(found: _Found, within: tuple[float, float]) -> bool:
-    return found.error[0] < within[0] and found.error[1] < within[1]
 
 
 @functools.lru_cache(maxsize=32)

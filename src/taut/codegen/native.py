@@ -216,10 +216,7 @@ def _usable_folder(*, make: bool) -> Path | None:
             folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         info = folder.stat()
     except (OSError, RuntimeError) as cause:  # RuntimeError: a user without a home folder
-        _warn_once(f"the cache folder{_named(cause)} cannot be used ({_reason(cause)}); code is compiled each time")
-        return None
-    if not stat.S_ISDIR(info.st_mode):
-        _warn_once(f"the cache folder '{folder}' is no folder; code is compiled each time; set {ENVIRONMENT}")
+        _warn_once(f"the cache folder cannot be used ({cause}); code is compiled each time; set {ENVIRONMENT}")
         return None
     if not _private(info):
         _warn_once(
@@ -228,14 +225,6 @@ def _usable_folder(*, make: bool) -> Path | None:
         )
         return None
     return folder
-
-
-def _named(cause: Exception) -> str:
-    return f" '{cause.filename}'" if isinstance(cause, OSError) and cause.filename else ""
-
-
-def _reason(cause: Exception) -> str:
-    return str((cause.strerror if isinstance(cause, OSError) else None) or cause)
 
 
 _WARNED: Final[set[str]] = set()
@@ -284,4 +273,4 @@ def store(key: bytes, content: bytes) -> None:
         if name is not None:
             with contextlib.suppress(OSError):
                 Path(name).unlink()
-        _warn_once(f"the cache folder '{folder}' cannot be written ({_reason(cause)}); code is compiled each time")
+        _warn_once(f"the cache folder '{folder}' cannot be written ({cause.strerror}); code is compiled each time")

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from taut.arm.description import Arm, Payload
-from taut.base.checks import rate_in_hertz
+from taut.base.checks import instance_of, rate_in_hertz
 from taut.base.errors import UsageError
 from taut.base.paths import Named, subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
@@ -18,7 +18,16 @@ from taut.control.lawside import LawSide
 from taut.control.limits import Limits
 from taut.control.sensing import Sensing
 from taut.control.trajectories.reference import Sample
-from taut.controller.kernel import SideFunctions, kernel_of, recording_kernel, reference_shapes
+from taut.controller.kernel import (
+    BoundKernel,
+    SideFunctions,
+    checked_arguments,
+    kernel_of,
+    recording_kernel,
+    reference_shapes,
+    sample_arguments,
+    step_arguments,
+)
 from taut.controller.parameters import ControllerParameters, StateMachine
 from taut.maths.model import Adds
 
@@ -26,7 +35,6 @@ if TYPE_CHECKING:
     from taut.control.tasks.feed import TaskSteps
     from taut.control.tasks.phase import Phase
     from taut.control.tasks.task import Task
-    from taut.controller.calls import BoundKernel
 
 
 class Controller:
@@ -178,8 +186,6 @@ class Controller:
 
     def _slow(self, *args: Any, **kwargs: Any) -> Any:
         """A tick with whatever was passed: checked in words, converted, started where needed."""
-        from taut.controller.calls import checked_arguments, sample_arguments, step_arguments
-
         given, ref = step_arguments(self.side, args, kwargs)
         kernel, tick = self._kernel, self.ticks if self._machine.started else 0
         with kernel.alone:
@@ -223,8 +229,6 @@ class Controller:
                 "its phases begin: take ctrl.step",
                 name="bind",
             )
-        from taut.controller.calls import BoundKernel
-
         return BoundKernel(self._kernel, self.law.reference)
 
     @property
@@ -312,12 +316,9 @@ def compile(
         >>> ctrl.step(np.zeros(2), np.zeros(2), taut.JointMotion(q=[0.1, 0.0])).tolist()
         [1.0, 0.0]
     """
-    if not isinstance(arm, Arm):  # callers without a type checker
-        raise UsageError(f"compile takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
-    if sensing is not None and not isinstance(sensing, Sensing):
-        raise UsageError(f"sensing must be a taut.Sensing; got {type(sensing).__name__}", name="sensing")
-    if limits is not None and not isinstance(limits, Limits):
-        raise UsageError(f"limits must be a taut.Limits; got {type(limits).__name__}", name="limits")
+    instance_of("arm", arm, Arm, "an Arm from taut.load_arm")
+    instance_of("sensing", sensing, Sensing | None, "a taut.Sensing")
+    instance_of("limits", limits, Limits | None, "a taut.Limits")
     side = LawSide(
         law=law if isinstance(law, Law) else _task(law),
         arm=arm,

@@ -5,7 +5,6 @@ that carries the tool; rotor inertia acts on each joint's own acceleration. With
 
 References:
     Featherstone, Rigid Body Dynamics Algorithms (2008): recursive Newton-Euler (5.3), composite rigid bodies (6.2).
-    Echeandia and Wensing, J. Computational and Nonlinear Dynamics 16 (2021): the Christoffel matrix by recursion.
 """
 
 from __future__ import annotations
@@ -224,38 +223,21 @@ def jacobian(model: Model, q: Vector, frame: str | None = None, axes: str = "W")
     J = tm.zeros((6, model.n))
     if body == BASE:
         return J
-    if axes == "E":
-        seen = _seen_from(model, q, body, R_in_body, p_in_body)
-        moving = [(i, R, -p) for i, (R, p) in seen.items()]
-    else:
-        links = link_poses(model, q)
-        R_W, p_W = links[body]
-        origin = R_W @ p_in_body + p_W
-        moving = [(i, links[i][0], origin - links[i][1]) for i in model.arm.ancestors(body)]
-    for i, R_i, arm in moving:
+    links = link_poses(model, q)
+    R_W, p_W = links[body]
+    origin = R_W @ p_in_body + p_W
+    for i in model.arm.ancestors(body):
+        R_i, p_i = links[i]
         axis = R_i[:, 2]
         if model.joints[i].prismatic:
             J[:3, i] = axis
         else:
-            J[:3, i] = cross(axis, arm)
+            J[:3, i] = cross(axis, origin - p_i)
             J[3:, i] = axis
+    if axes == "E":
+        R_EW = (R_W @ R_in_body).T
+        J[:3], J[3:] = R_EW @ J[:3], R_EW @ J[3:]
     return J
-
-
-def _seen_from(
-    model: Model, q: Vector, body: int, R_in_body: Matrix, p_in_body: Vector3
-) -> dict[int, tuple[Matrix, Vector3]]:
-    """Orientation and origin of the links before a frame, in that frame's own axes and from its origin."""
-    R: Matrix = R_in_body.T
-    p: Vector3 = -(R_in_body.T @ p_in_body)
-    out: dict[int, tuple[Matrix, Vector3]] = {}
-    while body != BASE:
-        out[body] = R, p
-        R_in_parent, p_in_parent = _placed(model.joints[body], q[body])
-        R = R @ R_in_parent.T
-        p = p - R @ p_in_parent
-        body = model.joints[body].parent
-    return out
 
 
 def twist(model: Model, q: Vector, v: Vector, frame: str | None = None, axes: str = "W") -> Vector:
@@ -285,87 +267,12 @@ def jacobian_rate_v(model: Model, q: Vector, v: Vector, frame: str | None = None
 
 
 def coriolis_matrix(model: Model, q: Vector, v: Vector, payload: PayloadValues | None = None) -> Matrix:
-    """(n, n) C of Christoffel symbols: C v are Coriolis and centripetal torques, M-dot - 2 C is skew."""
-    links = link_poses(model, q)
-    bodies = _loaded(model, payload)
-    S, S_dot = _axes_and_rates(model, links, v)
-    C = tm.zeros((model.n, model.n))
-    # Everything about the world's origin, so that composite bodies simply add up.
-    composite: list[tuple[Matrix, Matrix]] = []
-    for i in range(model.n):
-        inertia = _spatial_inertia(bodies[i].seen_from(*links[i]))
-        path = model.arm.ancestors(i)
-        velocity = tm.zeros(6)
-        for k in path:
-            velocity = velocity + S[k] * v[k]
-        composite.append((inertia, _coriolis_of_body(inertia, velocity)))
-    for i in range(model.n - 1, -1, -1):
-        inertia, B = composite[i]
-        f1 = inertia @ S_dot[i] + B @ S[i]
-        f2 = inertia @ S[i]
-        f3 = B.T @ S[i]
-        C[i, i] = S[i] @ f1
-        j = model.joints[i].parent
-        while j != BASE:
-            C[j, i] = S[j] @ f1
-            C[i, j] = S_dot[j] @ f2 + S[j] @ f3
-            j = model.joints[j].parent
-        parent = model.joints[i].parent
-        if parent != BASE:
-            composite[parent] = (composite[parent][0] + inertia, composite[parent][1] + B)
-    return C
+    """(n, n) C of Christoffel symbols: C v are Coriolis and centripetal torques, M-dot - 2 C is skew.
 
-
-def _axes_and_rates(model: Model, links: list[tuple[Matrix, Vector3]], v: Vector) -> tuple[list[Array], list[Array]]:
-    """Screw axis of each joint about the world's origin, angular part first, and its rate of change."""
-    S: list[Array] = []
-    S_dot: list[Array] = []
-    velocities: list[Array] = []
-    for i, joint in enumerate(model.joints):
-        R, p = links[i]
-        axis = R[:, 2]
-        if joint.prismatic:
-            screw = tm.array([0.0, 0.0, 0.0, *axis])
-        else:
-            screw = tm.array([*axis, *cross(p, axis)])
-        before = tm.zeros(6) if joint.parent == BASE else velocities[joint.parent]
-        S.append(screw)
-        S_dot.append(_cross_motion(before, screw))
-        velocities.append(before + screw * v[i])
-    return S, S_dot
-
-
-def _cross_motion(a: Array, b: Array) -> Array:
-    """The rate of motion b carried along with motion a (6,), angular part first."""
-    return tm.array([*cross(a[:3], b[:3]), *(cross(a[:3], b[3:]) + cross(a[3:], b[:3]))])
-
-
-def _cross_motion_matrix(a: Array) -> Matrix:
-    out = tm.zeros((6, 6))
-    out[:3, :3] = out[3:, 3:] = tm.skew(a[:3])
-    out[3:, :3] = tm.skew(a[3:])
-    return out
-
-
-def _spatial_inertia(body: RigidBody) -> Matrix:
-    """(6, 6) about the world's origin, angular part first."""
-    H = tm.skew(body.h)
-    out = tm.zeros((6, 6))
-    out[:3, :3], out[:3, 3:], out[3:, :3] = body.I, H, -H
-    for k in range(3, 6):
-        out[k, k] = body.m
-    return out
-
-
-def _coriolis_of_body(inertia: Matrix, velocity: Array) -> Matrix:
-    """B with B v = v x* (I v), half of it and its mirror, which makes the sum the Christoffel one."""
-    X = _cross_motion_matrix(velocity)
-    momentum = inertia @ velocity
-    K = tm.zeros((6, 6))  # K m = m x* momentum for every motion m
-    K[:3, :3] = -tm.skew(momentum[:3])
-    K[:3, 3:] = K[3:, :3] = -tm.skew(momentum[3:])
-    B: Matrix = 0.5 * (K - X.T @ inertia - inertia @ X)
-    return B
+    C v is quadratic in v with C(v) w = C(w) v, so that C is half its derivative.
+    """
+    derivative = tm.jacobian(lambda at: bias(model, q, at, payload, gravity=False), v)
+    return 0.5 * derivative
 
 
 def kinetic_energy(model: Model, q: Vector, v: Vector, payload: PayloadValues | None = None) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, Protocol, Self, runtime_checkable
@@ -38,8 +38,7 @@ class RigidContact(Declared):
         M a + h + A_q^T lam = tau + friction,   A_q a + bias = 0                                   eqs. 10.40 to 10.42
         one-sided rows: phi >= 0, lam <= 0, phi lam = 0; the contact pushes and does not pull
         friction in the two directions across the gradient at the contact's point, a round cone: it holds the point,
-        |f| <= friction |F_n|, or it brakes its sliding with f = -friction |F_n| v / |v|; a face, with torsion, has a
-        moment about the gradient too: |m| <= torsion friction |F_n|, against its rotation
+        |f| <= friction |F_n|, or it brakes its sliding with f = -friction |F_n| v / |v|
         impact: where the gap closes at a speed u, friction times the impulse acting too, it opens at restitution u;
         rebounds whose flight would be shorter than two steps do not take place
 
@@ -63,8 +62,6 @@ class RigidContact(Declared):
         friction: Coulomb's mu, of contacts at a point: each function is a number that depends on the origin of a
             frame and not on its orientation, such as a plane, a sphere, a cylinder. None for none. The surface rests
             across its gradient, however it moves along it.
-        torsion: Radius of the moment that resists rotation about the gradient, for contacts with friction [m]: 2/3 of
-            that of a round pad. None for none.
         restitution: Speed after an impact over that before, from 0 to 1. None for 0.
 
     Raises:
@@ -85,15 +82,10 @@ class RigidContact(Declared):
 
     constraint: Part[Constraint] = Part(Constraint)
     friction: Field = Field(unit="1", minimum=0.0, optional=True)
-    torsion: Field = Field(unit="m", minimum=0.0, optional=True)
     restitution: Field = Field(unit="1", minimum=0.0, maximum=1.0, optional=True)
 
     def check(self) -> None:
-        """Torsion is of friction, and only what is one-sided opens again."""
-        if self.torsion is not None and self.friction is None:
-            self.refuse(
-                "torsion", "is the radius of a moment of friction, and needs friction too; give it, or leave this out"
-            )
+        """Only what is one-sided opens again."""
         if self.restitution is not None and not any(self.constraint.one_sided):
             self.refuse("restitution", "is for a constraint with one_sided=True, and this one holds both ways")
 
@@ -120,14 +112,12 @@ class Place:
     contact: int  # which of the contacts
     piece: Piece
     rows: tuple[int, ...]
-    frame: tuple[str | None, ...]  # what it is of: one frame, several, or joints
-    touch: tuple[Touch, ...]
-    fixed: tuple[int, ...]  # rows that hold always, without friction
+    touches: tuple[Touch, ...]
 
     @property
-    def beside(self) -> tuple[int, ...]:
-        """Rows that hold as long as another one touches."""
-        return tuple(i for touch in self.touch for i in touch.beside)
+    def fixed(self) -> bool:
+        """Whether its rows hold always, without friction."""
+        return not any(self.piece.one_sided) and not self.touches[0].tangents
 
 
 class Contacts(Declared):
@@ -155,49 +145,35 @@ class Contacts(Declared):
             for piece in part.constraint.pieces:
                 rows = tuple(range(first, first + piece.count))
                 first += piece.count
-                sides = [i for i, side in zip(rows, piece.one_sided, strict=True) if side]
-                both = tuple(i for i in rows if i not in sides)
-                rubs = part.friction is not None
-                tangents = (tangent, tangent + 1) if rubs else ()
-                spin = None if part.torsion is None else tangent + 2
-                tangent += len(tangents) + (spin is not None)
-                if rubs and not sides:  # a surface that holds both ways, with friction
-                    touch: tuple[Touch, ...] = (Touch(normal=rows[0], one_sided=False, tangents=tangents, spin=spin),)
-                    fixed: tuple[int, ...] = ()
-                elif sides:
-                    first_side = Touch(normal=sides[0], one_sided=True, beside=both, tangents=tangents, spin=spin)
-                    touch = (first_side, *(Touch(normal=i, one_sided=True) for i in sides[1:]))
-                    fixed = ()
-                else:
-                    touch, fixed = (), both
-                out.append(Place(contact=c, piece=piece, rows=rows, frame=piece.frames, touch=touch, fixed=fixed))
+                sides = tuple(i for i, side in zip(rows, piece.one_sided, strict=True) if side)
+                normal, *others = sides or rows[:1]
+                beside = tuple(i for i in rows if i not in (normal, *others))
+                tangents = () if part.friction is None else (tangent, tangent + 1)
+                tangent += len(tangents)
+                touch = Touch(normal=normal, one_sided=bool(sides), beside=beside, tangents=tangents)
+                touches = (touch, *(Touch(normal=i, one_sided=True) for i in others))
+                out.append(Place(contact=c, piece=piece, rows=rows, touches=touches))
         return tuple(out)
 
     @cached_property
-    def touches(self) -> tuple[Touch, ...]:
-        """All that can open, or rubs."""
-        return tuple(touch for place in self.places for touch in place.touch)
+    def touches(self) -> tuple[tuple[Place, Touch], ...]:
+        """The rows that touch together, with the function that they are of."""
+        return tuple((place, touch) for place in self.places for touch in place.touches)
 
     @cached_property
-    def fixed(self) -> tuple[int, ...]:
-        """Rows that hold always, without friction."""
-        return tuple(i for place in self.places for i in place.fixed)
+    def tilts(self) -> tuple[int, ...]:
+        """Rows of a face that hold both ways as long as it touches."""
+        return tuple(i for _, touch in self.touches if touch.one_sided for i in touch.beside)
 
     @cached_property
     def rubbing(self) -> tuple[tuple[Place, Touch], ...]:
         """The contacts with friction."""
-        return tuple((place, touch) for place in self.places for touch in place.touch if touch.tangents)
+        return tuple((place, touch) for place, touch in self.touches if touch.tangents)
 
     @cached_property
     def size(self) -> int:
         """Rows with those of friction."""
-        return self.count + sum(len(touch.rubs) for _, touch in self.rubbing)
-
-    def of_touch(self) -> Iterator[tuple[int, Touch]]:
-        """The contact that each touch is of."""
-        for place in self.places:
-            for touch in place.touch:
-                yield place.contact, touch
+        return self.count + 2 * len(self.rubbing)
 
     @property
     def measured(self) -> bool:
@@ -206,10 +182,8 @@ class Contacts(Declared):
 
     def at_tool(self, place: Place) -> bool:
         """Whether it acts on the body that carries the tool."""
-        if len(place.frame) != 1:
-            return False
-        model = model_of(self.arm)
-        return model.placement(place.frame[0])[0] == model.placement(None)[0]
+        frames, model = place.piece.frames, model_of(self.arm)
+        return len(frames) == 1 and model.placement(frames[0])[0] == model.placement(None)[0]
 
     def declared_parts(self) -> dict[str, Declared]:
         """The contacts by their number, of which a single one has none in its paths."""
@@ -237,7 +211,7 @@ class Contacts(Declared):
         rows, ones = place.piece.at(x), sum(place.piece.one_sided)
         why = ""
         if rows.A is None:
-            why = "it is of joints" if not place.frame else "it is of several frames"
+            why = "it is of joints" if not place.piece.frames else "it is of several frames"
         elif ones > 1 or (not ones and len(place.rows) > 1):
             why = f"it has {len(place.rows)} rows"
         else:
@@ -260,13 +234,12 @@ class Contacts(Declared):
             speed = np.asarray(rows.A_q @ v + rows.phi_t, dtype=np.float64)
             for i, phi in enumerate(np.asarray(rows.phi, dtype=np.float64)):
                 which = "the constraint" if self.count == 1 else f"row {place.rows[i]} of the constraint"
-                if place.rows[i] in place.beside:
-                    continue
-                _check_row(which, float(phi), float(speed[i]), one_sided=rows.one_sided[i])
+                if place.rows[i] not in self.tilts:
+                    _check_row(which, float(phi), float(speed[i]), one_sided=rows.one_sided[i])
             touching = [phi <= CLOSED for phi, side in zip(rows.phi, rows.one_sided, strict=True) if side]
-            if place.rows == place.fixed or (len(place.rows) == 1 and all(touching)):
+            if place.fixed or (len(place.rows) == 1 and all(touching)):
                 check_constraint(Constraint.of([place.piece]), x)
-        held = [place.piece for place in self.places if place.rows == place.fixed]
+        held = [place.piece for place in self.places if place.fixed]
         if len(held) > 1:
             check_constraint(Constraint.of(held), x)
 

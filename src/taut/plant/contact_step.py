@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
@@ -10,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from taut.base.types import Array, Matrix, Vector
-from taut.maths.constraints.impulses import Touch, both, choose, contact_impulses, held_impulses, opposite
+from taut.maths.constraints.impulses import both, choose, contact_impulses, held_impulses, opposite
 from taut.maths.model import Model
 from taut.maths.snapshot import Snapshot
 from taut.plant.contact import CLOSED, Contacts
@@ -59,25 +60,23 @@ class _Here:
         for place in contacts.places:
             rows = place.piece.at(x)
             measured = contacts.at_tool(place)
-            away = x.T(place.frame[0]).p - x.T().p if measured and place.frame[0] is not None else None
+            frame = place.piece.frames[0] if place.piece.frames else None
+            away = x.T(frame).p - x.T().p if measured and frame is not None else None
             for j, i in enumerate(place.rows):
                 phi[i], moves[i], bias[i] = rows.phi[j], rows.phi_t[j], rows.bias[j]
                 B[i] = rows.A_q[j]
                 if measured and rows.A is not None:
                     A[i] = _about_tool(rows.A[j], away)
-            for touch in place.touch:
+            for touch in place.touches:
                 if not touch.tangents:
                     continue
                 assert rows.A is not None
                 gradient = rows.A[touch.normal - place.rows[0]][:3]
                 size = tm.sqrt(gradient @ gradient)
                 across = _across(gradient / size)
-                frame = place.frame[0]
                 J, falling = x.J(frame), x.Jdot_v(frame)
                 for e, i in zip(across, touch.tangents, strict=True):
                     B[i], bias[i] = e @ J[:3], e @ falling[:3]
-                if touch.spin is not None:
-                    B[touch.spin], bias[touch.spin] = (gradient / size) @ J[3:], (gradient / size) @ falling[3:]
                 if measured:
                     arms[len(scale)] = np.zeros(3) if away is None else away
                 scale.append(size)
@@ -89,7 +88,7 @@ def contact_start(contacts: Contacts, x: Snapshot, *, load: bool) -> dict[str, A
     """Memory at the start of a run; `load` where dry friction of the joints needs to know of it."""
     here = _Here.at(contacts, x)
     on: list[Any] = [1.0] * contacts.count
-    for touch in contacts.touches:
+    for _, touch in contacts.touches:
         if touch.one_sided:
             for i in touch.held:
                 on[i] = tm.where(here.phi[touch.normal] <= CLOSED, 1.0, 0.0)
@@ -118,37 +117,34 @@ def contact_step(
     memory: Values,
     parameters: Values,
     dt: Any,
-    sweeps: int,
 ) -> ContactStep:
     """A step of semi-implicit Euler under impulses that keep phi at its end, and then its rate (RATTLE).
 
     `factors` are of the mass matrix with implicit damping, `v_free` is the velocity that the step gives without
-    contact; `sweeps` counts those of block Gauss-Seidel.
+    contact.
     """
-    k, touches = contacts.count, contacts.touches
+    k, touches = contacts.count, [touch for _, touch in contacts.touches]
     here = _Here.at(contacts, Snapshot(model, q=q, v=v, t=t))
     on = [memory["contact.on"][i] > 0.5 for i in range(k)]
     guess = [x * dt for x in memory["contact.force"]]
-    solver = _Solver(contacts=contacts, parameters=parameters, sweeps=sweeps)
     # The multipliers of the tick, from accelerations.
     sol = factors.solve(here.B.T)
     W = here.B @ sol
     gain = here.B @ (v_free - v) + dt * here.bias
     for _, touch in contacts.rubbing:
-        for i in touch.rubs:
+        for i in touch.tangents:
             gain[i] = here.B[i] @ v_free + dt * here.bias[i]
-    p = solver.impulses(W, gain, here.scale, [on[touch.normal] for touch in touches], guess, rub=True)
+    p = _impulses(contacts, parameters, W, gain, here.scale, on, guess)
     # Positions with phi = 0, by impulses at the beginning.
     v_rubbed = v_free + sol[:, k:] @ p[k:] if contacts.rubbing else v_free
     A, sol_n, W_n = here.B[:k], sol[:, :k], W[:k, :k]
     rate = A @ v_rubbed + here.moves[:k] + 0.5 * dt * here.bias[:k]  # the mean one of the step
     bounce = _Bounces.of(contacts, parameters, here.phi, rate, gain, on, dt)
     goal = list(bounce.height)
-    for touch in touches:
-        for i in touch.beside:
-            goal[i] = here.phi[i] * tm.exp(-dt / LIES_DOWN)
+    for i in contacts.tilts:
+        goal[i] = here.phi[i] * tm.exp(-dt / LIES_DOWN)
     missing = tm.array([(here.phi[i] - goal[i]) / dt + rate[i] for i in range(k)])
-    first = solver.impulses(W_n, missing, (), [True] * len(touches), list(p[:k]), rub=False)
+    first = _impulses(contacts, parameters, W_n, missing, None, [True] * k, p[:k])
     acts: list[Any] = [True] * k
     apart = missing + W_n @ first  # [m/s], what opens the gaps
     for touch in touches:
@@ -166,18 +162,15 @@ def contact_step(
     so_far = tm.array([*first, *p[k:]])
     v_base = v_half - sol_end @ so_far
     wanted = [*bounce.speed, *([0.0] * (contacts.size - k))]
-    for touch in touches:
-        for i in touch.beside:
-            wanted[i] = -there.phi[i] / LIES_DOWN
+    for i in contacts.tilts:
+        wanted[i] = -there.phi[i] / LIES_DOWN
     final = there.B @ v_base + there.moves - tm.array(wanted)
-    total = solver.impulses(
-        W_end, final, there.scale, [acts[touch.normal] for touch in touches], list(so_far), rub=True
-    )
+    total = _impulses(contacts, parameters, W_end, final, there.scale, acts, so_far)
     v_new = v_base + sol_end @ total
     # What is reported of it. A gap that closes in the step shows its impulse.
     closes = [both(opposite(on[i]), acts[i]) for i in range(k)]
     for _, touch in contacts.rubbing:
-        closes += [closes[touch.normal]] * len(touch.rubs)
+        closes += [closes[touch.normal]] * 2
     shown = tm.array([choose(c, total[i], p[i]) / dt for i, c in enumerate(closes)])
     after: dict[str, Any] = {
         "lam": -shown[:k],
@@ -226,8 +219,8 @@ class _Bounces:
         k = contacts.count
         happens: list[Any] = [False] * k
         speed, height = [0.0] * k, [0.0] * k
-        for c, touch in contacts.of_touch():
-            e, i = contacts.value(c, "restitution", parameters), touch.normal
+        for place, touch in contacts.touches:
+            e, i = contacts.value(place.contact, "restitution", parameters), touch.normal
             if e is None or not touch.one_sided:
                 continue
             closes = both(opposite(on[i]), phi[i] + dt * rate[i] < 0.0)
@@ -240,65 +233,27 @@ class _Bounces:
         return cls(happens=happens, speed=speed, height=height)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Solver:
-    """Impulses of all rows: those that hold always are taken out exactly, the others push, stick and slide."""
-
-    contacts: Contacts
-    parameters: Values
-    sweeps: int
-
-    def impulses(
-        self,
-        W: Matrix,
-        r: Vector,
-        scale: Sequence[Any],
-        there: Sequence[Any],
-        guess: Sequence[Any],
-        *,
-        rub: bool,
-    ) -> Vector:
-        """(m,) or without rubbing (k,), from velocities without impulses."""
-        touches, fixed = self.contacts.touches, list(self.contacts.fixed)
-        if not touches:
-            solved: Vector = -tm.solve_spd(W, r)
-            return solved
-        mu: list[Any] = [0.0] * len(touches)
-        radius: list[Any] = [0.0] * len(touches)
-        free: list[int] = []
-        rows: list[Touch] = []
-        rubbing = iter(scale)
-        for n, (c, touch) in enumerate(self.contacts.of_touch()):
-            if rub and touch.tangents:
-                mu[n] = self.contacts.value(c, "friction", self.parameters) * next(rubbing)
-                radius[n] = self.contacts.value(c, "torsion", self.parameters)
-            own = [*touch.held, *(touch.rubs if rub else ())]
-            at = {i: len(free) + j for j, i in enumerate(own)}
-            free += own
-            rows.append(
-                Touch(
-                    normal=at[touch.normal],
-                    one_sided=touch.one_sided,
-                    beside=tuple(at[i] for i in touch.beside),
-                    tangents=tuple(at[i] for i in touch.tangents) if rub else (),
-                    spin=at[touch.spin] if rub and touch.spin is not None else None,
-                )
-            )
-        W_c, r_c = _part(W, free, free), tm.array([r[i] for i in free])
-        if fixed:
-            factors, across = tm.factor_spd(_part(W, fixed, fixed)), _part(W, fixed, free)
-            taken = factors.solve(across)
-            r_f = tm.array([r[i] for i in fixed])
-            W_c, r_c = W_c - across.T @ taken, r_c - taken.T @ r_f
-        start, sweeps = [guess[i] for i in free], (self.sweeps + 1) // 2  # exact steps take the place of the others
-        p_c = contact_impulses(W_c, r_c, rows, mu, there, start, radius=radius, sweeps=sweeps)
-        out: list[Any] = [0.0] * len(r)
-        for i, value in zip(free, p_c, strict=True):
-            out[i] = value
-        if fixed:
-            for i, value in zip(fixed, factors.solve(r_f + across @ p_c), strict=True):
-                out[i] = -value
-        return tm.array(out)
+def _impulses(
+    contacts: Contacts,
+    parameters: Values,
+    W: Matrix,
+    r: Vector,
+    scale: Sequence[Any] | None,  # of each contact with friction; None without friction
+    on: Sequence[Any],  # (k,) whether each row may act
+    guess: Vector | Sequence[Any],
+) -> Vector:
+    """(m,) or without friction (k,) impulses, from the velocities r without impulses."""
+    pairs, rubbing = contacts.touches, iter(scale or ())
+    if all(place.fixed for place, _ in pairs):
+        solved: Vector = -tm.solve_spd(W, r)
+        return solved
+    touches, mu = [], []
+    for place, touch in pairs:
+        rubs = touch.tangents if scale is not None else ()
+        touches.append(dataclasses.replace(touch, tangents=rubs))
+        mu.append(contacts.value(place.contact, "friction", parameters) * next(rubbing) if rubs else 0.0)
+    there = [on[touch.normal] if touch.one_sided or touch.tangents else True for _, touch in pairs]
+    return contact_impulses(W, r, touches, mu, there, guess)
 
 
 def _wrench(contacts: Contacts, here: _Here, force: Vector) -> Array:
@@ -310,9 +265,6 @@ def _wrench(contacts: Contacts, here: _Here, force: Vector) -> Array:
         if n in here.arms:
             f = here.tangents[n].T @ tm.array([force[i] for i in touch.tangents])
             F = F + tm.array([*f, *tm.cross(here.arms[n], f)])
-            if touch.spin is not None:  # about the normal
-                n_hat = tm.cross(here.tangents[n][0], here.tangents[n][1])
-                F = F + tm.array([0.0, 0.0, 0.0, *(n_hat * force[touch.spin])])
     return F  # type: ignore[no-any-return]
 
 
@@ -342,7 +294,3 @@ def _across(n: Vector) -> Matrix:
     a = -1.0 / (sign + z)
     b = x * y * a
     return tm.array([[1.0 + sign * x * x * a, sign * b, -sign * x], [b, sign + y * y * a, -y]])
-
-
-def _part(W: Matrix, rows: Sequence[int], columns: Sequence[int]) -> Matrix:
-    return tm.array([[W[i, j] for j in columns] for i in rows])

@@ -71,7 +71,6 @@ class Motion:
     """Steps of an arm with its drives, friction and environment, as pure functions of the plant's memory."""
 
     parts: PlantParts
-    sweeps: int  # of projected Gauss-Seidel in a step
     energy: bool  # keeps account of work
 
     @cached_property
@@ -269,9 +268,8 @@ class Motion:
             pushed = rhs if borne is None else rhs + borne
             stop = None if train.compliant else -(pushed + M @ v / dt)
             stuck = dry_friction(
-                factors, slowed, limits.low, limits.high, memory["friction"], dt,
-                joints=train.rigid, stop=stop, sweeps=self.sweeps,
-            )  # fmt: skip
+                factors, slowed, limits.low, limits.high, memory["friction"], dt, joints=train.rigid, stop=stop
+            )
             f, at_rest = stuck.f, stuck.at_rest
             v_new = stuck.v if borne is None else v_new + dt * factors.solve(f)
             if "friction_residual" in memory:
@@ -279,9 +277,7 @@ class Motion:
         q_new, contact = q + dt * v_new, None
         if self.parts.contacts is not None:
             t = memory["t"]
-            contact = contact_step(
-                self.parts.contacts, self.model, factors, q, v, v_new, t, memory, parameters, dt, self.sweeps
-            )
+            contact = contact_step(self.parts.contacts, self.model, factors, q, v, v_new, t, memory, parameters, dt)
             q_new, v_new = contact.q, contact.v
             after |= contact.memory
         if train.compliant:

@@ -20,7 +20,6 @@ from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.maths import dynamics as dyn
 from taut.maths.constraints.constraint import Constraint
-from taut.maths.friction import FRICTION_SWEEPS
 from taut.maths.model import Adds, Model, model_of
 from taut.maths.snapshot import Snapshot
 from taut.plant.actuation import Actuation, delayed
@@ -70,9 +69,6 @@ class RigidPlant:
             tuple. See `taut.RigidContact` for the physics and the columns.
         adds: What the plant adds to a torque command itself: "gravity", "coriolis", and "friction", which cancels the
             arm's own, so that none is left.
-        sweeps: Of projected Gauss-Seidel in each step, for joints that dry friction couples; half of them before the
-            sticking ones are solved for exactly. The run's column friction_residual [N m | N] is the change of a
-            further one.
         energy: Keep account of the work of each part of the drives: columns work.motor, work.dry, ... [J], see
             `taut.plant.motion`.
 
@@ -91,13 +87,11 @@ class RigidPlant:
     environment: Environment | None = None
     contact: RigidContact | Constraint | Sequence[RigidContact | Constraint] | None = None
     adds: Adds | Iterable[str] | Mapping[str, Payload | None] = ()
-    sweeps: int = FRICTION_SWEEPS
     energy: bool = False
 
     def __post_init__(self) -> None:
         one_of("integrator", self.integrator, INTEGRATORS)
-        for name in ("substeps", "sweeps"):
-            whole_number(name, getattr(self, name), minimum=1, maximum=MAX_SUBSTEPS)
+        whole_number("substeps", self.substeps, minimum=1, maximum=MAX_SUBSTEPS)
         if not isinstance(self.energy, bool):
             raise UsageError(f"energy must be True or False; got {self.energy!r}", name="energy")
         object.__setattr__(self, "adds", Adds.of(self.adds))
@@ -158,7 +152,7 @@ class RigidPlant:
 
     @cached_property
     def _motion(self) -> Motion:
-        return Motion(parts=self.parts, sweeps=self.sweeps, energy=self.energy)
+        return Motion(parts=self.parts, energy=self.energy)
 
     @property
     def parameters(self) -> dict[str, Float64Array]:

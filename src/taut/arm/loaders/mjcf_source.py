@@ -1,7 +1,7 @@
 """An MJCF document made safe for MuJoCo and compiled by it: includes resolved, files and extensions removed.
 
 One element a line traces MuJoCo's messages to the user's files. Checked here is what MuJoCo accepts in silence:
-numbers not finite or huge, reversed ranges, duplicate names.
+numbers not finite or huge, reversed ranges.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import math
 import os
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Final
@@ -94,10 +94,31 @@ ESCAPED: Final = str.maketrans(
 class MjcfSource:
     """What MuJoCo gets, and what was taken out of it."""
 
-    text: str
-    lines: list[Element]  # the element on each line of the text
-    meshes: dict[str, str]  # name of a mesh -> its file, relative to the model's folder
+    text: str = ""
+    lines: list[Element] = field(default_factory=list)  # the element on each line of the text
+    meshes: dict[str, str] = field(default_factory=dict)  # name of a mesh: its file, relative to the model's folder
     problems: list[Problem] = field(default_factory=list)
+
+    def write(
+        self,
+        element: Element,
+        attributes: Callable[[Element], Mapping[str, str]],
+        kept: Callable[[Element], bool] = lambda _: True,
+    ) -> None:
+        """Add an element to the text, one tag on each line; it is at most MAX_ELEMENT_DEPTH deep."""
+        tags: list[str] = []
+
+        def write(inner: Element) -> None:
+            named = (f' {name}="{value.translate(ESCAPED)}"' for name, value in attributes(inner).items())
+            tags.append(f"<{inner.tag}{''.join(named)}>\n")
+            self.lines.append(inner)
+            for child in filter(kept, inner.children):
+                write(child)
+            tags.append(f"</{inner.tag}>\n")
+            self.lines.append(inner)
+
+        write(element)
+        self.text += "".join(tags)
 
     def at(self, line: int) -> Element | None:
         """The element that stands on a line of the text, counted from 1."""
@@ -110,13 +131,11 @@ class MjcfSource:
 
 def prepare(root: Element, path: Path) -> MjcfSource:
     """The safe text of a document whose root element has been read already."""
-    source = MjcfSource(text="", lines=[], meshes={})
+    source = MjcfSource()
     whole = _Includes(path, source.problems).resolved(root)
     source.problems.extend(_problems(whole, str(path)))
     source.meshes = dict(_mesh_files(whole))
-    written: list[str] = []
-    _write(whole, written, source.lines)
-    source.text = "\n".join(written)
+    source.write(whole, _attributes, _kept)
     return source
 
 
@@ -198,18 +217,14 @@ def _owners(root: Element) -> Iterator[tuple[str, Element]]:
 
 
 def _problems(root: Element, main: str) -> Iterator[Problem]:
-    names: dict[tuple[str, str], Element] = {}
     counts = dict.fromkeys(MOST, 0)
     for owner, element in _owners(root):
         found: list[tuple[str | None, str]] = []
         if element.tag in REFUSED:
             found.append((element.tag, REFUSED[element.tag]))
         found.extend(_number_problems(element))
-        if element.tag in ("body", "joint", "freejoint", "site") and element.get("name"):
-            kind = "joint" if element.tag == "freejoint" else element.tag
-            first = names.setdefault((kind, element.attributes["name"]), element)
-            if first is not element:
-                found.append(("name", f"this name is there twice (first in line {first.line}); rename one"))
+        if element.get("settotalmass"):
+            found.append(("settotalmass", "settotalmass is not read; scale the masses themselves"))
         if element.tag in counts:
             counts[element.tag] += 1
         for attribute, text in found:
@@ -283,16 +298,8 @@ def _attributes(element: Element) -> dict[str, str]:
     return kept
 
 
-def _write(element: Element, text: list[str], lines: list[Element]) -> None:
-    """One tag on each line; `element` is at most MAX_ELEMENT_DEPTH deep."""
-    attributes = "".join(f' {name}="{value.translate(ESCAPED)}"' for name, value in _attributes(element).items())
-    text.append(f"<{element.tag}{attributes}>")
-    lines.append(element)
-    for child in element.children:
-        if child.tag not in DROPPED and (child.tag != "key" or (child.get("name") or "").lower() == "home"):
-            _write(child, text, lines)
-    text.append(f"</{element.tag}>")
-    lines.append(element)
+def _kept(element: Element) -> bool:
+    return element.tag not in DROPPED and (element.tag != "key" or (element.get("name") or "").lower() == "home")
 
 
 @dataclass(kw_only=True)
@@ -322,7 +329,7 @@ def compiled(source: MjcfSource, path: Path) -> Compiled:
         except (ValueError, RuntimeError, mujoco.FatalError) as cause:
             if isinstance(cause, ModelError):
                 raise
-            raise ModelError(str(path), [_refused(str(cause), source, path)]) from cause
+            raise ModelError(str(path), [refused(str(cause), source, str(path))]) from cause
     return Compiled(
         model=model,
         bodies=_elements(spec.bodies, source),
@@ -332,7 +339,7 @@ def compiled(source: MjcfSource, path: Path) -> Compiled:
     )
 
 
-def _refused(text: str, source: MjcfSource, path: Path) -> Problem:
+def refused(text: str, source: MjcfSource, path: str) -> Problem:
     """MuJoCo's sentence, with the element, the attribute and the line in the user's file."""
     found = _LINE.search(text)
     element = source.at(int(found[1])) if found else None
@@ -340,9 +347,9 @@ def _refused(text: str, source: MjcfSource, path: Path) -> Problem:
     if element is None:
         element = next((source.named(word) for word in re.findall(r"'([^']+)'", said)), None)
     if element is None:
-        return Problem(object=path.name, attribute=None, message=f"MuJoCo refuses the model: {said}")
+        return Problem(object=Path(path).name, attribute=None, message=f"MuJoCo refuses the model: {said}")
     name = element.get("name")
-    where = "" if element.file == str(path) else f" in '{element.file}'"
+    where = "" if element.file == path else f" in '{element.file}'"
     called = f"{element.tag} '{name}'" if name else f"<{element.tag}>"
     return Problem(
         object=name or element.tag,
@@ -383,7 +390,6 @@ def _masses_from_meshes(spec: mujoco.MjSpec, source: MjcfSource) -> Iterator[Pro
 
     mode = mujoco.mjtInertiaFromGeom(spec.compiler.inertiafromgeom)
     low, high = spec.compiler.inertiagrouprange
-    lost = False
     for body in spec.bodies:
         if mode == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE:
             continue
@@ -404,11 +410,6 @@ def _masses_from_meshes(spec: mujoco.MjSpec, source: MjcfSource) -> Iterator[Pro
                     line=None if element is None else element.line,
                 )
                 break
-            lost = True
-    if lost and spec.compiler.settotalmass > 0.0:
-        text = "settotalmass of <compiler> needs the masses of mesh files, which are never opened; take it out"
-        line = next((element.line for element in source.lines if element.get("settotalmass")), None)
-        yield Problem(object="compiler", attribute="settotalmass", message=text, line=line)
 
 
 def _moves(body: mujoco.MjsBody, spec: mujoco.MjSpec) -> bool:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from taut.arm.description import Arm
+from taut.base.checks import instance_of
 from taut.base.errors import MatchError, UsageError, unknown_name
 from taut.base.types import Float64Array
 from taut.maths import dynamics as dyn
@@ -105,26 +106,21 @@ def attached(model: mujoco.MjModel, data: mujoco.MjData, arm: Arm, prefix: str) 
         ("arm", arm, Arm),
         ("prefix", prefix, str),
     ):
-        if not isinstance(value, kind):
-            raise UsageError(f"attach takes {name}, of type {kind.__name__}; got {type(value).__name__}", name=name)
+        instance_of(name, value, kind, f"of type {kind.__name__}")
     if data.signature != model.signature or data.qpos.size != model.nq:
         raise MatchError("data must be made from this very model: mujoco.MjData(model); it is another's", name="data")
     joints = [_joint(model, arm, i, prefix) for i in range(arm.n)]
     _check_tree(model, arm, joints)
     owner = _owners(model, joints)
-    tool, dofs = arm.frame().body, tuple(int(model.jnt_dofadr[j]) for j in joints)
+    tool = arm.frame().body
     body = 0 if tool < 0 else int(model.jnt_bodyid[joints[tool]])
-    q = index([int(model.jnt_qposadr[j]) for j in joints])
-    here = _at(model, data, q, arm.home)
+    here = _at(model, data, [int(model.jnt_qposadr[j]) for j in joints], arm.home)
     T_WM = Pose.of(here.xmat[body].reshape(3, 3).copy(), here.xpos[body].copy())
     rig = Rig(
         arm=arm,
         model=model,
         data=data,
         joints=tuple(joints),
-        q=q,
-        v=index(list(dofs)),
-        dofs=dofs,
         tool_bodies=index([b for b in range(model.nbody) if owner[b] == tool] or [body]),
         tool_body=body,
         p_tool=np.array((T_WM.inverse() @ dyn.pose(model_of(arm), arm.home)).p, dtype=np.float64),

@@ -14,13 +14,15 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from taut.arm.description import BASE
+from taut.arm.loaders.mjcf_source import MjcfSource, refused
 from taut.arm.loaders.mjspec import add_links, bones
 from taut.arm.parts import inertia_matrix
+from taut.base.errors import ModelError
 from taut.base.fields import Declared, Field
 from taut.base.types import Float64Array
 from taut.plant.parts import PlantParts
 from taut.runtime.robots.mujoco.rig import Guard, Rig, index
-from taut.runtime.robots.mujoco.scene import Scene, attach_scene, refused
+from taut.runtime.robots.mujoco.scene import Scene, attach_scene
 from taut.trace.pose import Pose
 
 if TYPE_CHECKING:
@@ -94,9 +96,10 @@ def built(parts: PlantParts, tool: ToolShape, scene: Scene | None, scene_at: Pos
             warnings.simplefilter("ignore")  # that names of a scene have no prefix
             model = builder.spec.compile()
     except (ValueError, RuntimeError, mujoco.FatalError) as cause:
-        raise refused(str(cause), scene, arm.source or arm.name) from cause
+        source = MjcfSource() if scene is None else scene.source
+        path = (arm.source or arm.name) if scene is None else scene.path
+        raise ModelError(path, [refused(str(cause), source, path)]) from cause
     joints = tuple(int(model.joint(joint.name).id) for joint in arm.joints)
-    dofs = tuple(int(model.jnt_dofadr[j]) for j in joints)
     payload = int(model.body(builder.payload).id)
     rows = [payload] if int(model.body_weldid[payload]) == 0 else [int(model.body_parentid[payload]), payload]
     rows += [] if tip is None else [int(model.body(tip).id)]
@@ -105,9 +108,6 @@ def built(parts: PlantParts, tool: ToolShape, scene: Scene | None, scene_at: Pos
         model=model,
         data=mujoco.MjData(model),
         joints=joints,
-        q=index([int(model.jnt_qposadr[j]) for j in joints]),
-        v=index(list(dofs)),
-        dofs=dofs,
         tool_bodies=index(rows),
         tool_body=payload,
         p_tool=np.zeros(3),

@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from taut.arm.description import Arm, CommandKind, Friction, Payload
-from taut.base.checks import positive_scalar, read_only
+from taut.arm.description import Arm, CommandKind, Payload
+from taut.base.checks import instance_of, positive_scalar, read_only
 from taut.base.errors import UsageError
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
-from taut.maths import dynamics as dyn
-from taut.maths.dynamics import compensation
-from taut.maths.model import Adds, PayloadValues, model_of
+from taut.maths.model import Adds
 from taut.plant.actuation import Actuation, delayed
 from taut.plant.environments.environment import Environment
 from taut.plant.motion import WORK_OF_IT
@@ -26,7 +24,7 @@ from taut.runtime.robots.mujoco.attached import AttachedPlant, attached
 from taut.runtime.robots.mujoco.model import SpringTip, ToolShape, built, put_parameters, put_timestep
 from taut.runtime.robots.mujoco.rig import PRESSED, Normals, PlantInMujoco, index, whole_steps
 from taut.runtime.robots.mujoco.scene import SceneView, read_scene
-from taut.runtime.robots.mujoco.stages import ForceStage, LinkTorque, SensorStage
+from taut.runtime.robots.mujoco.stages import ForceStage, SensorStage
 from taut.trace.pose import Pose
 
 if TYPE_CHECKING:
@@ -131,8 +129,10 @@ class MujocoPlant(PlantInMujoco):
         for name, value in (("friction", friction), ("limits", limits)):
             if value not in ("arm", None):
                 raise UsageError(f"{name} must be 'arm' or None; got {value!r}", name=name)
-        if tip is not None and not isinstance(tip, SpringTip):
-            raise UsageError(f"tip must be taut.environments.SpringTip(...); got {type(tip).__name__}", name="tip")
+        instance_of("tip", tip, SpringTip | None, "a taut.environments.SpringTip")
+        instance_of("scene_at", scene_at, Pose | None, "a taut.Pose")
+        if scene is None and scene_at is not None:
+            raise UsageError("scene_at says where the scene stands, and there is none; give scene=", name="scene_at")
         drives, seen = actuation or Actuation(), sensors or Sensors()
         numbers = PlantParts(
             name=f"MujocoPlant({getattr(arm, 'name', '')})",
@@ -145,25 +145,19 @@ class MujocoPlant(PlantInMujoco):
             environment=environment,
             scene=True,
         )
-        train = numbers.drivetrain
-        left = train.friction
         tool = ToolShape(
             radius=positive_scalar("tool_radius", tool_radius, unit="m"),
             length=None if tool_length is None else positive_scalar("tool_length", tool_length, unit="m"),
             tip=tip,
         )
         self._timestep = None if timestep is None else positive_scalar("timestep", timestep, unit="s")
-        place, around = _place(scene_at, scene is not None), None if scene is None else read_scene(scene)
-        rig = built(numbers, tool, around, place, limits=limits is not None)
+        around = None if scene is None else read_scene(scene)
+        rig = built(numbers, tool, around, scene_at or Pose.identity(), limits=limits is not None)
         super().__init__(rig, numbers.name, None if scene is None else SceneView(rig))
         self._parts, self._values = numbers, {path: read_only(value) for path, value in numbers.values.items()}
         self.friction, self.takes, self.actuation, self.sensors = friction, takes, drives, seen
         self.measures, self.distorts = seen.measures(touched=True), seen.distorts(touched=True)
-        before_joints = drives.acts or train.compliant or train.lossy or environment is not None
-        before_joints = before_joints or adds.gravity or adds.coriolis
-        varies = isinstance(left, Friction) and (left.falls or left.loaded)
-        self._stage = ForceStage(rig, numbers) if before_joints or varies else None
-        self._link, self._readings = LinkTorque(rig), SensorStage(arm, seen)
+        self._forces, self._readings = ForceStage(rig, numbers), SensorStage(arm, seen)
         self._ctrl = rig.data.ctrl
         motors = (rig.model.actuator(name).id for name in arm.joint_names)
         self._motors = index([int(rig.model.actuator_ctrladr[motor]) for motor in motors])
@@ -235,9 +229,8 @@ class MujocoPlant(PlantInMujoco):
         self.check_together({**self.parameters, **checked})
         self._values = {**self._values, **checked}
         put_parameters(self._rig, self._parts, self._values, checked)
-        for stage in (self._stage, self._readings):
-            if stage is not None:
-                stage.take(self._values)
+        for stage in (self._forces, self._readings):
+            stage.take(self._values)
 
     def reset(self, q: Float64Array, v: Float64Array, dt: float, seed: int = 0) -> None:
         """Put the arm into a state, and prepare for control periods of dt [s]; the noise comes from the seed.
@@ -254,21 +247,15 @@ class MujocoPlant(PlantInMujoco):
         self._ctrl[self._motors] = 0.0
         self._put_state(q, v)
         self._line = None
+        self._h, self._dt = dt / self._substeps, dt
+        self._forces.start(q, v, self._values, dt, self._substeps)
+        self._tau, self._tau_link = (self._forces.memory[name].copy() for name in ("held", "tau_link"))
         taps = self.actuation.taps(dt)
-        values = self._values
-        payload = PayloadValues.of(subtree(values, "plant.payload"))
-        model = model_of(rig.arm)
-        weight = dyn.gravity_torque(model, q, payload)
-        self._tau_link = weight
-        self._tau = weight - compensation(model, self.adds, q, np.zeros(len(q)), payload)
         if taps:
             first = {"torque": self._tau, "velocity": np.zeros(len(q)), "position": q}[self.takes]
             self._line = np.stack([first] * taps)
-        self._h, self._dt = dt / self._substeps, dt
-        if self._stage is not None:
-            self._stage.start(q, v, values, dt, self._substeps)
-            self._F_ext = self._from_outside()
-        self._readings.start(seed, self._true(), values)
+        self._F_ext = self._from_outside()
+        self._readings.start(seed, self._true(), self._values)
         self._saturated = {name: np.zeros(()) for name in self._readings.saturating}
 
     def _steps_in(self, dt: float) -> int:
@@ -290,60 +277,37 @@ class MujocoPlant(PlantInMujoco):
             true["a"] = self._a
         if self.sensors.weighs:
             true |= {f"payload.{name}": x for name, x in subtree(self._values, "plant.payload").items()}
-        memory = {} if self._stage is None else self._stage.memory
-        return true | {name: memory[name] for name in ("q_motor", "v_motor") if name in memory}
+        return true | {name: x for name, x in self._forces.memory.items() if name in ("q_motor", "v_motor")}
 
     def advance(self, command: Float64Array) -> Float64Array:
         """One control period under a command (n,); (n,) the torque that acted on the joints."""
+        rig, forces = self._rig, self._forces
         held, self._line = delayed(command, self._line)
-        if self._stage is not None:
-            self._work = self._stage.work
-            self._stage.hold(held, self._ticks * self._dt)
+        self._work = forces.work
+        forces.hold(held, self._ticks * self._dt)
         self._ticks += 1
         with self._guard:
-            if self._stage is None:
-                self._step_plainly(held)
-            else:
-                self._step_through(self._stage)
+            for _ in range(self._substeps):
+                v = self._qvel[rig.v].copy()
+                self._ctrl[self._motors] = forces.before(self._qpos[rig.q], v, self._contact)
+                self._mj_step(rig.model, rig.data)
+                forces.after(self._qpos[rig.q], self._qvel[rig.v])
+        self._a = (self._qvel[rig.v] - v) / self._h
+        self._tau, self._tau_link = forces.last("tau"), forces.memory["tau_link"].copy()
         self._contact = self._wrench.of_environment()
         self._F_ext = self._from_outside()
+        if self.takes != "torque":
+            self._cut = forces.last("cut")
+            self._warn_of_cut("the effort of its joints", "slower motions, or an arm that has more")
         return self._tau
 
     def _from_outside(self) -> Float64Array:
         """(6,) what touched the tool in the last step, in the scene and besides it."""
-        if self._stage is None or self._parts.environment is None:
-            return self._contact
-        return self._contact + self._stage.last("wrench")
-
-    def _step_plainly(self, held: Float64Array) -> None:
-        """The steps of a period in which the torque itself stands at the joints."""
-        rig = self._rig
-        self._ctrl[self._motors] = held
-        if self._substeps > 1:
-            self._mj_step(rig.model, rig.data, self._substeps - 1)
-        v = self._qvel[rig.v].copy()
-        self._mj_step(rig.model, rig.data)
-        v_end = self._qvel[rig.v]
-        self._tau, self._a = held.copy(), (v_end - v) / self._h
-        self._tau_link = self._link.of_step(held, self._link.friction(), v_end, self._a)
-
-    def _step_through(self, stage: ForceStage) -> None:
-        """The steps of a period in which more than the command acts on the joints."""
-        rig, F_ext = self._rig, self._contact
-        for _ in range(self._substeps):
-            v = self._qvel[rig.v].copy()
-            self._ctrl[self._motors] = stage.before(self._qpos[rig.q], v, F_ext)
-            self._mj_step(rig.model, rig.data)
-            stage.after(self._qpos[rig.q], self._qvel[rig.v])
-        self._a = (self._qvel[rig.v] - v) / self._h
-        self._tau, self._tau_link = stage.last("tau"), stage.memory["tau_link"].copy()
-        if self.takes != "torque":
-            self._cut = stage.last("cut")
-            self._warn_of_cut("the effort of its joints", "slower motions, or an arm that has more")
+        return self._contact if self._parts.environment is None else self._contact + self._forces.last("wrench")
 
     def trouble(self) -> tuple[str, int | None] | None:
         """What went wrong in the last period, in words, and the joint; None if nothing did."""
-        if self._stage is not None and not self._stage.sane:
+        if not self._forces.sane:
             return "its drives, or what touches its tool, gave numbers that are not finite", None
         return super().trouble()
 
@@ -356,17 +320,6 @@ class MujocoPlant(PlantInMujoco):
         normal = {} if self._normals is None else {PRESSED: self._normals.of_contacts()}
         cut = {} if self.takes == "torque" else {"tau_cut": self._cut}
         return {"F_ext": self._F_ext, **cut, **work, **normal, **self._saturated, **self._poses()}
-
-
-def _place(at: Pose | None, there: bool) -> Pose:
-    """Where the scene stands."""
-    if at is None:
-        return Pose.identity()
-    if not isinstance(at, Pose):
-        raise UsageError(f"scene_at must be a taut.Pose; got {type(at).__name__}", name="scene_at")
-    if not there:
-        raise UsageError("scene_at says where the scene stands, and there is none; give scene= too", name="scene_at")
-    return at
 
 
 def _rebuilt(made_of: Mapping[str, Any], values: Mapping[str, ArrayLike]) -> MujocoPlant:

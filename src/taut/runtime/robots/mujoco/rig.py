@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
@@ -43,13 +44,25 @@ class Rig:
     model: mujoco.MjModel
     data: mujoco.MjData
     joints: tuple[int, ...]  # (n,) ids, in the arm's order
-    q: Index  # (n,) in qpos
-    v: Index  # (n,) in qvel, qacc, qfrc_*
-    dofs: tuple[int, ...]  # (n,) the same as numbers
     tool_bodies: Index  # the bodies that what touches the tool pushes on
     tool_body: int  # the body whose frame p_tool is given in
     p_tool: Float64Array  # (3,) [m] origin of the tool
     adds: Adds
+
+    @cached_property
+    def q(self) -> Index:
+        """(n,) where the arm's positions are in qpos."""
+        return index([int(self.model.jnt_qposadr[j]) for j in self.joints])
+
+    @cached_property
+    def v(self) -> Index:
+        """(n,) where its velocities are in qvel, qacc and qfrc_*."""
+        return index(list(self.dofs))
+
+    @cached_property
+    def dofs(self) -> tuple[int, ...]:
+        """(n,) the same as numbers."""
+        return tuple(int(self.model.jnt_dofadr[j]) for j in self.joints)
 
 
 def index(numbers: list[int]) -> Index:

@@ -8,14 +8,13 @@ from __future__ import annotations
 import os
 import re
 import warnings
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Final
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from taut.arm.loaders.mjcf_source import MjcfSource, refused
 from taut.arm.loaders.visuals import OutsideError, file_inside
 from taut.arm.loaders.xml import MAX_BYTES, Element, is_not_finite, parse_xml
 from taut.base.checks import readable_file
@@ -72,14 +71,13 @@ MOST_MOVING: Final = 32  # bodies, each of which takes 7 numbers of every tick
 MOST_VERTICES: Final = 50_000  # of all meshes: some MB in a log
 
 
-@dataclass(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Scene:
-    """A scene that MuJoCo may read: one element on each line, files as bytes."""
+    """A scene that MuJoCo may read, and the files that it names as bytes."""
 
-    source: str
-    text: str = ""
-    lines: list[Element] = field(default_factory=list)  # the element on each line
-    files: dict[str, bytes] = field(default_factory=dict)
+    path: str
+    source: MjcfSource
+    files: dict[str, bytes]
 
 
 def read_scene(scene: str | os.PathLike[str]) -> Scene:
@@ -100,10 +98,8 @@ def read_scene(scene: str | os.PathLike[str]) -> Scene:
     reader.check(root)
     if reader.problems:
         raise ModelError(source, reader.problems)
-    out = Scene(source=source, files=reader.files)
-    written: list[str] = []
-    _write(root, reader.renamed, written, out.lines)
-    out.text = "\n".join(written)
+    out = Scene(path=source, source=MjcfSource(), files=reader.files)
+    out.source.write(root, lambda element: reader.renamed.get(id(element), element.attributes))
     return out
 
 
@@ -215,17 +211,6 @@ def _is_count(word: str) -> bool:
     return word.isascii() and word.isdigit() and len(word) < 9 and int(word) <= MOST
 
 
-def _write(element: Element, renamed: Mapping[int, Mapping[str, str]], text: list[str], lines: list[Element]) -> None:
-    """One tag on each line, so that the lines in MuJoCo's messages lead back to the elements."""
-    attributes = renamed.get(id(element), element.attributes)
-    text.append(f"<{element.tag}{''.join(f' {name}={quoteattr(value)}' for name, value in attributes.items())}>")
-    lines.append(element)
-    for child in element.children:
-        _write(child, renamed, text, lines)
-    text.append(f"</{element.tag}>")
-    lines.append(element)
-
-
 def attach_scene(spec: mujoco.MjSpec, scene: Scene, at: Pose) -> None:
     """Put a scene into the world of a spec that has the arm already, with its origin at a pose."""
     import mujoco
@@ -233,15 +218,15 @@ def attach_scene(spec: mujoco.MjSpec, scene: Scene, at: Pose) -> None:
     with Guard(spec.option), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it warns that names without a prefix may not be saved well
         try:
-            child = mujoco.MjSpec.from_string(scene.text, assets=scene.files)
+            child = mujoco.MjSpec.from_string(scene.source.text, assets=scene.files)
             wanted = _linked(child)
             spec.attach(child, frame=spec.worldbody.add_frame(pos=at.p, quat=at.wxyz), prefix="")
         except (ValueError, RuntimeError, mujoco.FatalError) as cause:
-            raise refused(str(cause), scene) from cause
+            raise ModelError(scene.path, [refused(str(cause), scene.source, scene.path)]) from cause
     # MuJoCo leaves out in silence what names a thing that it does not find.
-    lost = [_problem_at(scene, line) for line in sorted(wanted - _linked(spec))]
+    lost = [_lost(scene.source.lines[line - 1]) for line in sorted(wanted - _linked(spec))]
     if lost:
-        raise ModelError(scene.source, lost)
+        raise ModelError(scene.path, lost)
 
 
 def _linked(spec: mujoco.MjSpec) -> set[int]:
@@ -251,8 +236,7 @@ def _linked(spec: mujoco.MjSpec) -> set[int]:
     return {int(line[1]) for line in found if line}
 
 
-def _problem_at(scene: Scene, line: int) -> Problem:
-    element = scene.lines[line - 1]
+def _lost(element: Element) -> Problem:
     names = [value for attribute, value in element.attributes.items() if attribute != "name" and _is_name(attribute)]
     message = (
         f"{_called(element)}: it refers to something that neither the scene nor the arm has; it names "
@@ -268,21 +252,6 @@ def _is_name(attribute: str) -> bool:
 def _called(element: Element) -> str:
     name = element.get("name")
     return f"{element.tag} '{name}'" if name else f"<{element.tag}>"
-
-
-def refused(text: str, scene: Scene | None, source: str = "") -> ModelError:
-    """MuJoCo's sentence as ours, with the element of the scene that it is about."""
-    found = _LINE.search(text)
-    said = re.sub(r"^(XML )?(Error: )*(Schema violation: )?", "", text.splitlines()[0] if text else "no reason given")
-    if scene is None or found is None or not 0 < int(found[1]) <= len(scene.lines):
-        origin = scene.source if scene else source
-        message = f"MuJoCo refuses the model: {said}"
-        return ModelError(origin, [Problem(object=origin, attribute=None, message=message)])
-    element = scene.lines[int(found[1]) - 1]
-    message = f"{_called(element)}: MuJoCo refuses it: {said}"
-    name = element.get("name") or element.tag
-    problem = Problem(object=name, attribute=element.tag, message=message, line=element.line)
-    return ModelError(scene.source, [problem])
 
 
 class SceneView:

@@ -72,35 +72,6 @@ class Stage(ABC):
         return self._given
 
 
-class LinkTorque:
-    """What arrives at the links of torques that were given to MuJoCo's joints: friction and rotors take theirs."""
-
-    def __init__(self, rig: Rig) -> None:
-        import mujoco
-
-        self._rig = rig
-        self._of_joints = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
-        self._dofs = np.array(rig.dofs, dtype=np.intp)
-        self._place = np.full(rig.model.nv, -1, dtype=np.intp)  # of a degree of freedom: the arm's joint, or none
-        self._place[self._dofs] = np.arange(rig.arm.n)
-
-    def friction(self) -> Float64Array:
-        """(n,) dry friction of the last step."""
-        data = self._rig.data
-        f = np.zeros(self._rig.arm.n)
-        rows = np.arange(data.ne, data.ne + data.nf)
-        rows = rows[data.efc_type[rows] == self._of_joints]
-        joints = self._place[data.efc_id[rows]]
-        f[joints[joints >= 0]] = data.efc_force[rows[joints >= 0]]
-        return f
-
-    def of_step(self, given: Float64Array, f: Float64Array, v: Float64Array, a: Float64Array) -> Float64Array:
-        """(n,) of torques given, dry friction f, velocities v after the step and its accelerations."""
-        model = self._rig.model
-        arrived: Float64Array = given + f - model.dof_damping[self._dofs] * v - model.dof_armature[self._dofs] * a
-        return arrived
-
-
 INNER: Final = 10.0  # bandwidths of the drive: how fast its inner loop is
 
 
@@ -174,6 +145,8 @@ class ForceStage(Stage):
     """
 
     def __init__(self, rig: Rig, parts: PlantParts) -> None:
+        import mujoco
+
         self._rig, self._parts, self._train = rig, parts, parts.drivetrain
         self._model = model_of(rig.arm)
         self._links = model_of(rig.arm.with_joints(rotor_inertia=0.0))
@@ -182,7 +155,9 @@ class ForceStage(Stage):
             self._follower = Follower(arm=rig.arm, takes=parts.takes, model=self._links)
         self._rigid = np.array(self._train.rigid, dtype=np.intp)
         self._dofs = np.array(rig.dofs, dtype=np.intp)
-        self._arrived = LinkTorque(rig)
+        self._joint_of = np.full(rig.model.nv, -1, dtype=np.intp)  # of a degree of freedom: the arm's joint, or none
+        self._joint_of[self._dofs] = np.arange(rig.arm.n)
+        self._dry = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
 
     def _step(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:
         train, dt = self._train, parameters["dt"]
@@ -278,15 +253,24 @@ class ForceStage(Stage):
 
     def after(self, q: Float64Array, v: Float64Array) -> None:
         """What MuJoCo's step did that the next one depends on: motion, and friction; and the environment's work."""
-        rigid, f = self._rigid, self._arrived.friction()
+        rigid, f, model = self._rigid, self._friction(), self._rig.model
         if self._train.compliant:
             self.memory["q_motor"][rigid], self.memory["v_motor"][rigid] = q[rigid], v[rigid]
-        arrived = self._arrived.of_step(self._given["onto"], f, v, (v - self._v) / self._h)
-        self.memory["tau_link"][rigid] = arrived[rigid]
+        lost = model.dof_damping[self._dofs] * v + model.dof_armature[self._dofs] * (v - self._v) / self._h
+        self.memory["tau_link"][rigid] = (self._given["onto"] + f - lost)[rigid]  # friction and rotors take theirs
         if "at_rest" in self.memory:
             self.memory["at_rest"][rigid] = (np.abs(f) < HELD * self._given["half"])[rigid]
         if "of_wrench" in self._given:  # that of the mean speed, as in RigidPlant
             self.work += 0.5 * self._h * float(self._given["of_wrench"] @ (self._v + v))
+
+    def _friction(self) -> Float64Array:
+        """(n,) MuJoCo's dry friction in the last step."""
+        data, f = self._rig.data, np.zeros(self._rig.arm.n)
+        rows = np.arange(data.ne, data.ne + data.nf)
+        rows = rows[data.efc_type[rows] == self._dry]
+        joints = self._joint_of[data.efc_id[rows]]
+        f[joints[joints >= 0]] = data.efc_force[rows[joints >= 0]]
+        return f
 
     def last(self, name: str) -> Float64Array:
         """What acted in the last step: (n,) `tau` of the motors, (n,) `cut` off by their effort, (6,) `wrench`."""
