@@ -12,7 +12,7 @@ import numpy as np
 
 from taut.arm.description import Arm, Payload
 from taut.arm.parts import require_radians
-from taut.base.checks import finite_array, positive_scalar, read_only
+from taut.base.checks import finite_array, instance_of, positive_scalar, read_only
 from taut.base.errors import MatchError, RangeError, ShapeError, UsageError, count_of
 from taut.base.paths import Parameters, subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
@@ -249,8 +249,7 @@ class Loop:
     """
 
     def __init__(self, ctrl: HasLawSide, plant: ModelPlant, ref: object = None, *, duration: float) -> None:
-        if not isinstance(ctrl, HasLawSide):  # callers without a type checker
-            raise UsageError(f"a Loop takes a controller from taut.compile; got {type(ctrl).__name__}", name="ctrl")
+        instance_of("ctrl", ctrl, HasLawSide, "a controller from taut.compile")
         if not isinstance(plant, ModelPlant):
             raise UsageError(
                 f"a Loop takes a model plant such as taut.RigidPlant(arm); got {type(plant).__name__}; taut.run "

@@ -11,8 +11,8 @@ import numpy as np
 
 from taut.arm.description import Arm
 from taut.arm.parts import TURN, require_radians
-from taut.base.checks import one_of, positive_scalar, require_range, vector
-from taut.base.errors import RangeError, UsageError, count_of
+from taut.base.checks import instance_of, one_of, positive_scalar, require_range, vector
+from taut.base.errors import RangeError, count_of
 from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.kernel import NativeFunction, native
 from taut.maths import dynamics as dyn
@@ -111,10 +111,8 @@ def inverse_kinematics(
     References:
         Section 10.2.3, equation 10.28. Bertsekas, SIAM J. Control and Optimization 20 (1982): projected Newton.
     """
-    if not isinstance(arm, Arm):  # callers without a type checker
-        raise UsageError(f"inverse kinematics is of an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
-    if not isinstance(pose, Pose):
-        raise UsageError(f"pose must be a taut.Pose(p=..., rpy=...); got {type(pose).__name__}", name="pose")
+    instance_of("arm", arm, Arm, "an Arm from taut.load_arm")
+    instance_of("pose", pose, Pose, "a taut.Pose")
     one_of("directions", directions, DIRECTIONS)
     search = _search_of(arm, arm.frame(frame).name, directions)
     start = search.checked("q0", arm.home if q0 is None else q0)

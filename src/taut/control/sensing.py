@@ -10,12 +10,11 @@ import functools
 import math
 import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
-from typing import TYPE_CHECKING, Any, Final, Literal, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.base.checks import entry_names
 from taut.base.errors import RangeError, UsageError
 from taut.base.fields import Choice, Declared, Field, Part, Plain
 from taut.base.paths import subtree
@@ -33,20 +32,6 @@ DECIBEL: Final = math.log(10.0) / 20.0  # natural logarithm of an amplitude per 
 SATURATED: Final = "saturated.F_ext"  # 1.0 in a tick whose reading is at the end of the sensor's range
 WRENCH: Final = "N, N m"
 AT_END: Final = 1.0 - 1e-9  # of the range: turning a reading into the world and back rounds
-
-
-class Filter(Protocol):
-    """What sensing needs of a filter of one measurement."""
-
-    def start(self, u: Array) -> dict[str, Any]:
-        """Memory at the first tick, as if u had always been constant."""
-        ...
-
-    def filtered(
-        self, u: Array, memory: Values, parameters: Values, dt: Any, difference: Subtraction
-    ) -> tuple[Array, dict[str, Any]]:
-        """The filter's output for u, and its memory; `difference` goes the short way round for continuous joints."""
-        ...
 
 
 class LowPass(Declared):
@@ -257,21 +242,19 @@ def kalman_gains(acceleration_noise: Any, position_noise: Any, dt: Any) -> tuple
 def check_filter(part: Declared, path: str, rate: float, joints: Sequence[str] | int) -> None:
     """A filter's numbers: a scalar or one for each of `joints`, below half the rate [Hz]. ShapeError, RangeError."""
     part.check_size(joints, f"{path}.")
-    check_frequencies(part, path, rate, None if isinstance(joints, int) else joints)
+    check_frequencies(part, path, rate)
 
 
-def check_frequencies(part: Declared, path: str, rate: float, entries: Sequence[str] | None = None) -> None:
+def check_frequencies(part: Declared, path: str, rate: float) -> None:
     """Every number in Hz is below half the rate."""
     for name, values in part.parameters().items():
-        if part.units()[name] == "Hz" and np.any(values >= 0.5 * rate):
-            index = [int(i) for i in np.argwhere(values >= 0.5 * rate)[0]]
-            value = float(values[tuple(index)])
+        largest = float(np.max(values))
+        if part.units()[name] == "Hz" and largest >= 0.5 * rate:
             raise RangeError(
-                f"{entry_names(f'{path}.{name}', index, entries)} must be < {0.5 * rate:g} [Hz], half the "
-                f"controller's rate of {rate:g} Hz; got {value!r}; make it lower, or the rate higher",
+                f"{path}.{name} must be < {0.5 * rate:g} [Hz], half the controller's rate of {rate:g} Hz; got "
+                f"{largest!r}; make it lower, or the rate higher",
                 name=f"{path}.{name}",
-                joint=entries[index[0]] if entries is not None and index else None,
-                value=value,
+                value=largest,
                 rule="below half the rate",
             )
 
@@ -358,6 +341,7 @@ class Wrist(Declared):
         return sensor_place(arm, self.frame, "sensing.wrist")
 
 
+Filter: TypeAlias = LowPass | Notch | Difference | Kalman
 Velocity: TypeAlias = Literal["measured", "difference"] | LowPass | Difference | Kalman
 WORDS: Final = ("measured", "difference")
 SOURCES: Final = (LowPass, Difference, Kalman)

@@ -15,8 +15,7 @@ from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.loop import compiled_loop
 from taut.codegen.program import Block
 from taut.control.limits import take_up
-from taut.control.tasks.feed import feed_of
-from taut.control.trajectories.feed import Feed
+from taut.control.tasks.feed import ReferenceFeed, TaskFeed, feed_of
 from taut.control.trajectories.reference import Reference
 from taut.controller import Controller, take_up_change
 from taut.loop import DT, Loop, sensed_of
@@ -46,7 +45,7 @@ class OngoingRun(ABC):
 
     tape: Tape
     _events: Schedule
-    _feed: Feed
+    _feed: ReferenceFeed | TaskFeed
     _ticks: int  # of the whole run
     _filled: int = 0  # ticks that have their reference
 

@@ -14,9 +14,9 @@ from taut.base.checks import whole_number
 from taut.base.errors import RangeError, StabilityWarning, UsageError, warn
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
+from taut.control.combine import SideBySide
 from taut.control.law import Law
 from taut.control.lawside import LawSide
-from taut.control.side_by_side import SideBySide
 from taut.control.tasks.phase import Phase
 from taut.control.tasks.task import Task
 from taut.control.trajectories.reference import Hold, Reference, as_reference

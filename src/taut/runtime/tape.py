@@ -151,6 +151,8 @@ class Tape:
 
     def _inadmissible(self, ticks: int) -> str:
         """What hybrid laws left out of what they were asked for, which of a stream is not known before a run."""
+        from taut.control.laws.wrappers import check_streamed
+
         whole, task = self._side.law, self._side.task
         t, rows, home, said = self.inputs["t"][:ticks], self.reference(0, ticks), self._side.arm.home, ""
         for name, law in {"": whole}.items() if isinstance(whole, Law) else whole.laws.items():
@@ -162,7 +164,7 @@ class Tape:
                 asked = tuple(task.sample_of(name, sample) for sample in samples) if task else tuple(samples)
                 followed = Chunk(times=t[seen] - t[seen[0]], samples=asked)
                 try:
-                    law.check_references(x, followed, self._side.rate, later=True)
+                    check_streamed(law, x, followed)
                 except (RangeError, UsageError) as left_out:
                     said += f"; the law left out a part of what was asked for: {left_out}"
         return said

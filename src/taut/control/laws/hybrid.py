@@ -191,10 +191,6 @@ class HybridMotionForce(Law):
         check_place(self.constraint, x, self.tolerance)
         check_reference(self.constraint, x, ref, self.motion.controlled_frame, self.tolerance)
 
-    def check_reference_later(self, x: Snapshot, ref: Reference, rate: float) -> None:  # noqa: ARG002
-        """The same of a phase that begins elsewhere, as far as it is known."""
-        check_reference(self.constraint, x, ref, self.motion.controlled_frame, self.tolerance, later=True)
-
     def touches(self, x: Snapshot) -> Any:
         """Whether phi is within the tolerance and, for one-sided rows with a sensor, a force is on it."""
         rows = self.constraint.at(x)

@@ -20,7 +20,6 @@ from taut.control.command import Terms
 from taut.control.gains import Gain, GainValue
 from taut.control.law import Law
 from taut.control.laws.task_error import ERRORS, Coordinates, ErrorKind, GainFrame, TaskError, task_error
-from taut.control.side_by_side import SideBySide
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.singularity import TOP_SPEED, Asked, Beyond, distance_beyond, spheres
 from taut.maths.snapshot import Snapshot
@@ -235,18 +234,6 @@ def within_speed(x: Snapshot, inertia: TaskInertia, F: Wrench) -> Wrench:
 
 def far_away(law: Law | Task, x: Snapshot, rows: dict[str, Float64Array]) -> Float64Array | None:
     """(k,) lower bounds of the distance of a run's targets from reach [m]; None where the law follows no pose."""
-    if isinstance(law, SideBySide):
-        seen = law.seen(x)
-        parts = [
-            far_away(
-                part,
-                seen[name],
-                {field[len(name) + 1 :]: rows[field] for field in rows if field.startswith(f"{name}_")},
-            )
-            for name, part in law.parts.items()
-        ]
-        known = [part for part in parts if part is not None]
-        return np.max(known, axis=0) if known else None
     asked = _asked(law) if law.reference is TaskMotion and isinstance(law, Law) else None
     if asked is None:
         return None

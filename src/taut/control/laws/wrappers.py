@@ -13,9 +13,10 @@ from taut.base.errors import UsageError
 from taut.base.fields import Part, Plain
 from taut.base.types import Rotation, Vector, Vector3
 from taut.control.closed_loop import ApparentImpedance
-from taut.control.combine import Wrapper, bare
+from taut.control.combine import Wrapper, all_laws, bare
 from taut.control.command import Command, Terms, Torque
 from taut.control.gains import Gain, GainValue, Memory, MemoryView
+from taut.control.law import Law
 from taut.control.laws.constraints import check_place, check_reference
 from taut.control.laws.force import ForceControl
 from taut.control.laws.hybrid import HybridMotionForce
@@ -198,11 +199,10 @@ class NormalEstimate(Wrapper):
                 name="NormalEstimate",
             )
 
-    def check_references(self, x: Snapshot, ref: Reference, rate: float, *, later: bool = False) -> None:  # noqa: ARG002
+    def check_references(self, x: Snapshot, ref: Reference, rate: float) -> None:  # noqa: ARG002
         """Not the motion: it goes along the surface that is estimated, whatever it asks for against it."""
-        if not later:
-            check_place(self.law.constraint, x, self.law.tolerance)
-        check_reference(self.law.constraint, x, ref, self.law.motion.controlled_frame, np.inf, later=later)
+        check_place(self.law.constraint, x, self.law.tolerance)
+        check_reference(self.law.constraint, x, ref, self.law.motion.controlled_frame, np.inf)
 
     def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
         n_0, phi_t = self._stated(x)
@@ -239,6 +239,16 @@ class NormalEstimate(Wrapper):
         old = _across(n_0, tilt)
         out: Vector3 = old + (1.0 - tm.exp(-self.rate[()] * w * dt)) * (seen - old)
         return out
+
+
+def check_streamed(law: Law, x: Snapshot, ref: Reference) -> None:
+    """What hybrid laws were asked for from a time and place that are not those of x. RangeError, UsageError."""
+    held = [inner for _, inner in all_laws(law)]
+    estimated = any(isinstance(inner, NormalEstimate) for inner in held)
+    for inner in held:
+        if isinstance(inner, HybridMotionForce):
+            tolerance = np.inf if estimated else inner.tolerance
+            check_reference(inner.constraint, x, ref, inner.motion.controlled_frame, tolerance)
 
 
 def _across(n: Vector3, v: Vector3) -> Vector3:

@@ -118,7 +118,13 @@ def reached(
     """
     tolerances = {"q": q, "position": position, "rotation": rotation}
     given = {name: finite_scalar(name, value, minimum=0.0) for name, value in tolerances.items() if value is not None}
-    wanted, fitting = _wanted(target)
+    wanted: Any = getattr(target, "motion", target)  # of a sample of motion and force
+    if not isinstance(wanted, (Pose, TaskMotion, JointMotion)):
+        raise UsageError(
+            f"a guard compares with a taut.Pose, TaskMotion or JointMotion; got {type(target).__name__}",
+            name="target",
+        )
+    fitting = {"q"} if isinstance(wanted, JointMotion) else {"position", "rotation"}
     if not given or not given.keys() <= fitting:
         raise UsageError(
             f"a {type(wanted).__name__} is reached within {' or '.join(f'{name}=' for name in sorted(fitting))}; got "
@@ -168,19 +174,6 @@ def moved(x: GuardView, distance: float, tool: str | None = None) -> Any:
     distance = finite_scalar("distance", distance, unit="m", minimum=0.0)
     frame = x.tool if tool is None else tool
     return tm.norm(x.T(frame).p - x.begin.T(frame).p) >= distance
-
-
-def _wanted(target: Any) -> tuple[Any, set[str]]:
-    """Where a target is, and which tolerances have a meaning there."""
-    wanted = getattr(target, "motion", target)  # of a sample of motion and force
-    if isinstance(wanted, JointMotion):
-        return wanted, {"q"}
-    if isinstance(wanted, (Pose, TaskMotion)):
-        return wanted, {"position", "rotation"}
-    raise UsageError(
-        f"a guard can tell whether a taut.Pose, TaskMotion or JointMotion is reached; got {type(target).__name__}",
-        name="target",
-    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -11,7 +10,6 @@ from typing import Any, ClassVar, Final, Self, TypeVar
 import numpy as np
 
 from taut.base.errors import (
-    MatchError,
     NumericalError,
     RangeError,
     ShapeError,
@@ -20,9 +18,9 @@ from taut.base.errors import (
     raised_location,
 )
 from taut.base.fields import Declared, Plain
-from taut.control.command import Command, Position, Terms, Torque, Velocity
+from taut.control.command import Command, Position, Terms, Torque, Velocity, one_kind
 from taut.control.gains import Gain, LawMemory, MemoryView
-from taut.control.law import Law, call, initial_memory
+from taut.control.law import Law, call
 from taut.control.tasks.phase import STOP, Guard, GuardView, Lasting, Phase, condition, named_phases
 from taut.control.trajectories.compound import PhaseSample, phase_sample
 from taut.control.trajectories.reference import Hold, JointMotion, Reference, Sample, Stream, Trajectory, as_reference
@@ -132,10 +130,6 @@ class Task(Declared):
         own: Sample = ref if part is None else getattr(ref, part)
         return own
 
-    def alone(self, name: str) -> Task:
-        """The task of one of the phases."""
-        return Task.of([dataclasses.replace(self.phases[name], name=name, otherwise=STOP, then=None)])
-
     def at_rest(self, x: Snapshot) -> Sample:
         """The sample that asks its laws to stay as in the snapshot."""
         kind, own = self.reference, {law.reference: law.at_rest(x) for law in reversed(self.followers)}
@@ -155,19 +149,17 @@ class Task(Declared):
         for law in self.laws.values():
             law.check_rates(rate)
 
-    def check_states(self, x: Snapshot, rate: float, *, changed: bool = False) -> None:
-        """Only the first phase starts where the run does; gains that change may be of any."""
-        for name in self.laws if changed else [next(iter(self.phases))]:
-            self.laws[name].check_states(x, rate, changed=changed)
+    def check_states(self, x: Snapshot, rate: float) -> None:
+        """Only the first phase starts where the run does."""
+        self.laws[self.names[0]].check_states(x, rate)
 
-    def check_references(self, x: Snapshot, ref: Reference, rate: float, *, later: bool = False) -> None:  # noqa: ARG002
-        """What the phases are to follow, as far as it is known before: not what depends on where a phase begins."""
-        for i, (name, phase) in enumerate(self.phases.items()):
-            given = phase.reference
-            if isinstance(given, Trajectory) or not (callable(given) or isinstance(given, Stream)):
-                reference = as_reference(Hold() if given is None else given)
-                with blamed(name):
-                    self.laws[name].check_references(x, reference, rate, later=i > 0)
+    def check_references(self, x: Snapshot, ref: Reference, rate: float) -> None:  # noqa: ARG002
+        """That of the first phase, as far as it is known; the others are checked where they begin."""
+        name, phase = next(iter(self.phases.items()))
+        given = phase.reference
+        if isinstance(given, Trajectory) or not (callable(given) or isinstance(given, Stream)):
+            with blamed(name):
+                self.laws[name].check_references(x, as_reference(Hold() if given is None else given), rate)
 
     def check_begin(self, name: str, x: Snapshot, ref: Reference, rate: float) -> None:
         """RangeError or UsageError for a phase that has no meaning at x, unless refused there without contact."""
@@ -185,7 +177,7 @@ class Task(Declared):
         out |= {"lasted": np.zeros(counters)} if counters else {}
         for name, law in self.laws.items():
             own = self.sample_of(name, ref)
-            out[name] = _zeros(_beside_singular(partial(initial_memory, law, ref=own), x, idle=True))
+            out[name] = _zeros(_beside_singular(partial(law.initial_memory, ref=own), x, idle=True))
         return out
 
     @staticmethod
@@ -205,11 +197,11 @@ class Task(Declared):
         for name, law in self.laws.items():
             own = self.sample_of(name, ref)
             if name == STOP:
-                law = law._replaced({"kind": _kind(commands)})
+                law = law._replaced({"kind": one_kind(commands, "the phases of a task").kind})
             old = memory[name]
 
             def called(x: Snapshot, law: Law = law, own: Sample = own, old: LawMemory = old) -> tuple[Command, Any]:
-                return call(law, x, own, _chosen(fresh, initial_memory(law, x, own), old), dt)
+                return call(law, x, own, _chosen(fresh, law.initial_memory(x, own), old), dt)
 
             commands[name], new = _beside_singular(called, x, idle=_known_false(acting[name]))
             after[name] = _chosen(acting[name], new, old)
@@ -363,15 +355,6 @@ def _chosen(which: Any, a: Any, b: Any) -> Any:
     if isinstance(a, Mapping):
         return {name: _chosen(which, value, b[name]) for name, value in a.items()}
     return tm.where(which, a, b)
-
-
-def _kind(commands: Mapping[str, Command]) -> str:
-    """The kind of command that all phases give; MatchError where they give several."""
-    kinds = {command.kind for command in commands.values()}
-    if len(kinds) > 1:
-        words = ", ".join(f"'{name}' a {command.kind}" for name, command in commands.items())
-        raise MatchError(f"the phases of a task give commands of one kind; these give {words}", name="task")
-    return kinds.pop()
 
 
 def _selected(commands: Mapping[str, Command], acting: Mapping[str, Any], n: int) -> Command:

@@ -40,7 +40,13 @@ def sample_times(times: ArrayLike) -> Float64Array:
 
 
 class Sampled(Motion[S]):
-    """Base of motions by samples at stated `times`."""
+    """Base of motions by samples at stated `times`, which `check` keeps as `_knots`, a sample of arrays (k, ...)."""
+
+    def rows(self, times: Float64Array) -> S:
+        knots = self.__dict__["_knots"]
+        table = {name: getattr(knots, name) for name in knots.fields(1)}
+        made: S = knots.of(knots.between(times, self.__dict__["times"], table))
+        return made
 
     @property
     def duration(self) -> float:
@@ -84,6 +90,7 @@ class Samples(Sampled[JointMotion]):
             if getattr(self, name).shape != (k, n):
                 rule = f"must have shape ({k}, {n}), a row for each of the times; got {getattr(self, name).shape}"
                 self.refuse(name, rule, ShapeError)
+        self.__dict__["_knots"] = JointMotion.of({name: getattr(self, name) for name in "qva"})
 
     @classmethod
     def from_csv(cls, path: str | os.PathLike[str]) -> Samples:
@@ -100,9 +107,6 @@ class Samples(Sampled[JointMotion]):
         letters = dict.fromkeys(word[0] for word in header[1:])
         parts = {letter: table[:, 1 + k * n : 1 + (k + 1) * n] for k, letter in enumerate(letters)}
         return cls(times=table[:, 0], **parts)
-
-    def rows(self, times: Float64Array) -> JointMotion:
-        return JointMotion.of(JointMotion.between(times, self.times, {"q": self.q, "v": self.v, "a": self.a}))
 
 
 def _rates(times: Float64Array, values: Float64Array) -> Float64Array:
@@ -233,11 +237,6 @@ class Chunk(Sampled[Sample]):
             rule = f"must have one sample for each time; got {len(self.samples)} for {len(self.times)} times"
             self.refuse("targets", rule, ShapeError)
         self.__dict__["_knots"] = stacked(self.samples)
-
-    def rows(self, times: Float64Array) -> Sample:
-        kind, knots = type(self.samples[0]), self.__dict__["_knots"]
-        table = {name: getattr(knots, name) for name in kind.fields(1)}
-        return kind.of(kind.between(times, self.times, table))
 
 
 def chunk(times: ArrayLike, targets: Sequence[Sample] | Sequence[Pose] | ArrayLike) -> Chunk:

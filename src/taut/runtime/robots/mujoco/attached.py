@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from taut.arm.description import Arm
+from taut.base.checks import instance_of
 from taut.base.errors import MatchError, UsageError, unknown_name
 from taut.base.types import Float64Array
 from taut.maths import dynamics as dyn
@@ -105,8 +106,7 @@ def attached(model: mujoco.MjModel, data: mujoco.MjData, arm: Arm, prefix: str) 
         ("arm", arm, Arm),
         ("prefix", prefix, str),
     ):
-        if not isinstance(value, kind):
-            raise UsageError(f"attach takes {name}, of type {kind.__name__}; got {type(value).__name__}", name=name)
+        instance_of(name, value, kind, f"of type {kind.__name__}")
     if data.signature != model.signature or data.qpos.size != model.nq:
         raise MatchError("data must be made from this very model: mujoco.MjData(model); it is another's", name="data")
     joints = [_joint(model, arm, i, prefix) for i in range(arm.n)]
