@@ -37,9 +37,9 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> Any:
         metrics = json.loads((folder / f"{name}.json").read_text())
         joint = load_scenario(name).outputs.joint
         by_law = {
-            (case, law): m for case, laws in metrics.items() if "setpoint" not in laws for law, m in laws.items()
+            (case, law): m for case, laws in metrics.items() if "duration" not in laws for law, m in laws.items()
         }
-        by_law |= {(law,): m for law, m in metrics.items() if "setpoint" in m}
+        by_law |= {(law,): m for law, m in metrics.items() if "duration" in m}
         return {key: {name: m[name]["joints"][joint] for name in TITLES.values()} for key, m in by_law.items()}
 
     return run
