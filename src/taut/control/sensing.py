@@ -342,6 +342,7 @@ class Wrist(Declared):
 
 
 Filter: TypeAlias = LowPass | Notch | Difference | Kalman
+"""Filter of one measurement u: `start(u)` is its memory as if u had always been constant, `filtered` its output."""
 Velocity: TypeAlias = Literal["measured", "difference"] | LowPass | Difference | Kalman
 WORDS: Final = ("measured", "difference")
 SOURCES: Final = (LowPass, Difference, Kalman)
@@ -403,17 +404,17 @@ class Sensing(Declared):
 
     @property
     def tells(self) -> tuple[str, ...]:
-        """What it gives beside measurements: 1.0 in a tick in which a sensor is at the end of its range."""
+        """Outputs beside the measurements: 1.0 in a tick in which a sensor is at the end of its range."""
         return (SATURATED,) if self.wrist is not None and self.wrist.range is not None else ()
 
     @property
     def alters(self) -> frozenset[str]:
-        """Measurements that the law sees otherwise than they are measured."""
+        """Measurements that are changed before the law sees them."""
         return frozenset(name for *_, name in self._filters()) | ({"F_ext"} if self.wrist is not None else set())
 
     @property
     def summary(self) -> str:
-        """What it does, in one line."""
+        """Filters in use, in one line."""
         parts = [f"{name} by {type(part).__name__}" for _, part, _, name in self._filters()]
         return ", ".join([*parts, *(["F_ext by Wrist"] if self.wrist is not None else [])])
 
