@@ -147,8 +147,8 @@ class NormalEstimate(Wrapper):
                   n_hat rotates by less than 2 rate tan(most) a second, and not at all while the tool rests or is free
 
     What is estimated is a rotation of the whole constraint about where the tool touches: rows of a face turn with it,
-    and a curved surface keeps its stated curvature. Where the true surface has another curvature the tilt changes
-    along the path, at a rate w_n, and the estimate lags by w_n / rate.
+    and a curved surface keeps its stated curvature. Where a curved surface is displaced from the stated one the tilt
+    changes along the path, at a rate w_n, and the estimate lags by w_n / rate.
 
     Frames:
         World axes. Of the motion of a surface the part along n_0 is taken into account; a surface that moves in its
