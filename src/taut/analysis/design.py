@@ -1,4 +1,4 @@
-"""taut.design: from a specification to the gains of a law, what of it the sampled loop has, and its limits."""
+"""taut.design: gains of a law from a specification, figures achieved by the sampled loop, and its limits."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ MAX_DESIGN_SUBSTEPS: Final = 50
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Design(Result):
-    """A law with its gains, what was asked for and what the sampled loop has, and the limits of the loop.
+    """A law with its gains, specified and achieved figures of the sampled loop, and its limits.
 
     Args:
         law: The law with its gains.
-        specification: What was asked for.
-        requirements: A row for each number that was asked for, in each direction.
+        specification: The specified numbers.
+        requirements: A row for each specified number, in each direction.
         limits: Of the loop.
         arm: Name of the arm.
         rate: [Hz].
@@ -80,11 +80,11 @@ class Design(Result):
 
     @property
     def met(self) -> bool:
-        """Whether the loop is stable and has all that was asked for."""
+        """Whether the loop is stable and meets the specification."""
         return self.stable and all(each.met for each in self.requirements)
 
     def got(self, name: str) -> Float64Array:
-        """What the loop has of a number that was asked for, in each direction."""
+        """Achieved values of a specified number, in each direction."""
         return np.array([each.got for each in self.requirements if each.name == name])
 
     def limit(self, name: str) -> Limit:
@@ -177,7 +177,7 @@ def design(
     sensing: Sensing | None = None,
     plant: RigidPlant | None = None,
 ) -> Design:
-    """Gains of a law by pole placement in the error dynamics that it states, and what the sampled loop then has.
+    """Gains of a law by pole placement in the error dynamics that it states, and the figures that they achieve.
 
     Law:          K = omega_n inertia omega_n, or the stiffness as it is asked for; D = 2 zeta (inertia K)^(1/2): the
                   same damping ratio in every mode; ki = integral kd kp / M
