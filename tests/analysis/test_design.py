@@ -439,7 +439,7 @@ def test_poses_that_cannot_be_are_refused_by_name() -> None:
     with pytest.raises(taut.errors.RangeError, match=r"'planar3' is singular") as singular:
         taut.design(laws.Impedance, taut.load_arm("planar3"), at=[0.3, 0.0, 0.0], zeta=1.0, K=(100.0, 1.0))
     assert singular.value.name == "at"
-    with pytest.raises(taut.errors.UsageError, match="design takes an Arm"):
+    with pytest.raises(taut.errors.UsageError, match="arm must be an Arm"):
         taut.design(laws.PID, "panda", zeta=1.0, omega_n=5.0)  # type: ignore[arg-type]
 
 

@@ -9,7 +9,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from taut.base.checks import finite_array, finite_scalar, one_of, read_only
+from taut.base.checks import finite_array, finite_scalar, instance_of, one_of, read_only
 from taut.base.errors import RangeError, ShapeError, UsageError, count_of, unknown_name
 from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
@@ -289,10 +289,7 @@ def natural_constraints(
         Section 10.4.1 natural and artificial constraints. Mason (1981), IEEE Transactions on Systems, Man, and
         Cybernetics 11 (6).
     """
-    if not isinstance(constraint, Constraint):  # callers without a type checker
-        raise UsageError(
-            f"natural_constraints takes a taut.Constraint; got {type(constraint).__name__}", name="constraint"
-        )
+    instance_of("constraint", constraint, Constraint, "a taut.Constraint")
     one_of("mode", mode, MODES)
     if mode != "slide" and not any(constraint.one_sided):
         raise UsageError(

@@ -1,4 +1,4 @@
-"""taut.design: from a specification to the gains of a law, what of it the sampled loop has, and its limits."""
+"""taut.design: gains of a law from a specification, figures achieved by the sampled loop, and its limits."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from taut.analysis.design_achieved import Achieved, Limit, Requirement, Steps, c
 from taut.analysis.design_specification import Specification, place_poles, square
 from taut.arm.description import Arm
 from taut.arm.parts import require_radians
-from taut.base.checks import finite_array, rate_in_hertz
+from taut.base.checks import finite_array, instance_of, rate_in_hertz
 from taut.base.declarations import REQUIRED
 from taut.base.errors import RangeError, TautError, UsageError
 from taut.base.plot_style import INK, SMALL, WIDTH, colour, prepared
@@ -45,12 +45,12 @@ MAX_DESIGN_SUBSTEPS: Final = 50
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Design(Result):
-    """A law with its gains, what was asked for and what the sampled loop has, and the limits of the loop.
+    """A law with its gains, specified and achieved figures of the sampled loop, and its limits.
 
     Args:
         law: The law with its gains.
-        specification: What was asked for.
-        requirements: A row for each number that was asked for, in each direction.
+        specification: The specified numbers.
+        requirements: A row for each specified number, in each direction.
         limits: Of the loop.
         arm: Name of the arm.
         rate: [Hz].
@@ -80,11 +80,11 @@ class Design(Result):
 
     @property
     def met(self) -> bool:
-        """Whether the loop is stable and has all that was asked for."""
+        """Whether the loop is stable and meets the specification."""
         return self.stable and all(each.met for each in self.requirements)
 
     def got(self, name: str) -> Float64Array:
-        """What the loop has of a number that was asked for, in each direction."""
+        """Achieved values of a specified number, in each direction."""
         return np.array([each.got for each in self.requirements if each.name == name])
 
     def limit(self, name: str) -> Limit:
@@ -177,7 +177,7 @@ def design(
     sensing: Sensing | None = None,
     plant: RigidPlant | None = None,
 ) -> Design:
-    """Gains of a law by pole placement in the error dynamics that it states, and what the sampled loop then has.
+    """Gains of a law by pole placement in the error dynamics that it states, and the figures that they achieve.
 
     Law:          K = omega_n inertia omega_n, or the stiffness as it is asked for; D = 2 zeta (inertia K)^(1/2): the
                   same damping ratio in every mode; ki = integral kd kp / M
@@ -227,8 +227,7 @@ def design(
         zeta=zeta, overshoot=overshoot, omega_n=omega_n, settling=settling, K=K, contact=contact, force=force,
         integral=integral,
     )  # fmt: skip
-    if plant is not None and not isinstance(plant, RigidPlant):  # callers without a type checker
-        raise UsageError(f"plant must be a taut.RigidPlant; got {type(plant).__name__}", name="plant")
+    instance_of("plant", plant, RigidPlant | None, "a taut.RigidPlant")
     q, rate = pose_of(arm, at), rate_in_hertz(rate)
     given = law if isinstance(law, Law) else with_any_gains(law)
     stated = closed_loop_of(given, snapshot(arm, q))
@@ -279,8 +278,7 @@ def with_any_gains(law: type[Law]) -> Law:
 
 def pose_of(arm: Arm, at: ArrayLike | None) -> Float64Array:
     """(n,) the pose to design for [rad | m]; home if left out."""
-    if not isinstance(arm, Arm):  # callers without a type checker
-        raise UsageError(f"design takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
+    instance_of("arm", arm, Arm, "an Arm from taut.load_arm")
     q = arm.home if at is None else finite_array("at", at, shape=(arm.n,), joints=arm.joint_names, unit="rad | m")
     require_radians("at", q, arm)
     outside = np.flatnonzero((q < arm.lower) | (q > arm.upper))

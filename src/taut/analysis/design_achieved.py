@@ -1,4 +1,4 @@
-"""What the sampled loop of a law has at a pose: the figures that were asked for in each direction, and its limits."""
+"""Achieved figures of the sampled loop of a law at a pose, in each direction, and its limits."""
 
 from __future__ import annotations
 

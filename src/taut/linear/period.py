@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taut.arm.description import CommandKind
+from taut.base.checks import instance_of
 from taut.base.errors import RangeError, UsageError
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
@@ -213,10 +214,7 @@ _MAPS: Final[WeakKeyDictionary[Loop, LoopMap]] = WeakKeyDictionary()
 
 def loop_map(loop: Loop) -> LoopMap:
     """The map of a loop, compiled once however often it is asked for."""
-    if not isinstance(loop, Loop):  # callers without a type checker
-        raise UsageError(
-            f"a taut.Loop(ctrl, plant, ref, duration=...) is needed; got {type(loop).__name__}", name="loop"
-        )
+    instance_of("loop", loop, Loop, "a taut.Loop(ctrl, plant, ref, duration=...)")
     if loop not in _MAPS:
         _MAPS[loop] = LoopMap(loop)
     return _MAPS[loop]

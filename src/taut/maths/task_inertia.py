@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.base.errors import UsageError
+from taut.base.checks import instance_of
 from taut.base.types import ArrayLike, Float64Array, Matrix, Vector
 from taut.maths.snapshot import snapshot
 from taut.trace import math as tm
@@ -118,8 +118,7 @@ def rotor_share(arm: Arm, q: ArrayLike | None = None) -> Float64Array:
     References:
         Chapter, section 10.2.1.5 the effect of gearing; 10.2.2.1 on decentralised control.
     """
-    if not isinstance(arm, Arm):  # callers without a type checker
-        raise UsageError(f"rotor_share takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
+    instance_of("arm", arm, Arm, "an Arm from taut.load_arm")
     M = snapshot(arm, arm.home if q is None else q).M
     share: Float64Array = arm.rotor_inertia / np.diag(M)
     return share

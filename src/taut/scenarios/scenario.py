@@ -176,7 +176,6 @@ class Scenario:
     """An experiment: laws for one arm, against one plant, along one reference."""
 
     name: str
-    source: str  # what messages call it
     title: str
     laws: Mapping[str, Law | Task]
     experiment: Experiment
@@ -247,7 +246,7 @@ def load_scenario(
 
     def read_one(table: Table) -> Scenario:
         laws, experiment = read_experiment(table, own_laws, text)
-        return Scenario(**common, source=table.where, laws=laws, experiment=experiment, cases={})
+        return Scenario(**common, laws=laws, experiment=experiment, cases={})
 
     spread, whole = read_spread(root), read_one(root)
     cases = {case: read_one(table) for case, table in _cases_of(root).items()}
