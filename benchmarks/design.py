@@ -1,4 +1,4 @@
-"""Draw docs/images/design_impedance.png and tune_panda.png, and print the tables of docs/design.md.
+"""Draw docs/images/design_impedance.png, and print the tables of docs/design.md.
 
 Run it in this folder: `python design.py [FOLDER]`.
 """
@@ -52,7 +52,6 @@ def main(folder: Path) -> None:
         seeds=(0, 1, 2),
     )
     print(tuned)
-    tuned.plot().savefig(folder / "tune_panda.png", dpi=150)
 
 
 if __name__ == "__main__":

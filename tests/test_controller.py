@@ -445,7 +445,7 @@ COMPILES: list[tuple[str, Callable[[], Any], type[TautError], str]] = [
     ("no law", lambda: taut.compile(None, ARM), UsageError,  # type: ignore[arg-type]
      "compile takes a law such as taut.laws.PID(kp=...), with its gains; got None"),
     ("a name", lambda: taut.compile(L.PID(kp=1.0), "panda"), UsageError,  # type: ignore[arg-type]
-     "compile takes an Arm from taut.load_arm; got str"),
+     "arm must be an Arm from taut.load_arm; got str"),
     ("rate 0", lambda: taut.compile(L.PID(kp=1.0), ARM, rate=0), RangeError, "rate must be > 0 [Hz]; got 0.0"),
     ("rate -1", lambda: taut.compile(L.PID(kp=1.0), ARM, rate=-1), RangeError, "rate must be > 0 [Hz]; got -1.0"),
     ("rate NaN", lambda: taut.compile(L.PID(kp=1.0), ARM, rate=math.nan), RangeError, "rate must be finite [Hz]; got nan"),

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from taut.codegen.inverse_kinematics import inverse_kinematics as inverse_kinematics
     from taut.codegen.kernel import native as native
     from taut.codegen.program import to_casadi as to_casadi
+    from taut.control.combine import SideBySide as SideBySide
     from taut.control.command import Position as Position
     from taut.control.command import Terms as Terms
     from taut.control.command import Torque as Torque
@@ -48,7 +49,6 @@ if TYPE_CHECKING:
     from taut.control.laws.via_joint_space import via_joint_space as via_joint_space
     from taut.control.limits import Limits as Limits
     from taut.control.sensing import Sensing as Sensing
-    from taut.control.side_by_side import SideBySide as SideBySide
     from taut.control.tasks.phase import Phase as Phase
     from taut.control.trajectories.compound import together as together
     from taut.control.trajectories.force_reference import TaskForce as TaskForce

@@ -5,6 +5,7 @@ from taut.base.front_door import lazy_names
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from taut.control.closed_loop import ClosedLoop as ClosedLoop
+    from taut.control.combine import SideBySide as SideBySide
     from taut.control.combine import Sum as Sum
     from taut.control.combine import Wrapper as Wrapper
     from taut.control.gains import Integral as Integral
@@ -35,6 +36,5 @@ if TYPE_CHECKING:
     from taut.control.laws.wrappers import EnergyTank as EnergyTank
     from taut.control.laws.wrappers import LossOfContact as LossOfContact
     from taut.control.laws.wrappers import NormalEstimate as NormalEstimate
-    from taut.control.side_by_side import SideBySide as SideBySide
 
 __getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

@@ -81,7 +81,7 @@ def test_wrong_models_are_the_arms_of_the_stated_seeds(table: taut.analysis.Comp
     numbers = table.entries["exact"].numbers
     assert numbers["model_median"]["rad"] == sorted(errors)[1]
     assert numbers["model_worst"]["rad"] == max(errors)
-    assert "WrongModel(mass=0.3, payload=1.0, trials=3.0, seed=7.0)" in str(table)
+    assert "WrongModel(mass=0.3, payload=1.0, trials=3, seed=7)" in str(table)
 
 
 def test_noise_of_positions_makes_the_chatter_that_white_noise_makes() -> None:
@@ -107,9 +107,9 @@ def test_noise_that_the_plant_has_is_compared_with_none() -> None:
     sensors = taut.sensors.Sensors(position=taut.sensors.Encoder(noise=1e-4, resolution=1e-5))
     plant = taut.RigidPlant(arm, sensors=sensors)
     loop = taut.Loop(ctrl, plant, taut.JointMotion(q=[0.0]), duration=0.5)
-    told = taut.compare({"PD": taut.laws.PID(kp=2.0, kd=0.5)}, loop, model=None, seed=3)
+    told = taut.compare({"PD": taut.laws.PID(kp=2.0, kd=0.5)}, loop, model=None)
     runs = [
-        taut.run(ctrl, p, loop.ref, duration=0.5, seed=3)
+        taut.run(ctrl, p, loop.ref, duration=0.5)
         for p in (
             plant,
             taut.RigidPlant(arm, sensors=taut.sensors.Sensors(position=taut.sensors.Encoder(resolution=1e-5))),
@@ -125,13 +125,6 @@ def test_changed_parameters_of_a_loop_hold_for_every_law(planar: taut.Loop) -> N
     loop.parameters["plant.payload.mass"] = 2.0
     told = taut.compare({"same": planar.side.law}, loop, noise=False, model=None)
     assert np.array_equal(told.runs["same"].q, taut.run(loop).q)
-    set_here = taut.compare(
-        {"same": planar.side.law}, planar, noise=False, model=None, parameters={"plant.payload.mass": 2.0}
-    )
-    assert not np.array_equal(
-        set_here.runs["same"].q,
-        taut.compare({"same": planar.side.law}, planar, noise=False, model=None).runs["same"].q,
-    )
 
 
 def test_every_run_starts_where_it_is_told_to(planar: taut.Loop) -> None:
@@ -155,16 +148,6 @@ def test_a_law_that_fails_has_no_figures_and_comes_last(planar: taut.Loop) -> No
 def without_limits(loop: taut.Loop) -> taut.Loop:
     """The same without limits, which would save a wild law."""
     return taut.Loop(taut.compile(loop.side.law, loop.side.arm), loop.plant, loop.ref, duration=0.3)
-
-
-def test_a_law_of_the_tool_may_have_its_own_reference(planar: taut.Loop) -> None:
-    arm = planar.side.arm
-    goal = taut.TaskMotion(pose=taut.snapshot(arm, [0.3, 0.5]).T())
-    laws = {"joints": "PID(kp=200, kd=20)", "tool": "ViaJointSpace(inner=PID(kp=200, kd=20), directions='position')"}
-    told = taut.compare(laws, without_limits(planar), references={"tool": goal}, noise=False, model=None)
-    assert set(told.entries["joints"].numbers) - set(told.entries["tool"].numbers) == {"rms_error", "peak_error"}
-    assert "task_rms" in told.entries["tool"].numbers
-    assert told.plot().axes
 
 
 def test_the_picture_has_errors_left_and_torques_right(table: taut.analysis.Comparison) -> None:
@@ -342,8 +325,6 @@ def test_what_cannot_be_compared_is_one_sentence(table: taut.analysis.Comparison
         (law, {}, UsageError, "laws are given in a list or by name"),
         ([law], {"by": "rms"}, UnknownNameError, "a comparison has no figure 'rms'"),
         ([law], {"case": "x"}, UsageError, "case is for a scenario that has cases"),
-        ([law], {"references": {"P": 1}}, UnknownNameError, "the comparison has no law 'P'"),
-        ([law], {"parameters": {"plant.mass": 1}}, UsageError, "law 'PID': .* has no parameter 'plant.mass'"),
         (["TaskComputedTorque(kp=1, kd=1)"], {}, UsageError, "the law follows TaskMotion"),
         (["PID(kp=[1, 2, 3])"], {}, UsageError, r"law 'PID\(kp=\[1, 2, 3\]\)': kp must be"),
     ):

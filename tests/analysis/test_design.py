@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -441,7 +439,7 @@ def test_poses_that_cannot_be_are_refused_by_name() -> None:
     with pytest.raises(taut.errors.RangeError, match=r"'planar3' is singular") as singular:
         taut.design(laws.Impedance, taut.load_arm("planar3"), at=[0.3, 0.0, 0.0], zeta=1.0, K=(100.0, 1.0))
     assert singular.value.name == "at"
-    with pytest.raises(taut.errors.UsageError, match="design takes an Arm"):
+    with pytest.raises(taut.errors.UsageError, match="arm must be an Arm"):
         taut.design(laws.PID, "panda", zeta=1.0, omega_n=5.0)  # type: ignore[arg-type]
 
 
@@ -458,14 +456,3 @@ def test_a_design_describes_itself(tmp_path: Path) -> None:
     page = taut.report(d, tmp_path / "d.html").read_text(encoding="utf-8")
     assert "asked and got" in page
     assert "<img" in page
-
-
-def test_a_design_passes_few_modules_of_analysis() -> None:
-    code = (
-        "import sys, taut; d = taut.design(taut.laws.PID, taut.load_arm('one_joint'), zeta=1, omega_n=10); "
-        "print(d.met, sum(m.startswith('taut.analysis.') for m in sys.modules))"
-    )
-    out = subprocess.run([sys.executable, "-W", "ignore", "-c", code], capture_output=True, text=True, check=True)
-    met, count = out.stdout.split()
-    assert met == "True"
-    assert int(count) <= 12

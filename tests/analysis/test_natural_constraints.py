@@ -191,12 +191,6 @@ class TestArms:
         table = taut.analysis.natural_constraints(BOARD + BOARD, at=Pose())
         assert (table.motions, table.forces) == (5, 1)
 
-    def test_a_pose_off_the_constraint_is_reported(self) -> None:
-        assert (
-            taut.analysis.natural_constraints(BOARD, at=Pose([0, 0, 0.01])).notes[-1]
-            == "the pose is off the constraint: phi[0] = 0.01"
-        )
-
     def test_apart_nothing_of_the_eraser_is_left_but_other_constraints_are(self) -> None:
         assert taut.analysis.natural_constraints(ERASER, at=Pose([0, 0, 0.02]), mode="apart").motions == 6
         both = taut.analysis.natural_constraints(ERASER + WHEEL, at=Pose([0, 0, 0.02]), mode="apart")

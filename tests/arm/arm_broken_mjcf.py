@@ -330,7 +330,7 @@ CASES: list[Case] = [
         old='joint name="elbow"',
         new='joint name="shoulder"',
         problems=[
-            ("shoulder", "name", 10, "joint 'shoulder': this name is there twice (first in line 6); rename one"),
+            ("shoulder", "name", 10, "joint 'shoulder': MuJoCo refuses it: repeated name 'shoulder' in joint"),
         ],
     ),
     Case(
@@ -338,7 +338,7 @@ CASES: list[Case] = [
         old='body name="fore"',
         new='body name="upper"',
         problems=[
-            ("upper", "name", 8, "body 'upper': this name is there twice (first in line 4); rename one"),
+            ("upper", "name", 8, "body 'upper': MuJoCo refuses it: repeated name 'upper' in body"),
         ],
     ),
     Case(
@@ -468,17 +468,11 @@ CASES: list[Case] = [
         ],
     ),
     Case(
-        title="a total mass that needs a mesh",
-        text=PAIR.replace('angle="radian"', 'angle="radian" settotalmass="4"').replace(
-            "  <worldbody>", SHELL_ASSET + '\n    <geom type="mesh" mesh="shell"/>'
-        ),
+        title="a total mass",
+        old='angle="radian"',
+        new='angle="radian" settotalmass="4"',
         problems=[
-            (
-                "compiler",
-                "settotalmass",
-                2,
-                "settotalmass of <compiler> needs the masses of mesh files, which are never opened; take it out",
-            ),
+            ("model", "settotalmass", 2, "model: settotalmass is not read; scale the masses themselves"),
         ],
     ),
     Case(

@@ -44,7 +44,7 @@ def test_the_share_of_the_rotors_is_that_of_the_mass_matrix() -> None:
 
 
 def test_only_an_arm_has_rotors() -> None:
-    with pytest.raises(taut.errors.UsageError, match=r"^rotor_share takes an Arm from taut\.load_arm; got str$"):
+    with pytest.raises(taut.errors.UsageError, match=r"^arm must be an Arm from taut\.load_arm; got str$"):
         taut.drives.rotor_share("panda")  # type: ignore[arg-type]
 
 

@@ -81,7 +81,7 @@ def test_a_continuous_joint_about_a_slanted_axis_is_read() -> None:
     np.testing.assert_allclose(arm.joints[1].axis, (0.6, 0, -0.8), atol=1e-15)
 
 
-HOLD = "or hold it still: pinocchio.buildReducedModel"
+HOLD = "or hold it still: load_arm(..., locked={'j': 0.0})"
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,7 @@ HOLD = "or hold it still: pinocchio.buildReducedModel"
         *(
             (
                 joint,
-                f"{name} is not one of an arm's joints (hinges and slides); build the model without it, {HOLD}",
+                f"{name} is not one of an arm's joints (hinges and slides); build the model without it: pinocchio.buildReducedModel",
             )
             for joint, name in (
                 (pin.JointModelComposite(pin.JointModelRX()), "JointModelComposite"),
@@ -153,7 +153,7 @@ def test_a_model_without_mass_is_refused() -> None:
     with pytest.raises(ModelError) as caught:
         load_arm(model)
     assert str(caught.value) == (
-        "a Pinocchio model: link 'j': mass must be > 0 [kg]; got 0; fix its entry of model.inertias"
+        "a Pinocchio model: link 'j': mass must be > 0 [kg]; got 0; fix its mass and inertia"
     )
 
 

@@ -182,14 +182,14 @@ def swapped_blocks(G_i: np.ndarray) -> np.ndarray:
         (
             {"Glist": -GLIST},
             ModelError,
-            "screw axes: link 'link1': mass must be finite and >= 0 [kg]; got -3.7; fix its entry of Glist "
+            "screw axes: link 'link1': mass must be finite and >= 0 [kg]; got -3.7; fix its mass and inertia "
             "(and 2 more: in the error's attribute problems)",
         ),
         (
             {"Glist": GLIST * np.diag([9.0, 1, 1, 1, 1, 1])},
             ModelError,
             "screw axes: link 'link1': inertia violates the triangle inequality (Ixx 0.0924 > Iyy + Izz 0.01693); "
-            "fix its entry of Glist (and 2 more: in the error's attribute problems)",
+            "fix its mass and inertia (and 2 more: in the error's attribute problems)",
         ),
         ({"gravity": [0, 0]}, ShapeError, "gravity must have shape (3,) [m/s^2]; got shape (2,)"),
     ],

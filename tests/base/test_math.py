@@ -203,8 +203,7 @@ def test_the_two_halves_of_a_solution_are_the_solution() -> None:
     def halves(M: Any, B: Any, c: Any) -> Any:
         factors = tm.factor_spd(M)
         half, y = factors.half(B), factors.half(c)
-        square = factors.gram(half)
-        return tm.array([*(factors.weighed(half).T @ y), *square.ravel(), *factors.other_half(half @ c[:3])])
+        return tm.array([*(half.T @ y), *(half.T @ half).ravel(), *factors.other_half(half @ c[:3])])
 
     W = np.linalg.solve(M, B)
     for result in both(halves, M, B, c):

@@ -46,7 +46,7 @@ def test_names_of_the_casadi_function() -> None:
 
 
 def test_no_program_and_no_casadi_get_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(UsageError, match="takes a traced program"):
+    with pytest.raises(UsageError, match="must be a traced program"):
         taut.to_casadi(taut.laws.PID(kp=1.0))
     monkeypatch.setitem(sys.modules, "casadi", None)
     with pytest.raises(MissingExtraError, match="oracles"):

@@ -212,9 +212,9 @@ SLIPS: dict[str, tuple[Any, str]] = {
         own(w=[1.0, 2.0], __annotations__={"w": "list"}),
         r"^L: the default of 'w' is a list, which could be changed; write a tuple$",
     ),
-    "a term of None": (returns(lambda x: Torque(P=None)), r"^term 'P' must be numbers at \S+:\d+; got None$"),
-    "a term of None among others": (returns(lambda x: Torque(P=x.q, D=None)), r"^term 'D' must be numbers at"),
-    "a text": (returns(lambda x: Torque(P="abc")), r"^term 'P' must be numbers at \S+:\d+; got 'abc'$"),
+    "a term of None": (returns(lambda x: Torque(P=None)), r"^term 'P' must be numbers .*; got None$"),
+    "a term of None among others": (returns(lambda x: Torque(P=x.q, D=None)), r"^term 'D' must be numbers"),
+    "a text": (returns(lambda x: Torque(P="abc")), r"^term 'P' must be numbers .*; got 'abc'$"),
     "a scalar term": (
         returns(lambda x: Torque(P=x.q, bias=1.0)),
         r"^L\.command must give one entry per joint, shape \(3,\); its term 'bias' has shape \(\)$",

@@ -154,5 +154,5 @@ def test_clamping_holds_the_integral_while_limits_cut_and_the_error_pushes_on() 
 
 
 def test_the_limits_of_something_else_are_refused() -> None:
-    with pytest.raises(taut.errors.UsageError, match=r"^Limits\.of takes an Arm from taut\.load_arm; got str$"):
+    with pytest.raises(taut.errors.UsageError, match=r"^arm must be an Arm from taut\.load_arm; got str$"):
         taut.Limits.of("panda")  # type: ignore[arg-type]

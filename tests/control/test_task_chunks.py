@@ -11,7 +11,7 @@ from task_motion_tools import POSES, START, assert_exact_rates
 
 import taut
 from taut.base.types import Float64Array
-from taut.control.trajectories.feed import Fade, can_fade
+from taut.control.tasks.feed import Fade
 from taut.control.trajectories.reference import Sample, sample_rows
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.spatial import exp_rows, from_body_rates, log_rows, to_body_rates
@@ -177,11 +177,6 @@ class TestFades:
         np.testing.assert_allclose(now["v"], (far["q"] - near["q"]) / (2 * h), atol=1e-6)
         np.testing.assert_allclose(now["a"], (far["v"] - near["v"]) / (2 * h), atol=1e-4)
         np.testing.assert_allclose(fade.applied(new, np.array([0.2]))["q"], 0.1)
-
-    def test_only_motions_fade(self) -> None:
-        assert can_fade(taut.JointMotion)
-        assert can_fade(TaskMotion)
-        assert not can_fade(Sample)
 
 
 def test_a_reference_of_ones_own_that_gives_no_rotation_is_refused() -> None:

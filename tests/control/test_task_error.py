@@ -39,7 +39,6 @@ def spherical(T: taut.Pose) -> Any:
 COORDINATES = {
     "position": Coordinates.position(),
     "position and rpy": Coordinates.position_and_rpy(),
-    "cylindrical": Coordinates.cylindrical(),
     "spherical": Coordinates(function=spherical, angles=(2,)),
 }
 KINDS: dict[str, tuple[Any, Coordinates | None]] = {

@@ -238,7 +238,7 @@ CASES: list[tuple[Callable[[], Any], type[Exception], str]] = [
     (
         lambda: taut.TaskMotion(pose=np.eye(4)),  # type: ignore[arg-type]
         taut.errors.UsageError,
-        "ref.pose must be a taut.Pose(p=..., rpy=...); got ndarray",
+        "ref.pose must be a taut.Pose; got ndarray",
     ),
     (
         lambda: taut.TaskMotion(pose=taut.Pose([0.0, np.nan, 0.0])),
@@ -276,19 +276,9 @@ def test_is_said_in_one_sentence(act: Callable[[], Any], kind: type[Exception], 
     assert isinstance(caught.value, taut.TautError)
 
 
-@pytest.mark.parametrize(
-    ("coordinates", "pose"),
-    [
-        (Coordinates.cylindrical(), taut.Pose([0.0, 0.0, 0.5])),
-        (
-            Coordinates.position_and_rpy(),
-            taut.Pose(T.p, R=np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])),
-        ),
-    ],
-)
-def test_a_goal_where_coordinates_are_singular_is_refused_and_costs_nothing(
-    coordinates: taut.Coordinates, pose: taut.Pose
-) -> None:
+def test_a_goal_where_coordinates_are_singular_is_refused_and_costs_nothing() -> None:
+    coordinates = Coordinates.position_and_rpy()
+    pose = taut.Pose(T.p, R=np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]))
     ctrl = taut.compile(L.TaskComputedTorque(kp=100.0, kd=20.0, error="coordinates", coordinates=coordinates), PANDA)
     with pytest.raises(taut.errors.NumericalError, match="gives numbers that are not finite in tick 0"):
         ctrl.step(PANDA.home, np.zeros(7), taut.TaskMotion(pose=pose))

@@ -269,5 +269,5 @@ def test_a_time_that_is_none_is_refused(t: Any) -> None:
 
 
 def test_limits_that_ruckig_cannot_work_with_are_told() -> None:
-    with pytest.raises(taut.errors.NumericalError, match=r"^Ruckig cannot work with numbers as large or small as"):
+    with pytest.raises(taut.errors.NumericalError, match=r"^Ruckig found no jerk-limited trajectory"):
         taut.trajectories.JerkLimited(q0=[0.0], q1=[1e300], velocity=1e-300, acceleration=1e-300, jerk=1e-300)

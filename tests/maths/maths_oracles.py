@@ -127,10 +127,6 @@ def catalogue_oracle(name: str, arm: taut.Arm) -> Oracle:
     names = list(model.names)[1:]
     assert sorted(names) == sorted(arm.joint_names)
     order = [arm.joint_names.index(joint) for joint in names]  # Pinocchio takes branches by their names
-    for frame_name, (link, T_link_frame) in CATALOGUE[name].frames.items():
-        parent = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
-        placement = parent.placement * se3(T_link_frame)
-        model.addFrame(pin.Frame(frame_name, parent.parentJoint, 0, placement, pin.FrameType.BODY))
     model.armature = np.zeros(model.nv)
     return Oracle(model, model.getFrameId(arm.tool, pin.FrameType.BODY), order)
 

@@ -360,9 +360,9 @@ def test_onto_finds_the_nearest_state_and_says_when_there_is_none() -> None:
     assert np.abs(near - arm.home).max() < 1e-12
     with pytest.raises(taut.errors.RangeError, match="no state of 'panda' near q keeps to the constraint"):
         taut.dynamics.onto(Constraint.plane(point=[0, 0, 9.0], normal=[0, 0, 1]), arm, arm.home)
-    with pytest.raises(taut.errors.UsageError, match=r"onto takes a taut\.Constraint; got function"):
+    with pytest.raises(taut.errors.UsageError, match=r"constraint must be a taut\.Constraint; got function"):
         taut.dynamics.onto(lambda T: T.p[2], arm, arm.home)  # type: ignore[arg-type]
-    with pytest.raises(taut.errors.UsageError, match=r"onto takes an arm from taut\.load_arm; got str"):
+    with pytest.raises(taut.errors.UsageError, match=r"arm must be an Arm from taut\.load_arm; got str"):
         taut.dynamics.onto(CONSTRAINTS["plane"], "panda", arm.home)  # type: ignore[arg-type]
 
 

@@ -233,7 +233,7 @@ class TestMessages:
             (lambda: taut.snapshot(ARM, [0.0]), "q must have shape (7,) (7 joints); got shape (1,)"),
             (lambda: taut.snapshot(ARM, Q, V[:3]), "v must have shape (7,) (7 joints); got shape (3,)"),
             (lambda: taut.snapshot(ARM, [*Q[:6], np.nan]), "q[6] (joint 'panda_joint7') must be finite; got nan"),
-            (lambda: taut.snapshot("panda", Q), "a snapshot is of an Arm from taut.load_arm; got str"),
+            (lambda: taut.snapshot("panda", Q), "arm must be an Arm from taut.load_arm; got str"),
             (lambda: taut.snapshot(ARM, Q, payload=1.0), "payload must be taut.Payload(mass=...); got float"),
             (lambda: taut.snapshot(ARM, Q).J(axes="B"), "axes must be one of 'W', 'E'; got 'B'"),
             (lambda: taut.snapshot(ARM, Q).Jdot_v(axes="w"), "axes must be one of 'W', 'E'; got 'w'"),

@@ -9,7 +9,7 @@ import pytest
 from plant_laws import Seen, run, seen
 
 import taut
-from taut.control.trajectories.feed import ReferenceFeed
+from taut.control.tasks.feed import ReferenceFeed
 
 ARM = taut.load_arm("planar2")
 STILL = ("gravity",)  # so that the arm stays where it is, and only the sensors speak

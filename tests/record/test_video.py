@@ -94,9 +94,8 @@ def test_without_opengl_there_is_one_sentence_and_no_file(moving: Any, tmp_path:
     path = tmp_path / "run.gif"
     with pytest.raises(taut.errors.MissingExtraError) as refused:
         run.video(path, size=(200, 150))
-    assert str(refused.value) == (
-        f"video '{path}' needs OpenGL, and none works here (MUJOCO_GL is 'off'); install EGL or OSMesa"
-    )
+    assert str(refused.value).startswith(f"video '{path}' needs OpenGL, and none works here (off: ")
+    assert str(refused.value).endswith("; install EGL or OSMesa")
     assert not list(tmp_path.iterdir())
 
 
@@ -143,13 +142,10 @@ def test_a_backend_that_fails_is_named_and_the_next_is_tried(
     moving: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = moving(taut.load_arm("one_joint"), 0.1)
-    for backends, reason in (
-        (["nonsense", "off"], r"\(MUJOCO_GL is 'off'\)"),
-        (["nonsense"], "nonsense: .*invalid value for environment variable MUJOCO_GL: nonsense"),
-    ):
-        monkeypatch.setattr(render, "backends", lambda backends=backends: backends)
-        with pytest.raises(taut.errors.MissingExtraError, match=reason):
-            run.video(tmp_path / "run.gif", size=(32, 32))
+    monkeypatch.setattr(render, "backends", lambda: ["nonsense", "off"])
+    reason = r"\(nonsense: .*invalid value for environment variable MUJOCO_GL: nonsense.*; off: "
+    with pytest.raises(taut.errors.MissingExtraError, match=reason):
+        run.video(tmp_path / "run.gif", size=(32, 32))
 
 
 def test_a_users_choice_of_backend_is_the_only_one(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -177,9 +173,6 @@ def test_a_renderer_that_dies_leaves_no_half_film(
     with pytest.raises(taut.errors.FileError, match=r"video '.*run.gif' broke off: killed; try again"):
         moving(taut.load_arm("one_joint")).video(tmp_path / "run.gif", size=(32, 32))
     assert not list(tmp_path.iterdir())
-
-
-# -------------------------------------------------------------------- MP4
 
 
 # -------------------------------------------------------------------- the scene

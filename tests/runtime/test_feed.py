@@ -11,7 +11,7 @@ import pytest
 from runtime_laws import TINY, Array, AtOnly, HandPlant, Seen, Spring, TorqueOf, seen
 
 import taut
-from taut.control.trajectories.feed import ReferenceFeed
+from taut.control.tasks.feed import ReferenceFeed
 from taut.control.trajectories.reference import Sample, Stream
 from taut.runtime import ongoing
 

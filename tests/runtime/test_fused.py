@@ -12,7 +12,7 @@ from runtime_laws import Array, Pushed, Seen, Spring, TorqueOf, seen
 import taut
 from taut.codegen import loop as codegen_loop
 from taut.codegen import native
-from taut.control.trajectories.feed import ReferenceFeed
+from taut.control.tasks.feed import ReferenceFeed
 from taut.record.plain import plain
 
 # The same formulas in the same order but for the compiler's: relative to the largest number of the column.

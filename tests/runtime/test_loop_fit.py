@@ -185,7 +185,7 @@ class TestALoopTakes:
         [
             (
                 lambda: taut.Loop(PID, plant(), duration=1.0),  # type: ignore[arg-type]
-                "a Loop takes a controller from taut.compile; got PID",
+                "ctrl must be a controller from taut.compile; got PID",
             ),
             (
                 lambda: taut.Loop(compiled(), ARM, duration=1.0),  # type: ignore[arg-type]

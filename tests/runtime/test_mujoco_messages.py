@@ -38,7 +38,7 @@ def said(act: Callable[[], object], kind: type[taut.TautError]) -> str:
         (
             {"scene_at": taut.Pose.identity()},
             taut.errors.UsageError,
-            "scene_at says where the scene stands, and there is none; give scene= too",
+            "scene_at says where the scene stands, and there is none; give scene=",
         ),
         ({"tool_radius": "a"}, taut.errors.ShapeError, "tool_radius must be one number [m]; got 'a'"),
         (
@@ -249,7 +249,7 @@ def attach(text: str, arm: taut.Arm, prefix: str = "left_") -> taut.MujocoPlant:
 def test_attach_takes_a_model_its_data_and_an_arm(arm: taut.Arm) -> None:
     model, other = (mujoco.MjModel.from_xml_string(text) for text in (cell(), "<mujoco/>"))
     data, call = mujoco.MjData(model), taut.MujocoPlant.attach
-    words = "attach takes model, of type MjModel; got str"
+    words = "model must be of type MjModel; got str"
     assert said(lambda: call("m", data, arm), taut.errors.UsageError) == words
     for arguments in ((model, model, arm), (model, data, None), (model, data, arm, 1)):
         said(lambda given=arguments: call(*given), taut.errors.UsageError)

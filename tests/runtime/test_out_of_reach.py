@@ -11,7 +11,6 @@ import pytest
 import taut
 from taut.base.types import Float64Array
 from taut.control.laws.task_space import far_away
-from taut.control.trajectories.compound import together
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.model import Chain, model_of
 from taut.maths.singularity import Beyond, distance_beyond, spheres
@@ -187,19 +186,6 @@ def test_what_a_law_asks_for_decides_what_is_told() -> None:
         "whole": True,
         "point": False,
     }
-
-
-def test_of_laws_side_by_side_each_has_its_own_reach() -> None:
-    arm = taut.load_arm("planar3")
-    joints = arm.joint_names
-    T = taut.snapshot(arm, arm.home).T()
-    law = taut.SideBySide(
-        hand=(taut.laws.TaskComputedTorque(kp=10.0, kd=2.0), joints[1:]), base=(taut.laws.PID(kp=1.0), joints[:1])
-    )
-    sample = together(hand=taut.TaskMotion(pose=taut.Pose([5.0, 0.0, 0.0], R=T.R)), base=taut.JointMotion(q=[0.0]))
-    ctrl = taut.compile(law, arm, engine="float")
-    run = taut.run(ctrl, taut.RigidPlant(arm), sample, duration=0.01)
-    assert "out of the tool's reach in 11 of 11 ticks" in run.outcome.message
 
 
 def test_a_run_that_diverges_says_that_the_target_was_out_of_reach_and_what_would_do() -> None:

@@ -224,7 +224,10 @@ class TestCoordinates:
         self.check(law, arm, pose_at(arm, q1), q0, np.full(3, 0.05))
 
     def test_of_a_cylinder(self) -> None:
-        coordinates = taut.Coordinates.cylindrical()
+        def cylindrical(T: taut.Pose) -> Any:
+            return [taut.math.sqrt(T.p[0] ** 2 + T.p[1] ** 2), taut.math.atan2(T.p[1], T.p[0]), T.p[2]]
+
+        coordinates = taut.Coordinates(function=cylindrical, angles=(1,))
         law = L.TaskComputedTorque(kp=100.0, kd=20.0, error="coordinates", coordinates=coordinates)
         p = pose_at(PANDA, PANDA.home).p
         r, angle = np.hypot(p[0], p[1]) + 0.1, np.arctan2(p[1], p[0]) + 1.0

@@ -165,7 +165,7 @@ CASES: dict[str, tuple[dict[str, Any], str]] = {
     "gears without a ratio": ({"plant.gears": {"motor_inertia": 1e-4}}, "plant.gears.ratio"),
     "gears without a rotor": ({"plant.gears": {"ratio": 100}}, "plant.gears.motor_inertia"),
     "gears that are a number": ({"plant.gears": 100}, "plant.gears"),
-    "a negative ratio": ({"plant.gears": {"ratio": -1, "motor_inertia": 1e-4}}, "plant.gears.ratio"),
+    "a negative ratio": ({"plant.gears": {"ratio": -1, "motor_inertia": 1e-4}}, "plant.gears"),
     "gears of two joints": ({"arm.gears": {"ratio": {"joint1": 10}, "motor_inertia": {"joint2": 1e-4}}}, "arm.gears.motor_inertia"),
     "gears of an unknown joint": ({"plant.gears": {"ratio": {"joint9": 10}, "motor_inertia": 1e-4}}, "plant.gears.ratio"),
     "gears with a loss": ({"plant.gears": {"ratio": 1, "motor_inertia": 1e-4, "efficiency": 1}}, "plant.gears.efficiency"),

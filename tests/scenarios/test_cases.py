@@ -99,7 +99,7 @@ def test_an_arm_may_be_believed_without_friction(tmp_path: Path) -> None:
 def test_gears_and_rotors_reach_both_arms(tmp_path: Path) -> None:
     text = GOOD.replace(
         'model = "planar2"',
-        'model = "planar2"\ngears = { ratio = { joint1 = 100.0 }, motor_inertia = { joint1 = 1e-5 } }',
+        'model = "planar2"\ngears = { ratio = { joint1 = 100.0 }, motor_inertia = 1e-5 }',
     ).replace('kind = "rigid"', 'kind = "rigid"\njoint_values = { gear = 50.0, rotor_inertia = [0.2, 0.1] }')
     scenario = load_scenario(write(tmp_path, text))
     assert scenario.experiment.arm.gear.tolist() == [100.0, 1.0]

@@ -69,7 +69,7 @@ def test_the_laws_of_a_scenario_are_compared_as_text_json_and_picture(
     assert main([*words, "--report", "compared.html"]) == 0
     told = capsys.readouterr().out
     assert "ranked by effort: " in told
-    assert "WrongModel(friction=0.2, trials=1.0)" in told
+    assert "WrongModel(friction=0.2, trials=1)" in told
     assert "<svg" in (here / "compared.html").read_text() or "<img" in (here / "compared.html").read_text()
     assert main([*words, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)

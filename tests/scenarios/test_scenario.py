@@ -562,12 +562,11 @@ def test_limits_in_words_and_in_a_table(tmp_path: Path) -> None:
         return found
 
     panda = taut.load_arm("panda")
-    words = limits('"arm with rate and speed"')
+    np.testing.assert_array_equal(limits('"arm"').tau, panda.effort)
+    words = limits('{ of = "arm", rate = true, speed = true, blend = 0.2 }')
     np.testing.assert_array_equal(words.v, panda.velocity)
     np.testing.assert_array_equal(words.tau_dot, 10.0 * panda.effort)
-    table = limits('{ of = "arm with speed", v_gain = 30, blend = 0.2 }')
-    np.testing.assert_array_equal(table.tau, panda.effort)
-    assert (table.v_gain, table.blend, table.tau_dot) == (30.0, 0.2, None)
+    assert words.blend == 0.2
     assert (limits("{ blend = 0.1 }").blend, limits("{ blend = 0.1 }").tau) == (0.1, None)
 
 

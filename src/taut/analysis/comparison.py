@@ -15,7 +15,7 @@ import numpy as np
 
 from taut.arm.description import Arm
 from taut.base.errors import TautError, UsageError, count_of, unknown_name
-from taut.base.fields import Declared, Field
+from taut.base.fields import Declared, Field, Whole
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike
 from taut.codegen.engine import EngineChoice
@@ -68,7 +68,7 @@ FIGURES: Final = (*(name for pair in ERRORS.items() for name in pair), *SPENT, *
 
 
 class WrongModel(Declared):
-    """By how much the true arm may differ from the one that the controllers know.
+    """Spread of the true arm about the model that the controllers have.
 
     The arm of trial k, from 0 on, is `arm.perturbed(seed=seed + k, mass=mass, ...)` with up to `payload` kg more.
 
@@ -82,21 +82,18 @@ class WrongModel(Declared):
     inertia: Field = Field(0.0, minimum=0.0, maximum=1.0)  # relative spread of the sizes of the bodies
     friction: Field = Field(0.0, minimum=0.0, maximum=1.0)  # relative spread of viscous and dry friction
     payload: Field = Field(0.0, unit="kg", minimum=0.0)  # largest additional payload
-    trials: Field = Field(5, minimum=1.0, maximum=1000.0)  # number of arms that are drawn
-    seed: Field = Field(0, minimum=0.0)  # of the first arm
+    trials: Whole = Whole(5, minimum=1, maximum=1000)  # number of arms that are drawn
+    seed: Whole = Whole(0)  # of the first arm
 
     def check(self) -> None:
-        """Whole numbers, and a difference."""
-        for name in ("trials", "seed"):
-            if getattr(self, name) % 1.0:
-                self.refuse(name, "must be a whole number")
+        """At least one spread is above zero."""
         if not any((self.mass, self.com, self.inertia, self.friction, self.payload)):
             self.refuse("", "needs one of mass, com, inertia, friction and payload above zero")
 
     def arms(self, arm: Arm) -> Iterator[Arm]:
         """The true arm of each trial."""
         spreads = {name: float(getattr(self, name)) for name in ("mass", "com", "inertia", "friction")}
-        for seed in range(int(self.seed), int(self.seed + self.trials)):
+        for seed in range(self.seed, self.seed + self.trials):
             more = float(self.payload * np.random.default_rng([seed, 1]).random())
             load, true = arm.payload, arm.perturbed(seed=seed, **spreads)
             yield true.with_payload(load.mass + more, load.com, load.inertia) if self.payload else true
@@ -104,7 +101,7 @@ class WrongModel(Declared):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Experiment:
-    """All of a closed loop but its law."""
+    """Everything in a closed loop except its law."""
 
     name: str  # for messages
     arm: Arm  # as the controllers know it
@@ -123,7 +120,7 @@ class Experiment:
 
     @classmethod
     def of(cls, loop: Loop) -> Experiment:
-        """The experiment of a loop, with the parameters that were changed in it but those of its law."""
+        """The experiment of a loop, with its changed parameters except those of its law."""
         side, plant = loop.side, loop.plant
         before = {**side.parameters, **plant.parameters}
         changed = {
@@ -292,7 +289,8 @@ class Comparison(Result):
 
 
 def compare_laws(
-    laws: Mapping[str, tuple[Law, Experiment]],  # by name; references may differ
+    laws: Mapping[str, Law],  # by name
+    experiment: Experiment | None,  # of the laws; None for recorded runs alone
     *,
     runs: Mapping[str, Run],
     by: Sequence[str] = (),  # figures to rank by
@@ -307,17 +305,16 @@ def compare_laws(
             raise unknown_name("a comparison", "figure", figure, [*FIGURES, *METRICS])
     for name, recorded in runs.items():
         _check_recorded(name, recorded)
-    controllers = {}
-    for name, (law, experiment) in laws.items():
-        with blamed(name):
-            controllers[name] = experiment.controller(law)
     entries: list[Entry] = []
     notes: tuple[str, ...] = ()
-    first = next((experiment for _, experiment in laws.values()), None)
-    if first is not None:
-        variants = _Variants.of(first, noise, model)
+    if experiment is not None:
+        controllers = {}
+        for name, law in laws.items():
+            with blamed(name):
+                controllers[name] = experiment.controller(law)
+        variants = _Variants.of(experiment, noise, model)
         notes = variants.notes
-        for name, (law, experiment) in laws.items():
+        for name, law in laws.items():
             with blamed(name):
                 done, numbers = variants.figures(experiment, controllers[name], by)
             entries.append(Entry(name=name, law=repr(law), run=done, numbers=numbers))
@@ -327,12 +324,12 @@ def compare_laws(
     if by:
         entries.sort(key=lambda entry: (not entry.run.outcome.ok, [entry.number(figure) for figure in by]))
     return Comparison(
-        title=first.name if first else count_of(len(runs), "recorded run"),
+        title=experiment.name if experiment else count_of(len(runs), "recorded run"),
         entries={entry.name: entry for entry in entries},
         by=tuple(by),
         notes=notes,
-        settings=first.settings if first else {},
-        texts=first.texts if first else {},
+        settings=experiment.settings if experiment else {},
+        texts=experiment.texts if experiment else {},
     )
 
 

@@ -9,7 +9,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from taut.base.checks import finite_array, finite_scalar, one_of, read_only
+from taut.base.checks import finite_array, finite_scalar, instance_of, one_of, read_only
 from taut.base.errors import RangeError, ShapeError, UsageError, count_of, unknown_name
 from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
@@ -27,7 +27,6 @@ Mode = Literal["slide", "stick", "apart"]
 MODES: Final[tuple[Mode, ...]] = ("slide", "stick", "apart")
 AXES: Final = ("x", "y", "z", "phi_x", "phi_y", "phi_z")
 ROTATIONS_FIRST: Final = (3, 4, 5, 0, 1, 2)  # as in the chapter's table
-ON_SURFACE: Final = 1e-6  # [m, rad] of phi
 ON_LINE: Final = 1e-6  # [m] from the frame's origin to the line of a contact force
 ROUNDING: Final = 1e-9  # of rows of length 1: less is zero, and such rows are dependent
 
@@ -290,16 +289,13 @@ def natural_constraints(
         Section 10.4.1 natural and artificial constraints. Mason (1981), IEEE Transactions on Systems, Man, and
         Cybernetics 11 (6).
     """
-    if not isinstance(constraint, Constraint):  # callers without a type checker
-        raise UsageError(
-            f"natural_constraints takes a taut.Constraint; got {type(constraint).__name__}", name="constraint"
-        )
+    instance_of("constraint", constraint, Constraint, "a taut.Constraint")
     one_of("mode", mode, MODES)
     if mode != "slide" and not any(constraint.one_sided):
         raise UsageError(
             f"mode='{mode}' is for a contact, and no row of this constraint is one: say one_sided=True", name="mode"
         )
-    A, phi_t, phi, T = _rows_of(constraint, at)
+    A, phi_t, T = _rows_of(constraint, at)
     if frame is not None and (T is None or not isinstance(frame, Pose)):
         raise UsageError(f"frame must be a taut.Pose, for a constraint of the tool; got {frame!r}", name="frame")
     of_contact = [any(piece.one_sided) for piece in constraint.pieces for _ in range(piece.count)]
@@ -320,9 +316,6 @@ def natural_constraints(
         sign = "<=" if row[axes[0]] > 0.0 else ">="
         force = f"F_{names[axes[0]]} {sign} 0" if len(axes) == 1 and frame is not None else f"lam[{i}] <= 0"
         notes.append(f"the contact can be pressed and not pulled: {force}")
-    off = max(acting, key=lambda i: abs(phi[i]), default=None)
-    if off is not None and abs(phi[off]) > ON_SURFACE:
-        notes.append(f"the pose is off the constraint: phi[{off}] = {phi[off]:.4g}")
     return ConstraintTable(
         title={"stick": "sticking", "apart": "apart"}.get(mode, "in contact" if contacts else "constrained"),
         frame=frame,
@@ -334,23 +327,19 @@ def natural_constraints(
     )
 
 
-def _rows_of(
-    constraint: Constraint, at: Pose | Snapshot
-) -> tuple[Float64Array, Float64Array, Float64Array, Pose | None]:
-    """A, phi_t and phi of a constraint, and the pose of its frame."""
+def _rows_of(constraint: Constraint, at: Pose | Snapshot) -> tuple[Float64Array, Float64Array, Pose | None]:
+    """A and phi_t of a constraint, and the pose of its frame."""
     T: Pose | None
     if isinstance(at, Snapshot):
         rows = constraint.at(at)
         T = None if constraint.frame is None else at.T(constraint.frame[0])
-        matrices = (rows.A_q if T is None else rows.A, rows.phi_t, rows.phi)
-        A, phi_t, phi = (np.asarray(each, dtype=np.float64) for each in matrices)
+        A, phi_t = (np.asarray(each, dtype=np.float64) for each in (rows.A_q if T is None else rows.A, rows.phi_t))
     elif isinstance(at, Pose):
         if constraint.frame is None:
             raise UsageError(
                 "a constraint of joints or of several frames needs the whole arm: at=taut.snapshot(arm, q)", name="at"
             )
-        A, phi_t = constraint.of_twist(at, 0.0)
-        phi, T = constraint.of_pose(at, 0.0), at
+        (A, phi_t), T = constraint.of_twist(at, 0.0), at
     else:
         raise UsageError(f"at must be a taut.Pose or a taut.snapshot(arm, q); got {type(at).__name__}", name="at")
     for row, size in enumerate(np.linalg.norm(A, axis=1)):
@@ -360,7 +349,7 @@ def _rows_of(
                 name="constraint",
                 value=float(size),
             )
-    return A, phi_t, phi, T
+    return A, phi_t, T
 
 
 def _tangents(row: Float64Array) -> Float64Array:

@@ -1,4 +1,4 @@
-"""taut.design: from a specification to the gains of a law, what of it the sampled loop has, and its limits."""
+"""taut.design: gains of a law from a specification, figures achieved by the sampled loop, and its limits."""
 
 from __future__ import annotations
 
@@ -8,17 +8,16 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from taut.analysis.design_achieved import Achieved, Limit, Requirement, Steps
+from taut.analysis.design_achieved import Achieved, Limit, Requirement, Steps, closed_loop_of
 from taut.analysis.design_specification import Specification, place_poles, square
 from taut.arm.description import Arm
 from taut.arm.parts import require_radians
-from taut.base.checks import finite_array, rate_in_hertz
+from taut.base.checks import finite_array, instance_of, rate_in_hertz
 from taut.base.declarations import REQUIRED
 from taut.base.errors import RangeError, TautError, UsageError
 from taut.base.plot_style import INK, SMALL, WIDTH, colour, prepared
 from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.closed_loop import ClosedLoop
 from taut.control.gains import Gain
 from taut.control.law import Law
 from taut.control.sensing import Sensing
@@ -27,8 +26,7 @@ from taut.linear.judgement import judge
 from taut.linear.linear_system import LinearSystem
 from taut.linear.linearise import linearise
 from taut.loop import Loop
-from taut.maths.model import Adds
-from taut.maths.snapshot import Snapshot, snapshot
+from taut.maths.snapshot import snapshot
 from taut.plant.actuation import Actuation
 from taut.plant.environments.kinds import Push, Spring
 from taut.plant.rigid import RigidPlant
@@ -47,12 +45,12 @@ MAX_DESIGN_SUBSTEPS: Final = 50
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Design(Result):
-    """A law with its gains, what was asked for and what the sampled loop has, and the limits of the loop.
+    """A law with its gains, specified and achieved figures of the sampled loop, and its limits.
 
     Args:
         law: The law with its gains.
-        specification: What was asked for.
-        requirements: A row for each number that was asked for, in each direction.
+        specification: The specified numbers.
+        requirements: A row for each specified number, in each direction.
         limits: Of the loop.
         arm: Name of the arm.
         rate: [Hz].
@@ -82,11 +80,11 @@ class Design(Result):
 
     @property
     def met(self) -> bool:
-        """Whether the loop is stable and has all that was asked for."""
+        """Whether the loop is stable and meets the specification."""
         return self.stable and all(each.met for each in self.requirements)
 
     def got(self, name: str) -> Float64Array:
-        """What the loop has of a number that was asked for, in each direction."""
+        """Achieved values of a specified number, in each direction."""
         return np.array([each.got for each in self.requirements if each.name == name])
 
     def limit(self, name: str) -> Limit:
@@ -179,7 +177,7 @@ def design(
     sensing: Sensing | None = None,
     plant: RigidPlant | None = None,
 ) -> Design:
-    """Gains of a law by pole placement in the error dynamics that it states, and what the sampled loop then has.
+    """Gains of a law by pole placement in the error dynamics that it states, and the figures that they achieve.
 
     Law:          K = omega_n inertia omega_n, or the stiffness as it is asked for; D = 2 zeta (inertia K)^(1/2): the
                   same damping ratio in every mode; ki = integral kd kp / M
@@ -229,8 +227,7 @@ def design(
         zeta=zeta, overshoot=overshoot, omega_n=omega_n, settling=settling, K=K, contact=contact, force=force,
         integral=integral,
     )  # fmt: skip
-    if plant is not None and not isinstance(plant, RigidPlant):  # callers without a type checker
-        raise UsageError(f"plant must be a taut.RigidPlant; got {type(plant).__name__}", name="plant")
+    instance_of("plant", plant, RigidPlant | None, "a taut.RigidPlant")
     q, rate = pose_of(arm, at), rate_in_hertz(rate)
     given = law if isinstance(law, Law) else with_any_gains(law)
     stated = closed_loop_of(given, snapshot(arm, q))
@@ -243,7 +240,7 @@ def design(
     moving = closed_loop_of(made, stated.x).alone or made
     ctrl = compile(moving, arm, rate=rate, sensing=sensing, adds=() if plant is None else plant.adds)
     loop = Loop(ctrl, plant_for(ctrl, specification) if plant is None else plant, duration=1.0)
-    found = achieved(made, loop, q, specification)
+    found = Achieved(law=made, loop=loop, system=linearise(loop, at=q, within=ANYWHERE), specification=specification)
     stable = found.system.stable
     unstable, limits = ("", list(found.limits())) if stable else blamed(loop, q, found.system)
     return Design(
@@ -279,22 +276,9 @@ def with_any_gains(law: type[Law]) -> Law:
     return law(**gains)
 
 
-def closed_loop_of(law: Law, x: Snapshot) -> ClosedLoop:
-    """The closed loop that a law states at rest; UsageError if it states none."""
-    stated = law.closed_loop(x)
-    if stated is None:
-        raise UsageError(
-            f"{type(law).__name__} states no closed loop to place poles in; find its gains with taut.tune, or design "
-            "the feedback beside it: taut.design(taut.laws.FeedForward() + taut.laws.PID(kp=1.0), arm, ...)",
-            name="law",
-        )
-    return stated
-
-
 def pose_of(arm: Arm, at: ArrayLike | None) -> Float64Array:
     """(n,) the pose to design for [rad | m]; home if left out."""
-    if not isinstance(arm, Arm):  # callers without a type checker
-        raise UsageError(f"design takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
+    instance_of("arm", arm, Arm, "an Arm from taut.load_arm")
     q = arm.home if at is None else finite_array("at", at, shape=(arm.n,), joints=arm.joint_names, unit="rad | m")
     require_radians("at", q, arm)
     outside = np.flatnonzero((q < arm.lower) | (q > arm.upper))
@@ -335,22 +319,6 @@ def plant_for(ctrl: Controller, specification: Specification) -> RigidPlant:
         arm, friction=None, environment=environment, integrator="rk4",
         substeps=min(max(substeps, 1), MAX_DESIGN_SUBSTEPS),
     )  # fmt: skip
-
-
-def achieved(law: Law, loop: Loop, q: Float64Array, specification: Specification) -> Achieved:
-    """The linear model of the loop about its equilibrium at a pose, and the closed loop that its law states there."""
-    system, plant = linearise(loop, at=q, within=ANYWHERE), loop.plant
-    assert isinstance(plant, RigidPlant)
-    x, drives = snapshot(loop.side.arm, system.point.q), loop.side.probe.kind != "torque"
-    carries = Adds.of(plant.adds).gravity
-    return Achieved(
-        law=loop.side.single_law,
-        stated=closed_loop_of(law, x),
-        system=system,
-        specification=specification,
-        delay=float(plant.actuation.delay),
-        hold=None if drives else np.zeros(x.n) if carries else np.asarray(x.g),
-    )
 
 
 def blamed(loop: Loop, q: Float64Array, system: LinearSystem) -> tuple[str, list[Limit]]:

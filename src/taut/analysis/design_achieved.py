@@ -1,4 +1,4 @@
-"""What the sampled loop of a law has at a pose: the figures that were asked for in each direction, and its limits."""
+"""Achieved figures of the sampled loop of a law at a pose, in each direction, and its limits."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taut.analysis.design_specification import Specification, per_coordinate, square
+from taut.base.errors import UsageError
 from taut.base.types import Float64Array
 from taut.control.closed_loop import ClosedLoop
 from taut.control.law import Law
@@ -19,6 +20,10 @@ from taut.control.trajectories.force_reference import TaskForce
 from taut.control.trajectories.reference import JointMotion
 from taut.linear.linear_system import LinearSystem
 from taut.linear.performance import common_delay
+from taut.loop import Loop
+from taut.maths.model import Adds
+from taut.maths.snapshot import Snapshot, snapshot
+from taut.plant.rigid import RigidPlant
 
 TOLERANCE: Final = 0.05  # [-] of a figure that was asked for: within it the figure is met
 STATIC: Final = 0.01  # [-] likewise of a stiffness
@@ -82,12 +87,15 @@ class Steps:
 class Achieved:
     """The sampled loop of a law with its gains, about its equilibrium next to a pose."""
 
-    law: Law  # or the part of it that moves the arm
-    stated: ClosedLoop  # as the law states it there
+    law: Law
+    loop: Loop  # of the law, or of the part of it that moves the arm
     system: LinearSystem  # from tick to tick
     specification: Specification
-    delay: float  # [s] from the tick to the torque
-    hold: Float64Array | None  # (n,) torques that hold the arm [N m | N]; None where the law commands drives
+
+    @cached_property
+    def stated(self) -> ClosedLoop:
+        """The closed loop that the law states there."""
+        return closed_loop_of(self.law, snapshot(self.loop.side.arm, self.system.point.q))
 
     @cached_property
     def _ahead(self) -> tuple[Float64Array, Float64Array, Float64Array]:
@@ -95,17 +103,17 @@ class Achieved:
 
         A law that follows no reference has the free response to a unit velocity along each direction instead.
         """
-        lin, motions = self.system, self.stated.motions
-        if self.law.ignores_reference:
+        lin, motions, law = self.system, self.stated.motions, self.loop.side.single_law
+        if law.ignores_reference:
             moving = np.zeros((len(lin.A), motions.shape[1]))
             moving[[lin.states.index(f"plant.v[{i}]") for i in range(len(motions))]] = motions
             return moving, self._seen("v"), np.zeros_like(motions)
         names: tuple[str, ...] = ("ref.q",)
         moved: Float64Array = np.asarray(motions)
-        if self.law.reference is not JointMotion:
+        if law.reference is not JointMotion:
             names = ("ref.p", "ref.rotation")
-            moved = np.asarray(self.stated.x.J(self.law.controlled_frame) @ motions)
-        if self.law.reference is TaskForce:
+            moved = np.asarray(self.stated.x.J(law.controlled_frame) @ motions)
+        if law.reference is TaskForce:
             names = ("ref.F_world",)
             moved = np.asarray(square("contact", self.specification.contact, self.stated) @ moved)
         columns, rows = [i for name in names for i in lin.columns(name)], self._seen("q")
@@ -177,9 +185,9 @@ class Achieved:
 
     def stiffness(self) -> Float64Array:
         """(r,) force that moves the arm along each direction by a unit at rest, in each alone [N/m | N m/rad]."""
-        lin, rows = self.system, self.stated.rows
-        J = np.asarray(self.stated.x.J(self.law.controlled_frame))
-        at_tool = self.law.reference is not JointMotion  # where a wrist sensor measures it
+        lin, rows, law = self.system, self.stated.rows, self.loop.side.single_law
+        J = np.asarray(self.stated.x.J(law.controlled_frame))
+        at_tool = law.reference is not JointMotion  # where a wrist sensor measures it
         columns = list(lin.columns("disturbance.wrench" if at_tool else "disturbance.torque"))
         forces = np.linalg.lstsq(J.T, rows.T, rcond=None)[0] if at_tool else rows.T
         rest = np.linalg.lstsq(np.eye(len(lin.A)) - lin.A, lin.B[:, columns] @ forces, rcond=RANK)[0]
@@ -237,16 +245,17 @@ class Achieved:
             slow = [np.abs(poles[column > RANK]).min() if self.system.stable else math.nan for column in parts.T]
             return dict(zip(self.stated.directions, slow, strict=True))
         kfp, kfi = (np.diag(gain).tolist() for gain in self.stated.force)
-        dt = self.system.period
-        late = round(self.delay / dt)
+        dt, plant = self.system.period, self.loop.plant
+        assert isinstance(plant, RigidPlant)
+        late = round(plant.actuation.delay / dt)
         return {f"row {i}": force_pole(kfp[i], kfi[i], dt, late) for i in range(len(kfp))}
 
     def limits(self) -> Iterator[Limit]:
         """Of a stable loop."""
-        lin, arm = self.system, self.stated.x.arm
-        command = self.steps.command
-        drives = self.hold is None
-        effort, hold = (arm.velocity, np.zeros(arm.n)) if self.hold is None else (arm.effort, self.hold)
+        lin, arm, plant = self.system, self.stated.x.arm, self.loop.plant
+        command, drives = self.steps.command, self.loop.side.probe.kind != "torque"
+        effort = arm.velocity if drives else arm.effort
+        hold = np.zeros(arm.n) if drives or Adds.of(plant.adds).gravity else np.asarray(self.stated.x.g)
         for i, direction in enumerate(self.stated.directions):
             used = command[:, :, i]
             room = np.maximum(np.where(used > 0.0, effort - hold, effort + hold), 0.0)
@@ -270,6 +279,18 @@ class Achieved:
         if moved.max() > DROOP:
             worst = int(moved.argmax())
             yield Limit(name="droop", value=float(moved[worst]), unit=arm.units[worst], where=arm.joint_names[worst])
+
+
+def closed_loop_of(law: Law, x: Snapshot) -> ClosedLoop:
+    """The closed loop that a law states at rest; UsageError if it states none."""
+    stated = law.closed_loop(x)
+    if stated is None:
+        raise UsageError(
+            f"{type(law).__name__} states no closed loop to place poles in; find its gains with taut.tune, or design "
+            "the feedback beside it: taut.design(taut.laws.FeedForward() + taut.laws.PID(kp=1.0), arm, ...)",
+            name="law",
+        )
+    return stated
 
 
 def force_pole(kfp: float, kfi: float, dt: float, late: int) -> float:

@@ -1,4 +1,4 @@
-"""Specification: what a design asks for, and the gains that place the poles of a law's closed loop accordingly."""
+"""Specification of a design, and the gains that place the poles of a law's closed loop accordingly."""
 
 from __future__ import annotations
 
@@ -54,13 +54,13 @@ class Specification(Declared):
 
     @property
     def given(self) -> dict[str, Any]:
-        """What is asked for, by name."""
+        """The specified numbers, by name."""
         every = {name: getattr(self, name) for name in self.declared}
         return {name: value for name, value in every.items() if value is not None and (name != "integral" or value)}
 
     @property
     def damping_ratio(self) -> float | None:
-        """By either name."""
+        """Damping ratio, also of a specified overshoot."""
         return self.zeta if self.overshoot is None else second_order(omega_n=1.0, overshoot=self.overshoot).zeta
 
     def frequencies(self, loop: ClosedLoop) -> Float64Array:

@@ -125,9 +125,7 @@ def grade_law(
             value=tolerance,
             rule="<= 1",
         )
-    comparison = compare_laws(
-        {name: (one, experiment) for name, one in (law, reference)}, runs={}, noise=False, model=None
-    )
+    comparison = compare_laws(dict((law, reference)), experiment, runs={}, noise=False, model=None)
     graded, other = comparison.entries.values()
     if not other.run.outcome.ok:
         raise UsageError(f"law '{other.name}' cannot be a reference here: {other.run.outcome}", name=other.name)

@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from taut.arm.description import Arm
+from taut.base.checks import instance_of
 from taut.base.errors import UsageError
 from taut.base.paths import subtree
 from taut.base.result import Content, Result, Table
@@ -216,8 +217,7 @@ def lyapunov(run: Run) -> Lyapunov:
     References:
         Section 10.2.2.2, equations 10.24 to 10.27.
     """
-    if not isinstance(run, Run):  # callers without a type checker
-        raise UsageError(f"lyapunov takes a taut.Run; got {type(run).__name__}", name="run")
+    instance_of("run", run, Run, "a taut.Run")
     law, values = run.info.law.partition("(")[0], run.info.parameters
     _check(run, law, values)
     n = run.n

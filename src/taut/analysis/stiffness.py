@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from taut.base.checks import (
     finite_array,
     finite_scalar,
+    instance_of,
     positive_scalar,
     rate_in_hertz,
 )
@@ -272,8 +273,7 @@ def _smallest(function: Callable[[Float64Array], Float64Array], top: float, coun
 
 def _response(law: LinearSystem, theta: Float64Array, input: str) -> Complex:
     """(k, n, n) from an input to the command, at the angles theta = omega T."""
-    columns, rows = law.columns(input), law.rows("command")
-    return law.response(theta / law.period, law.B[:, columns], law.C[rows], law.D[np.ix_(rows, columns)])
+    return law.frequency_response(theta / law.period, input=input, output="command")
 
 
 def _matrices(numbers: ArrayLike) -> Complex:
@@ -389,8 +389,7 @@ def check_stiffness(
     References:
         Colgate and Schenkel, Passivity of a class of sampled-data systems (1997). Chapter, section 10.5.1.
     """
-    if not isinstance(ctrl, Controller):  # callers without a type checker
-        raise UsageError(f"a controller from taut.compile is needed; got {type(ctrl).__name__}", name="ctrl")
+    instance_of("ctrl", ctrl, Controller, "a controller from taut.compile")
     if ctrl.side.probe.kind != "torque" or "F_ext" in ctrl.side.needs:
         why = f"commands a {ctrl.side.probe.kind}" if ctrl.side.probe.kind != "torque" else "reads the wrist sensor"
         raise UsageError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from scipy.optimize import Bounds, minimize
@@ -22,9 +22,6 @@ from taut.control.trajectories.reference import Trajectory
 from taut.linear.period import RESOLUTION
 from taut.loop import Loop, state_at_start
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 Loops: TypeAlias = Loop | Sequence[Loop] | Mapping[str, Loop]
 Slope: TypeAlias = tuple[float, Float64Array]
 """A number, and (m,) its derivatives."""
@@ -34,7 +31,6 @@ AT_BOUND: Final = 1e-6  # of the distance of the bounds
 CONSTRAINT_TOLERANCE: Final = 1e-6  # relative; what the optimiser leaves
 COST_TOLERANCE: Final = 1e-7  # relative; where the optimiser stops
 NO_COST: Final = 1e6  # stands for the cost of a run that diverges
-WORST_SHOWN: Final = 100.0  # times the cost at the start, in a plot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,12 +55,16 @@ class Trial:
         cost: Mean over all loops of the cost over that at the start; infinite where a run diverges.
         slacks: By constraint, what remains of it, relative: 0 at the limit, negative beyond.
         figures: Of each loop.
+        gradient: (m,) derivatives of the cost by the parameters as numbers from 0 to 1 between their bounds.
+        slack_gradients: (c, m) of the slacks.
     """
 
     parameters: Mapping[str, Float64Array]
     cost: float
     slacks: Mapping[str, float]
     figures: tuple[LoopFigures, ...]
+    gradient: Float64Array
+    slack_gradients: Float64Array
 
     @property
     def ok(self) -> bool:
@@ -128,26 +128,7 @@ class Tuned(Result):
                 Table(title="loops", columns=columns, rows=figures),
             ],
             notes=self.notes,
-            figures={"Cost of each trial": self._draw},
         )
-
-    def _draw(self) -> Figure:
-        """The cost of each trial, and the best so far."""
-        from matplotlib.figure import Figure as NewFigure
-
-        from taut.base.plot_style import INK, WIDTH, colour, legend_above, prepared
-
-        figure = NewFigure(figsize=(WIDTH, 3.0), layout="constrained")
-        ax = prepared(figure.subplots(), "tuning: cost over that of the start", "", "trial")
-        costs, ok = (np.array([getattr(trial, name) for trial in self.history]) for name in ("cost", "ok"))
-        best = np.minimum.accumulate(np.where(ok, costs, np.inf))
-        ax.plot(np.flatnonzero(ok), costs[ok], ".", color=colour(0), label="keeps to the constraints")
-        ax.plot(np.flatnonzero(~ok), costs[~ok], "x", color=colour(1), markersize=4.0, label="does not")
-        ax.plot(best, color=INK, linewidth=1.2, label="best so far")
-        legend_above(figure, ax.get_lines())
-        ax.set_yscale("log")
-        ax.set_ylim(0.5 * float(np.append(best, 1.0).min()), WORST_SHOWN)
-        return figure
 
 
 def tune(
@@ -330,15 +311,6 @@ class _Stopped(Exception):  # noqa: N818  # no error: what ends an optimiser
     """The trials are used up."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Answer:
-    """A trial with its derivatives: (m,) of the cost, (c, m) of the slacks."""
-
-    trial: Trial
-    gradient: Float64Array
-    slack_gradients: Float64Array
-
-
 @dataclass(kw_only=True, eq=False)
 class _Problem:
     """Cost and constraints of loops that share parameters, with their derivatives."""
@@ -355,7 +327,7 @@ class _Problem:
     def __post_init__(self) -> None:
         paths = tuple(self.space.start)
         self._gradients = {name: RunGradient(loop, paths, self.cost) for name, loop in self.loops.items()}
-        self._answers: dict[bytes, _Answer] = {}  # by the point, in the order of the trials
+        self._trials: dict[bytes, Trial] = {}  # by the point, in the order of the trials
         self._failures: list[str] = []
         self._first: dict[str, LoopFigures] = {}  # of each loop at the start
 
@@ -363,18 +335,18 @@ class _Problem:
         """The best parameters."""
         space, x0, notes = self.space, self.space.scaled(self.space.start), []
         constraints: list[Any] = []
-        if self._answer(x0).trial.slacks:
+        if self._trial(x0).slacks:
             constraints = [
                 {
                     "type": "ineq",
-                    "fun": lambda x: np.array(list(self._answer(x).trial.slacks.values())),
-                    "jac": lambda x: self._answer(x).slack_gradients,
+                    "fun": lambda x: np.array(list(self._trial(x).slacks.values())),
+                    "jac": lambda x: self._trial(x).slack_gradients,
                 }
             ]
 
         def cost(x: Float64Array) -> tuple[float, Float64Array]:
-            answer = self._answer(x)
-            return min(answer.trial.cost, NO_COST), answer.gradient
+            trial = self._trial(x)
+            return min(trial.cost, NO_COST), trial.gradient
 
         try:
             minimize(
@@ -384,8 +356,8 @@ class _Problem:
         except _Stopped:
             notes.append(f"ended after {count_of(self.evaluations, 'trial')}, which evaluations= allows")
         except KeyboardInterrupt:
-            notes.append(f"interrupted after {count_of(len(self._answers), 'trial')}; this is the best of them")
-        history = tuple(answer.trial for answer in self._answers.values())
+            notes.append(f"interrupted after {count_of(len(self._trials), 'trial')}; this is the best of them")
+        history = tuple(self._trials.values())
         best = min((trial for trial in history if trial.ok), key=lambda trial: trial.cost, default=history[0])
         if self._failures:
             notes.append(f"{count_of(len(self._failures), 'trial')} failed, the first: {self._failures[0]}")
@@ -410,16 +382,16 @@ class _Problem:
             notes=tuple(notes),
         )
 
-    def _answer(self, x: Float64Array) -> _Answer:
+    def _trial(self, x: Float64Array) -> Trial:
         """Cost and constraints at a point."""
         x = np.clip(np.asarray(x, dtype=np.float64), 0.0, 1.0)
-        if (known := self._answers.get(x.tobytes())) is not None:
+        if (known := self._trials.get(x.tobytes())) is not None:
             return known
-        if len(self._answers) >= self.evaluations:
+        if len(self._trials) >= self.evaluations:
             raise _Stopped
-        start = next(iter(self._answers.values()), None)
+        start = next(iter(self._trials.values()), None)
         try:
-            answer = self._evaluated(x)
+            trial = self._evaluated(x)
         except (RangeError, NumericalError) as cause:  # a run that diverges, a rate that a gain does not fit
             if start is None:
                 raise RangeError(
@@ -428,14 +400,13 @@ class _Problem:
                 ) from cause
             self._failures.append(str(cause).split(";")[0])
             trial = Trial(
-                parameters=self.space.values(x), cost=math.inf, slacks=dict.fromkeys(start.trial.slacks, -1.0),
-                figures=(),
+                parameters=self.space.values(x), cost=math.inf, slacks=dict.fromkeys(start.slacks, -1.0), figures=(),
+                gradient=0.0 * start.gradient, slack_gradients=0.0 * start.slack_gradients,
             )  # fmt: skip
-            answer = _Answer(trial=trial, gradient=0.0 * start.gradient, slack_gradients=0.0 * start.slack_gradients)
-        self._answers[x.tobytes()] = answer
-        return answer
+        self._trials[x.tobytes()] = trial
+        return trial
 
-    def _evaluated(self, x: Float64Array) -> _Answer:
+    def _evaluated(self, x: Float64Array) -> Trial:
         figures, costs = [], []
         slacks: dict[str, Slope] = {}
         for name, loop in self.loops.items():
@@ -448,13 +419,11 @@ class _Problem:
             costs.append(_scaled(_mean([run.mean_cost() for run in runs]), 1.0 / first.cost))
             slacks |= {f"{what} of '{name}'": slack for what, slack in self._slacks(loop, runs, first)}
         cost, gradient = _mean(costs)
-        return _Answer(
-            trial=Trial(
-                parameters=self.space.values(x),
-                cost=cost,
-                slacks={what: value for what, (value, _) in slacks.items()},
-                figures=tuple(figures),
-            ),
+        return Trial(
+            parameters=self.space.values(x),
+            cost=cost,
+            slacks={what: value for what, (value, _) in slacks.items()},
+            figures=tuple(figures),
             gradient=gradient,
             slack_gradients=np.array([slopes for _, slopes in slacks.values()]).reshape(len(slacks), len(x)),
         )

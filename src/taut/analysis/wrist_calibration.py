@@ -9,8 +9,8 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.base.checks import finite_array, one_of, read_only
-from taut.base.errors import NumericalError, RangeError, ShapeError, UsageError
+from taut.base.checks import finite_array, instance_of, one_of, read_only
+from taut.base.errors import NumericalError, RangeError, ShapeError
 from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.sensing import Wrist
@@ -115,8 +115,7 @@ def calibrate_wrist(
         raise ShapeError(
             f"wrenches must have shape (k, 6) [{FORCE_AND_MOMENT}]; got shape {F.shape}", name="wrenches"
         )
-    if not isinstance(arm, Arm):  # callers without a type checker
-        raise UsageError(f"arm must be an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
+    instance_of("arm", arm, Arm, "an Arm from taut.load_arm")
     if not np.any(arm.gravity):
         raise RangeError("arm must have gravity: without it a tool has no weight to read", name="arm")
     positions = finite_array("q", q, shape=(len(F), arm.n), unit="rad | m")

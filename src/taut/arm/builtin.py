@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final
@@ -13,11 +14,12 @@ from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink, assemble
 from taut.arm.parts import COMMANDS, Body, Joint, Visual
 from taut.base.checks import finite_scalar, positive_scalar
 from taut.base.errors import RangeError
-from taut.base.types import Float64Array
 from taut.trace.pose import Pose
 
 RAISING: Final = (0.0, -1.0, 0.0)  # turning about -y takes x to z
 ALONG_X: Final = (0.0, 0.5 * math.pi, 0.0)  # rpy of a cylinder, whose own axis is z
+RADIUS: Final = 0.03  # [m] of rods
+FRICTION: Final = 0.1  # [N m s/rad] viscous
 BASE: Final = "base"
 TOOL: Final = "tool"
 
@@ -53,24 +55,21 @@ def one_joint_tree(*, M: float = 0.5, m: float = 1.0, r: float = 0.1, b: float =
         )
     # Only the moment about y turns up in the motion; a link as thick as this is a possible body.
     inertia = np.diag([0.5 * about_com, about_com, about_com])
-    tree = _planar("one_joint", lengths=[r], viscous=b, home=[0.0])
+    tree = _planar("one_joint", lengths=[r], masses=[m], home=[0.0])
+    tree.joints[0].joint = dataclasses.replace(tree.joints[0].joint, viscous=b)
     tree.links[1].inertia = Body(mass=m, com=np.array([r, 0.0, 0.0]), inertia=inertia)
     return tree
 
 
 def planar2_tree() -> Tree:
     """Two rods of 0.5 and 0.4 m on two parallel hinges."""
-    tree = _planar("planar2", lengths=[0.5, 0.4], viscous=0.1, home=[math.pi / 6, math.pi / 2])
-    _make_rods(tree, masses=[4.0, 2.0], lengths=[0.5, 0.4])
-    return tree
+    return _planar("planar2", lengths=[0.5, 0.4], masses=[4.0, 2.0], home=[math.pi / 6, math.pi / 2])
 
 
 def planar3_tree() -> Tree:
     """Three rods of 0.4, 0.3 and 0.2 m on three parallel hinges: one more than a point in the plane needs."""
     home = [math.pi / 6, math.pi / 3, math.pi / 4]
-    tree = _planar("planar3", lengths=[0.4, 0.3, 0.2], viscous=0.1, home=home)
-    _make_rods(tree, masses=[3.0, 2.0, 1.0], lengths=[0.4, 0.3, 0.2])
-    return tree
+    return _planar("planar3", lengths=[0.4, 0.3, 0.2], masses=[3.0, 2.0, 1.0], home=home)
 
 
 def gantry3_tree() -> Tree:
@@ -99,37 +98,23 @@ def gantry3_tree() -> Tree:
     return tree
 
 
-def _planar(name: str, *, lengths: Sequence[float], viscous: float, home: Sequence[float]) -> Tree:
-    """Hinges that raise the links after them, without limits; the links have no mass yet."""
+def _planar(name: str, *, lengths: Sequence[float], masses: Sequence[float], home: Sequence[float]) -> Tree:
+    """Hinges without limits, each of which raises the links after it; the links are rods of 3 cm radius."""
     tree = Tree(name=name, source="built in", commands=COMMANDS, links=[TreeLink(name=BASE)])
     parent, offset = BASE, 0.0
-    for i, length in enumerate(lengths, start=1):
-        link = f"link{i}"
-        rod = Visual(
-            placement=Pose((0.5 * length, 0.0, 0.0), rpy=ALONG_X),
-            shape="cylinder",
-            size=(0.02, max(abs(length), 0.01)),
-        )
-        tree.links.append(TreeLink(name=link, visuals=[rod]))
+    for i, (length, m) in enumerate(zip(lengths, masses, strict=True), start=1):
+        link, middle = f"link{i}", (0.5 * length, 0.0, 0.0)
+        across = m * (3.0 * RADIUS**2 + length**2) / 12.0
+        rod = Body(mass=m, com=np.array(middle), inertia=np.diag([0.5 * m * RADIUS**2, across, across]))
+        shape = Visual(placement=Pose(middle, rpy=ALONG_X), shape="cylinder", size=(0.02, max(abs(length), 0.01)))
+        tree.links.append(TreeLink(name=link, inertia=rod, visuals=[shape]))
         place = Pose((offset, 0.0, 0.0))
-        joint = Joint(name=f"joint{i}", kind="revolute", placement=place, axis=np.array(RAISING), viscous=viscous)
+        joint = Joint(name=f"joint{i}", kind="revolute", placement=place, axis=np.array(RAISING), viscous=FRICTION)
         tree.joints.append(TreeJoint(joint=joint, parent=parent, child=link))
         parent, offset = link, length
     _end(tree, parent, Pose((offset, 0.0, 0.0)))
     tree.home = {joint.name: q for joint, q in zip(tree.joints, home, strict=False)}
     return tree
-
-
-def _make_rods(tree: Tree, *, masses: Sequence[float], lengths: Sequence[float]) -> None:
-    """Solid cylinders of 3 cm radius along x."""
-    for link, m, length in zip(tree.links[1:], masses, lengths, strict=False):
-        com = np.array([0.5 * length, 0.0, 0.0])
-        link.inertia = Body(mass=m, com=com, inertia=_cylinder(m, 0.03, length))
-
-
-def _cylinder(m: float, radius: float, length: float) -> Float64Array:
-    across = m * (3.0 * radius**2 + length**2) / 12.0
-    return np.diag([0.5 * m * radius**2, across, across])
 
 
 def _end(tree: Tree, parent: str, T_parent_tool: Pose) -> None:

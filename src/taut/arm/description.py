@@ -28,7 +28,7 @@ from taut.arm.parts import (
     Visual,
     short_way,
 )
-from taut.base.checks import finite_array, read_only, vector
+from taut.base.checks import finite_array, instance_of, read_only, vector
 from taut.base.errors import UsageError, count_of, unknown_name
 from taut.base.types import Array, ArrayLike, Float64Array, Point3, Vector
 from taut.trace.pose import Pose
@@ -188,8 +188,7 @@ class Arm:
 
     def mounted(self, T_WB: Pose) -> Arm:
         """A copy whose base stands at T_WB in the world."""
-        if not isinstance(T_WB, Pose):
-            raise UsageError(f"T_WB must be a taut.Pose; got {type(T_WB).__name__}", name="T_WB")
+        instance_of("T_WB", T_WB, Pose, "a taut.Pose")
         return dataclasses.replace(self, T_WB=T_WB)
 
     def with_gravity(self, gravity: ArrayLike) -> Arm:

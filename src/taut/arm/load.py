@@ -11,7 +11,7 @@ from typing import Any, Final, Protocol
 from taut.arm.builtin import BUILT_IN
 from taut.arm.description import Arm
 from taut.arm.loaders.tree import Tree, assemble
-from taut.base.checks import readable_file
+from taut.base.checks import instance_of, readable_file
 from taut.base.errors import FileError, ModelError, Problem, UsageError, unknown_name
 from taut.base.types import ArrayLike
 from taut.trace.pose import Pose
@@ -20,7 +20,7 @@ SUFFIXES: Final = (".urdf", ".xml", ".mjcf")
 
 
 class PinocchioModel(Protocol):
-    """A pinocchio.Model, by the one attribute that it is told from others by; it has no types."""
+    """A pinocchio.Model, recognised by one of its attributes; it has no types."""
 
     jointPlacements: Sequence[Any]
 
@@ -58,10 +58,8 @@ def load_arm(
         >>> load_arm("planar3", locked={"joint3": 0.0}).n
         2
     """
-    if T_WB is not None and not isinstance(T_WB, Pose):
-        raise UsageError(f"T_WB must be a taut.Pose; got {type(T_WB).__name__}", name="T_WB")
-    if tool is not None and not isinstance(tool, str):
-        raise UsageError(f"tool must be the name of a frame; got {type(tool).__name__}", name="tool")
+    instance_of("T_WB", T_WB, Pose | None, "a taut.Pose")
+    instance_of("tool", tool, str | None, "the name of a frame")
     if locked is not None and not isinstance(locked, Mapping):
         raise UsageError(
             f"locked must be joint names with positions, {{'joint': 0.0}}; got {type(locked).__name__}", name="locked"

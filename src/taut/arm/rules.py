@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from taut.arm.description import Arm, Joint
     from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink
 
+FIX_MASS: Final = "fix its mass and inertia"
+CUT: Final = "an arm is a tree: cut the loop at one joint and state the closure as a constraint"
 AXIS_TOLERANCE: Final = 1e-3  # an axis shorter than this has no direction; any other length is normalised
 INERTIA_TOLERANCE: Final = 1e-6  # relative slack of the triangle inequality, for rounded files
 LEAST_MOMENT: Final = 1e-12  # a principal moment below this share of the largest is rounding, not a size
@@ -56,21 +58,11 @@ def structure_problems(tree: Tree) -> Iterator[Problem]:
     links = {link.name: link for link in tree.links}
     roots = [link.name for link in tree.links if link.name not in parent_joint]
     if len(roots) > 1 and not found and not tree.problems:  # else most likely a consequence
-        yield Problem(
-            object=roots[1],
-            attribute="parent",
-            message=f"the model has {len(roots)} roots ({quoted_list(roots)}); an arm has one base: "
-            "join the others to it with fixed joints",
-            line=links[roots[1]].line,
-        )
+        text = f"the model has {len(roots)} roots ({quoted_list(roots)}); an arm has one base: "
+        yield problem_at(links[roots[1]], "parent", f"{text}join the others to it with fixed joints")
     for link in _on_cycles(parent_joint):
-        yield Problem(
-            object=link,
-            attribute="parent",
-            message=f"link '{link}' is on a closed chain; an arm is a tree: cut the loop at one joint and "
-            "state the closure as a constraint",
-            line=links[link].line if link in links else None,
-        )
+        if link in links:
+            yield problem_at(links[link], "parent", f"link '{link}' is on a closed chain; {CUT}")
 
 
 def _name_problems(tree: Tree) -> Iterator[Problem]:
@@ -104,13 +96,7 @@ def _reference_problems(tree: Tree) -> Iterator[Problem]:
             yield _bad(joint, "child", f"it joins link '{joint.child}' to itself; name another child")
         elif joint.child in parent_joint:
             first = parent_joint[joint.child].name
-            yield Problem(
-                object=joint.child,
-                attribute="parent",
-                message=f"link '{joint.child}' has two parents, joints '{first}' and '{joint.name}'; "
-                "an arm is a tree: cut the loop at one of them and state the closure as a constraint",
-                line=joint.line,
-            )
+            yield _bad(joint, "child", f"link '{joint.child}' has two parents, also joint '{first}'; {CUT}")
         else:
             parent_joint[joint.child] = joint
 
@@ -118,28 +104,25 @@ def _reference_problems(tree: Tree) -> Iterator[Problem]:
 def _on_cycles(parent_joint: Mapping[str, TreeJoint]) -> list[str]:
     """One link of each cycle of parents."""
     found: list[str] = []
-    settled: set[str] = set()
+    seen: set[str] = set()
     for start in parent_joint:
-        path: list[str] = []
-        on_path: set[str] = set()
-        link = start
-        while link in parent_joint and link not in settled and link not in on_path:
+        path, link = [], start
+        while link in parent_joint and link not in seen:
+            seen.add(link)
             path.append(link)
-            on_path.add(link)
             link = parent_joint[link].parent
-        if link in on_path and parent_joint[link].parent != link:  # a self-loop is reported as such
+        if link in path and parent_joint[link].parent != link:  # a self-loop is reported as such
             found.append(link)
-        settled.update(path)
     return found
 
 
+def problem_at(item: TreeLink | TreeJoint, attribute: str, message: str) -> Problem:
+    """A problem of a link or joint, with the line where the attribute stands."""
+    return Problem(object=item.name, attribute=attribute, message=message, line=item.lines.get(attribute, item.line))
+
+
 def _bad(joint: TreeJoint, attribute: str, text: str) -> Problem:
-    return Problem(
-        object=joint.name,
-        attribute=attribute,
-        message=f"joint '{joint.name}': {text}",
-        line=joint.lines.get(attribute, joint.line),
-    )
+    return problem_at(joint, attribute, f"joint '{joint.name}': {text}")
 
 
 def joint_problems(tree: Tree, locked: Collection[str]) -> Iterator[Problem]:
@@ -151,7 +134,7 @@ def joint_problems(tree: Tree, locked: Collection[str]) -> Iterator[Problem]:
             yield _bad(joint, "origin", f"its place must be within {MAX_LENGTH:g} m of its parent; got {far:g}")
         if kind == "fixed" or joint.name in locked:
             continue
-        hold = tree.words.hold.format(joint=joint.name)
+        hold = f"or hold it still: load_arm(..., locked={{'{joint.name}': 0.0}})"
         if kind in OTHER_KINDS:
             yield _bad(joint, "type", f"{OTHER_KINDS[kind]}, {hold}")
         elif joint.mimic is not None:
@@ -197,12 +180,7 @@ def mass_problems(tree: Tree) -> Iterator[Problem]:
     for link in tree.links:
         text = wrong_mass(link)
         if text is not None:
-            yield Problem(
-                object=link.name,
-                attribute="mass",
-                message=f"{tree.words.link} '{link.name}': {text}; {tree.words.wrong_inertia}",
-                line=link.lines.get("mass", link.line),
-            )
+            yield problem_at(link, "mass", f"{tree.link_word} '{link.name}': {text}; {FIX_MASS}")
 
 
 def wrong_mass(link: TreeLink) -> str | None:

@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -218,6 +218,12 @@ def symmetric_psd(name: str, matrix: Float64Array, *, unit: str = "", definite: 
             value=smallest,
             rule=rule,
         )
+
+
+def instance_of(name: str, value: object, kind: Any, what: str) -> None:
+    """UsageError for a value of another class, from callers without a type checker; `what` names the right one."""
+    if not isinstance(value, kind):
+        raise UsageError(f"{name} must be {what}; got {type(value).__name__}", name=name, rule=f"is {what}")
 
 
 def one_of(name: str, value: object, options: Sequence[T]) -> T:

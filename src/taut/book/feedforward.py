@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from taut import JointMotion, Law, Run, snapshot
-from taut.base.plot_style import DASHED, INK, SMALL, colour
+from taut.base.plot_style import DASHED, colour, legend_above
 from taut.base.types import Float64Array
 from taut.book.models import (
     KD,
@@ -30,11 +30,10 @@ from taut.book.models import (
     weight,
 )
 from taut.book.page import BY_HAND, ODE, Row, Shown, curve, entry, law_diagram, legend, panels, row
-from taut.book.single_joint import W, angles, ticks, trajectory
+from taut.book.single_joint import W, angles, line_by_line, ticks, trajectory
 from taut.laws import PID, ComputedTorque, FeedForward, FrictionCompensation
 from taut.trajectories import Sine
 
-LINE_BY_LINE: Final = "the pseudocode, line by line"
 STATE: Final = JointMotion(q=[0.9], v=[0.5], a=[-1.2])  # desired, chosen
 THETA, V = 0.7, 1.3  # [rad], [rad/s] actual, chosen
 FED_FORWARD: Final = FeedForward() + FrictionCompensation(at="ref")
@@ -66,9 +65,7 @@ def fig_10_9() -> Shown:
     """Chosen: a sine as trajectory."""
     got = ticks(FED_FORWARD, angles(100), link(r=WRONG_R))
     written = [model_torque(*trajectory(W * 0.01 * k)) for k in range(100)]
-    worst = int(np.argmax(np.abs(got - written)))
-    yield row("last torque of 100 ticks at 100 Hz [N m]", got[-1], written[-1], LINE_BY_LINE, rel=1e-11)
-    yield row("the torque that differs most [N m]", got[worst], written[worst], LINE_BY_LINE)
+    yield from line_by_line(got, written)
 
 
 CENTRES: Final = {1: -0.5 * math.pi, 2: 0.5 * math.pi}  # [rad] of the tasks of figure 10.10
@@ -180,14 +177,7 @@ def fig_10_12() -> Shown:
         right.bar(k, effort[name][0], color=colour(k))
     curve(left, run.t, q, "desired", linestyle=DASHED)
     right.set_xticks([])
-    handles, labels = (
-        one + other
-        for one, other in zip(middle.get_legend_handles_labels(), left.get_legend_handles_labels(), strict=True)
-    )
-    figure.legend(
-        handles, labels, loc="outside upper left", ncols=5, fontsize=SMALL, frameon=False, labelcolor=INK,
-        columnspacing=1.2, handlelength=1.6,
-    )  # fmt: skip
+    legend_above(figure, [*middle.lines, left.lines[-1]])
     for name in list(error)[2:]:
         for measure, of, other in (("RMS error", error, "ff"), ("RMS error", error, "fb"), ("effort", effort, "fb")):
             got, wanted = np.divide(of[name], of[other])
@@ -260,6 +250,4 @@ def fig_10_13() -> Shown:
         e, edot = qd - q, qdotd - qdot
         eint = eint + e * dt
         written.append(model_torque(q, qdot, qdotdotd + 100.0 * e + 20.0 * edot + 150.0 * eint))
-    worst = int(np.argmax(np.abs(got - written)))
-    yield row("last torque of 200 ticks at 100 Hz [N m]", got[-1], written[-1], LINE_BY_LINE, rel=1e-10)
-    yield row("the torque that differs most [N m]", got[worst], written[worst], LINE_BY_LINE, rel=1e-8)
+    yield from line_by_line(got, written)

@@ -111,7 +111,6 @@ def pushed(push: float, law: Law | None, duration: float = LAST / FREQUENCY) -> 
     return on_link(ctrl, plant=dry(), duration=duration, integrator=STICKING, substeps=4)
 
 
-@cache
 def mean_speed(push: float) -> float:
     """Mean speed of a run with dither, over whole periods [rad/s]."""
     run = pushed(push, Dither(amplitude=AMPLITUDE, frequency=FREQUENCY))
@@ -136,10 +135,8 @@ def sec_10_2_1_4() -> Shown:
     yield row(f"speed after 1 s {name}", still, 0.0, "|tau| < b_static", near=1e-12, states=states)
     source = "viscous friction, (2 b_kinetic / pi) asin(v / V)"
     for push in PUSHES:
-        name, wanted = (
-            f"mean speed under {push:g} N m, with dither [rad/s]",
-            SHAKEN * math.sin(0.5 * math.pi * push / KINETIC),
-        )
+        name = f"mean speed under {push:g} N m, with dither [rad/s]"
+        wanted = SHAKEN * math.sin(0.5 * math.pi * push / KINETIC)
         yield row(name, mean_speed(push), wanted, source, rel=0.03, states="to smooth the discontinuity")
     for factor, gains in ((1.0, "gains as they are"), (FACTOR, "four times the gains at rest")):
         for share in (0.99, 1.01):

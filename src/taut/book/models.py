@@ -193,16 +193,19 @@ class MujocoState:
 
 
 @cache
-def _mujoco_model(arm: Arm) -> Any:
-    return taut.MujocoPlant(arm).model
+def _mujoco(arm: Arm) -> tuple[Any, Any]:
+    """Model and state of an arm in MuJoCo."""
+    import mujoco
+
+    model = taut.MujocoPlant(arm).model
+    return model, mujoco.MjData(model)
 
 
 def in_mujoco(q: ArrayLike, v: ArrayLike = 0.0, *, arm: Arm | None = None) -> MujocoState:
     """The Panda or another arm at a state, at rest if no speeds are given."""
     import mujoco
 
-    model = _mujoco_model(arm or panda())
-    data = mujoco.MjData(model)
+    model, data = _mujoco(arm or panda())
     data.qpos[:], data.qvel[:] = q, v
     mujoco.mj_forward(model, data)
     M, J, rate = np.zeros((model.nv, model.nv)), np.zeros((6, model.nv)), np.zeros((6, model.nv))

@@ -36,15 +36,17 @@ def _compare(arguments: argparse.Namespace, say: Say) -> Answer:
 def _compared(arguments: argparse.Namespace) -> Comparison | Grade:
     from taut.analysis.comparison import WrongModel
     from taut.scenarios.compare import USUAL, compare, grade
+    from taut.scenarios.scenario import load_scenario
 
     laws = _laws(arguments)
-    common: dict[str, Any] = {"case": arguments.case, "parameters": arguments.set}
+    common: dict[str, Any] = {"case": arguments.case}
+    scenario = arguments.scenario and load_scenario(arguments.scenario, values=arguments.set)
     if arguments.reference is None:
         if arguments.tolerance is not None:
             raise UsageError("--tolerance is for a grade: --law FILE.py:CLASS --reference 'PID(kp=100, kd=20)'")
         given = arguments.model
         model = USUAL if given is None else WrongModel(**given) if given else None
-        return compare(laws or None, arguments.scenario, by=arguments.by, model=model, **common)
+        return compare(laws or None, scenario, by=arguments.by, model=model, **common)
     if len(laws) != 1 or arguments.scenario is None or arguments.run:
         raise UsageError("--reference grades one law on a scenario: taut compare SCENARIO --law FILE.py:CLASS")
     for name in ("by", "model"):
@@ -53,7 +55,7 @@ def _compared(arguments: argparse.Namespace) -> Comparison | Grade:
     if arguments.tolerance is not None:
         common["tolerance"] = arguments.tolerance
     law = laws[0][1] if isinstance(laws[0], tuple) else laws[0]
-    return grade(law, arguments.reference, arguments.scenario, **common)
+    return grade(law, arguments.reference, scenario, **common)
 
 
 def _laws(arguments: argparse.Namespace) -> list[str | tuple[str, Law | Run | str]]:
@@ -106,7 +108,11 @@ COMPARE: Final = Command(
             "help": "spreads of the true arm (default: mass=0.2 friction=0.2; also com, inertia, payload, trials, "
             "seed); alone it leaves them out",
         },
-        "--set": {"action": ByName, "metavar": "PATH=VALUE", "help": "a parameter of every loop, by its path"},
+        "--set": {
+            "action": ByName,
+            "metavar": "PATH=VALUE",
+            "help": "another value of a key of the scenario, or of a parameter, by its path",
+        },
         "--report": {"type": Path, "metavar": "FILE.html", "help": "a report with the picture, one file"},
     },
     more=f"""examples:

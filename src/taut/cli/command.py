@@ -18,8 +18,6 @@ from taut.base.errors import FileError, TautError, UsageError, unknown_name
 if TYPE_CHECKING:
     from taut.control.law import Law
 
-__all__ = ["DONE", "FAILED", "GAIN", "STATUS", "WRONG", "Answer", "ByName", "Command", "Say", "load_law", "numbers"]
-
 DONE, FAILED, WRONG = 0, 1, 2
 STATUS: Final = """exit status:
   0  done

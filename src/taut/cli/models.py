@@ -33,9 +33,8 @@ ARMS: Final = Command(name="arms", help="List the arms that taut knows by name."
 
 def _laws(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
     from taut import laws
-    from taut.control.combine import Sum, Wrapper, law_classes
+    from taut.control.combine import SideBySide, Sum, Wrapper, law_classes
     from taut.control.gains import Gain
-    from taut.control.side_by_side import SideBySide
     from taut.controller.explain import statements, summary
 
     rows = [

@@ -11,8 +11,8 @@ import numpy as np
 
 from taut.arm.description import Arm
 from taut.arm.parts import TURN, require_radians
-from taut.base.checks import one_of, positive_scalar, require_range, vector
-from taut.base.errors import RangeError, UsageError, count_of
+from taut.base.checks import instance_of, one_of, positive_scalar, require_range, vector
+from taut.base.errors import RangeError, count_of
 from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.kernel import NativeFunction, native
 from taut.maths import dynamics as dyn
@@ -46,12 +46,12 @@ class IkResult:
 
     @property
     def ok(self) -> bool:
-        """Whether the tool is at the target, within the tolerance."""
+        """True where the tool is at the target, within the tolerance."""
         return self.outcome is IkOutcome.SOLVED
 
     @property
     def sentence(self) -> str:
-        """How it ended, in words and numbers."""
+        """The outcome in words and numbers."""
         linear, angular = self.error
         names = ", ".join(repr(name) for name in self.held)
         at = f" ({names})" if self.held and not self.ok else ""
@@ -111,10 +111,8 @@ def inverse_kinematics(
     References:
         Section 10.2.3, equation 10.28. Bertsekas, SIAM J. Control and Optimization 20 (1982): projected Newton.
     """
-    if not isinstance(arm, Arm):  # callers without a type checker
-        raise UsageError(f"inverse kinematics is of an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
-    if not isinstance(pose, Pose):
-        raise UsageError(f"pose must be a taut.Pose(p=..., rpy=...); got {type(pose).__name__}", name="pose")
+    instance_of("arm", arm, Arm, "an Arm from taut.load_arm")
+    instance_of("pose", pose, Pose, "a taut.Pose")
     one_of("directions", directions, DIRECTIONS)
     search = _search_of(arm, arm.frame(frame).name, directions)
     start = search.checked("q0", arm.home if q0 is None else q0)
@@ -227,7 +225,7 @@ class _Search:
         return IkResult(q=q, outcome=outcome, error=error, iterations=count, starts=1, held=held)
 
     def has_fewer_joints(self, q: Float64Array) -> bool:
-        """Whether joints move the tool in fewer directions than were asked for, and in all of these at q."""
+        """True where the joints move the tool in fewer directions than requested, and in all of those at q."""
         model, task = model_of(self.arm), self.task
         rows = task.seen(dyn.pose(model, q, task.frame), dyn.jacobian(model, q, task.frame))
         return task.rank < task.asked and np.linalg.matrix_rank(rows, tol=NEARLY_SINGULAR) == task.rank

@@ -17,7 +17,8 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from taut.base.errors import TautError, TraceError, UsageError, missing_extra, raised_location
+from taut.base.checks import instance_of
+from taut.base.errors import TautError, TraceError, missing_extra, raised_location
 from taut.base.types import Float64Array
 from taut.trace.array import traced_array
 from taut.trace.graph import NONE, Graph, Op
@@ -204,7 +205,7 @@ def trace(function: Function, inputs: Block, parameters: Block, memory: Block) -
 
 
 def failure(cause: Exception, way_out: str = "") -> str:
-    """What went wrong in law code, where, and how to fix it."""
+    """An error of law code in words: what failed, where, and how to fix it."""
     text, place = f"{type(cause).__name__}: {cause}", raised_location(cause)
     if isinstance(cause, ZeroDivisionError):
         return f"it divides by a constant zero at {place}"
@@ -262,8 +263,7 @@ def to_casadi(program: Program, name: str = "taut") -> Any:
         casadi: Any = importlib.import_module("casadi")
     except ImportError as cause:
         raise missing_extra("a program as a CasADi function", "casadi", "oracles") from cause
-    if not isinstance(program, Program):  # callers without a type checker
-        raise UsageError(f"to_casadi takes a traced program, such as ctrl.program; got {type(program).__name__}")
+    instance_of("program", program, Program, "a traced program, such as ctrl.program")
     blocks = {"inputs": program.inputs, "parameters": program.parameters, "memory": program.memory}
     symbols = [casadi.SX.sym(word, block.size) for word, block in blocks.items()]
     with warnings.catch_warnings():

@@ -7,9 +7,9 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from taut.base.errors import UsageError, user_location
+from taut.base.errors import MatchError, TraceError, UsageError, user_location
 from taut.base.types import Array, Float64Array
-from taut.trace.array import has_symbols
+from taut.trace.array import has_symbols, traced_array
 
 
 class Terms:
@@ -125,20 +125,22 @@ class Terms:
 def _array(name: str, value: Any) -> Array:
     if isinstance(value, Terms):
         raise UsageError(f"term '{name}' is itself a named sum; add the two: Terms(...) + Terms(...)")
-    if hasattr(value, "as_array"):
-        value = value.as_array()
-    if isinstance(value, np.ndarray) and value.dtype != object:
-        return value
-    if has_symbols(value):
-        return value  # type: ignore[no-any-return]  # a symbol, or an array of them
+    return as_array(value, f"term '{name}'")
+
+
+def as_array(value: Any, name: str) -> Array:
+    """A value of a term or of memory as an array of numbers or symbols; TraceError where it is none."""
+    array = value.as_array() if hasattr(value, "as_array") else np.asanyarray(value)
+    if array.dtype == object and has_symbols(array):
+        return traced_array(array)
+    if array.dtype.kind == "c":  # of which NumPy would keep the real part
+        raise TraceError(f"{name} must be real numbers; got {value!r}", name=name)
     try:
-        return np.asarray(value, dtype=np.float64) if value is not None else _no_number(name, value)
-    except (TypeError, ValueError):
-        return _no_number(name, value)
-
-
-def _no_number(name: str, value: Any) -> Array:
-    raise UsageError(f"term '{name}' must be numbers at {user_location()}; got {value!r}", name=name)
+        if array.dtype == object and any(entry is None for entry in array.flat):  # of which NumPy makes NaN
+            raise TypeError
+        return np.asarray(array, dtype=np.float64)
+    except (TypeError, ValueError) as cause:
+        raise TraceError(f"{name} must be numbers in a rectangular array; got {value!r}", name=name) from cause
 
 
 def _unnamed(value: Any) -> UsageError:
@@ -210,6 +212,15 @@ class Position(Command):
 
     kind = "position"
     unit = "rad | m"
+
+
+def one_kind(commands: Mapping[str, Command], who: str) -> type[Command]:
+    """The kind of command that all of several laws give; MatchError where they give several."""
+    kind, *others = {type(command) for command in commands.values()}
+    if others:
+        words = ", ".join(f"{name} a {command.kind}" for name, command in commands.items())
+        raise MatchError(f"{who} give commands of one kind; these give {words}", name=who)
+    return kind
 
 
 class WildTerm(NamedTuple):

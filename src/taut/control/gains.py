@@ -43,11 +43,6 @@ class GainValue(np.lib.mixins.NDArrayOperatorsMixin):
         """(), (n,) or (n, n)."""
         return tuple(self._values.shape)
 
-    @property
-    def T(self) -> GainValue:
-        """Transpose."""
-        return GainValue(self._values.T, self.name)
-
     def as_array(self) -> Array:
         """The bare numbers."""
         return self._values

@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
 import numpy as np
 
-from taut.base.errors import ShapeError, TraceError, UsageError
+from taut.base.errors import ShapeError, UsageError
 from taut.base.fields import Declaration, Part
 from taut.base.paths import unflatten
 from taut.control.command import Command
 from taut.control.gains import GainValue, LawMemory, MemoryView, Remembers
 from taut.control.trajectories.reference import JointMotion, Reference, Sample
 from taut.maths.snapshot import Snapshot
-from taut.trace.array import has_symbols, traced_array
 
 if TYPE_CHECKING:
     from taut.control.closed_loop import ApparentImpedance, ClosedLoop
@@ -39,8 +38,7 @@ class Law(Remembers):
     * `reference`, the kind of sample it follows (by default JointMotion), and `ignores_reference`;
     * `needs_contact`, whether a `taut.Phase` with it never starts without contact (by default False);
     * optionally `closed_loop(self, x)`, its error dynamics as matrices, by which `taut.design` finds its gains;
-    * hooks with a default that does nothing: `start`, `check_rate`, `check_state`, `check_change`, `check_reference`,
-      `check_reference_later`.
+    * hooks with a default that does nothing: `start`, `check_rate`, `check_state`, `check_reference`.
 
     Laws add: `FeedForward() + PID(kp=..., kd=...)`. A law must not inherit from another one: it has it as a field, or
     is a `Wrapper` around it. A law in a field `inner: taut.Law` starts with it, and is called as
@@ -76,16 +74,10 @@ class Law(Remembers):
         return {}
 
     def check_state(self, x: Snapshot, rate: float) -> None:
-        """Refuse gains that have no meaning where a run starts."""
-
-    def check_change(self, x: Snapshot, rate: float) -> None:
-        """Refuse new gains that have no meaning where the arm is."""
+        """Refuse gains that have no meaning where a run starts, or where they change."""
 
     def check_reference(self, x: Snapshot, ref: Reference, rate: float) -> None:
-        """Refuse what a run is to follow from x."""
-
-    def check_reference_later(self, x: Snapshot, ref: Reference, rate: float) -> None:
-        """Refuse what a phase would follow that begins later, elsewhere; x is where the run starts."""
+        """Refuse a reference that cannot be followed from x."""
 
     @classmethod
     def declaration_of(cls, name: str, annotation: str, default: Any) -> Declaration[Any]:
@@ -114,16 +106,21 @@ class Law(Remembers):
 
     @property
     def notices(self) -> tuple[tuple[str, str], ...]:
-        """Pairs of a path of its memory and what the outcome of a run says where that is not zero."""
+        """Path of each memory with a notice, and the sentence in a run's outcome where it is not zero."""
         return tuple((path, memory.notice) for path, memory in self.every_memory().items() if memory.notice)
 
     def seen_by(self, child: str, x: Snapshot, ref: Any) -> tuple[Snapshot, Any]:  # noqa: ARG002
-        """What a law that this one holds sees and follows."""
+        """Snapshot and reference of a law that this one holds."""
         return x, ref
 
     def memory_of_children(self, x: Snapshot, ref: Sample) -> dict[str, Any]:
         """Memory at the first tick of the laws that this one holds, by field."""
-        return {name: initial_memory(child, *self.seen_by(name, x, ref)) for name, child in self.children().items()}
+        return {name: child.initial_memory(*self.seen_by(name, x, ref)) for name, child in self.children().items()}
+
+    def initial_memory(self, x: Snapshot, ref: Sample) -> dict[str, Any]:
+        """Memory at the first tick: stated values, that of laws it holds, and what `start` returns."""
+        stated = unflatten({path: memory.initial for path, memory in self.every_memory().items()})
+        return {**stated, **self.memory_of_children(x, ref), **self.start(x, ref)}
 
     @property
     def controlled_frame(self) -> str | None:
@@ -139,11 +136,11 @@ class Law(Remembers):
         return None
 
     def apparent_impedance(self, x: Snapshot) -> ApparentImpedance | None:  # noqa: ARG002
-        """What the tool feels like about a state, in plain numbers; None for a law that promises nothing of it."""
+        """Apparent impedance of the tool at a state, in plain numbers; None for a law that specifies none."""
         return None
 
     def at_rest(self, x: Snapshot) -> Sample:
-        """The sample that asks this law to stay as in the snapshot."""
+        """The sample with which this law keeps the arm where it is in the snapshot."""
         return self.reference.at_rest(x, self.controlled_frame)
 
     def check_rates(self, rate: float) -> None:
@@ -155,21 +152,18 @@ class Law(Remembers):
                 part.check_rate(rate)
         self.check_rate(rate)
 
-    def check_states(self, x: Snapshot, rate: float, *, changed: bool = False) -> None:
-        """This law and inner laws must fit the state x; `changed` gains go to `check_change`. Raises RangeError."""
+    def check_states(self, x: Snapshot, rate: float) -> None:
+        """This law and inner laws must fit the state x. Raises RangeError."""
         for name, law in self.children().items():
-            law.check_states(self.seen_by(name, x, None)[0], rate, changed=changed)
-        (self.check_change if changed else self.check_state)(x, rate)
+            law.check_states(self.seen_by(name, x, None)[0], rate)
+        self.check_state(x, rate)
 
-    def check_references(self, x: Snapshot, ref: Reference, rate: float, *, later: bool = False) -> None:
-        """This law, and inner laws with the same reference, must be able to follow it from x. RangeError, UsageError.
-
-        `later`: it is followed from a time and place not known yet, and x is where the run starts.
-        """
+    def check_references(self, x: Snapshot, ref: Reference, rate: float) -> None:
+        """This law, and inner laws with the same reference, can follow it from x. Raises RangeError, UsageError."""
         for law in self.children().values():
             if law.reference is self.reference:
-                law.check_references(x, ref, rate, later=later)
-        (self.check_reference_later if later else self.check_reference)(x, ref, rate)
+                law.check_references(x, ref, rate)
+        self.check_reference(x, ref, rate)
 
     def __add__(self, other: Law) -> Law:
         from taut.control.combine import added
@@ -191,12 +185,6 @@ def _takes_memory(cls: type[Law]) -> bool:
             name=cls.__name__,
         )
     return len(names) == 5
-
-
-def initial_memory(law: Law, x: Snapshot, ref: Sample) -> dict[str, Any]:
-    """Memory at the first tick: stated values, that of laws it holds, what `start` makes of the measured state."""
-    stated = unflatten({path: memory.initial for path, memory in law.every_memory().items()})
-    return {**stated, **law.memory_of_children(x, ref), **law.start(x, ref)}
 
 
 def call(law: Law | Task, x: Snapshot, ref: Sample, memory: LawMemory, dt: Any) -> tuple[Command, dict[str, Any]]:
@@ -241,18 +229,3 @@ def _described(result: Any, after: Any) -> str:
     if isinstance(result, np.ndarray):
         return f"an unnamed array of shape {result.shape}; write taut.Torque(P=...)"
     return type(result).__name__ + (f" and {type(after).__name__}" if after != {} else "")
-
-
-def as_array(value: Any, name: str) -> Any:
-    """A value of memory or a term as an array."""
-    array = value.as_array() if hasattr(value, "as_array") else np.asanyarray(value)
-    if array.dtype == object and has_symbols(array):
-        return traced_array(array)
-    if array.dtype.kind == "c":  # of which NumPy would keep the real part
-        raise TraceError(f"{name} must be real numbers; got {value!r}", name=name)
-    try:
-        if array.dtype == object and any(entry is None for entry in array.flat):  # of which NumPy makes NaN
-            raise TypeError
-        return np.asarray(array, dtype=np.float64)
-    except (TypeError, ValueError) as cause:
-        raise TraceError(f"{name} must be numbers in a rectangular array; got {value!r}", name=name) from cause

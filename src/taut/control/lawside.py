@@ -16,8 +16,8 @@ from taut.base.errors import MatchError, NumericalError, RangeError, ShapeError,
 from taut.base.paths import flatten, subtree, unflatten
 from taut.base.types import Array, ArrayLike, Float64Array, Vector
 from taut.control.combine import all_laws, title
-from taut.control.command import Command, Terms, Torque
-from taut.control.law import Law, as_array, call, initial_memory
+from taut.control.command import Command, Terms, Torque, as_array
+from taut.control.law import Law, call
 from taut.control.limits import Limits, anew, fresh_blend, limited
 from taut.control.sensing import Sensing
 from taut.control.trajectories.reference import Reference, Sample
@@ -94,7 +94,7 @@ class LawSide:
 
     @property
     def title(self) -> str:
-        """What the law is called in messages."""
+        """Name of the law in messages."""
         return title(self.law)
 
     @property
@@ -120,11 +120,7 @@ class LawSide:
         """Those of law and model: all that a first run of the law needs."""
         out = {f"law.{path}": values for path, values in self.law.parameters().items()}
         out |= {f"sensing.{path}": values for path, values in self.sensing.parameters().items()}
-        payload = self.arm.payload
-        out["model.payload.mass"] = np.asarray(payload.mass)
-        out["model.payload.com"] = payload.com
-        out["model.payload.inertia"] = payload.inertia
-        return out
+        return out | {f"model.payload.{name}": np.asarray(getattr(self.arm.payload, name)) for name in PAYLOAD_UNITS}
 
     @property
     def units(self) -> dict[str, str]:
@@ -208,7 +204,7 @@ class LawSide:
         measured, ref = self.measurements_at_rest(q), self.at_rest(q)
         x = self._snapshot(measured, self._own_parameters, {})
         law = self.law.bound(subtree(self._own_parameters, "law"))
-        _, after = call(law, x, ref, _initial(law, x, ref), self.dt)
+        _, after = call(law, x, ref, law.initial_memory(x, ref), self.dt)
         command, after = call(law, x, ref, after, self.dt)
         return x, command, after
 
@@ -216,27 +212,20 @@ class LawSide:
         """The sample that asks to stay at joint positions q."""
         return self.law.at_rest(Snapshot(self.model, q=q, v=np.zeros(self.arm.n)))
 
-    def check_start(
-        self,
-        q: Float64Array,
-        parameters: Mapping[str, Any],
-        ref: Reference | None = None,
-        *,
-        changed: bool = False,
-    ) -> None:
-        """The law and its reference must have a meaning where a run starts, or its parameters `changed`."""
+    def check_start(self, q: Float64Array, parameters: Mapping[str, Any], ref: Reference | None = None) -> None:
+        """The law and its reference must have a meaning where a run starts, or where its parameters change."""
         payload = _payload_of(parameters)
         x = Snapshot(self.model, q=q, v=np.zeros(self.arm.n), payload=payload)
         law = self.law.bound(subtree(parameters, "law"))
-        law.check_states(x, self.rate, changed=changed)
+        law.check_states(x, self.rate)
         if ref is not None:
             law.check_references(x, ref, self.rate)
 
     def check_change(self, q: Float64Array, before: Mapping[str, Any], new: Mapping[str, ArrayLike]) -> None:
-        """New parameters must have a meaning at q (n,); `before` has all of the law side, by path."""
+        """New parameters must have a meaning at q (n,), those of a task where its phases begin; `before` has all."""
         ours = {path: self.checked_parameter(path, value) for path, value in new.items() if path in self.parameters}
-        if any(path.startswith(("law.", "model.")) for path in ours):
-            self.check_start(q, {**before, **ours}, changed=True)
+        if self.task is None and any(path.startswith(("law.", "model.")) for path in ours):
+            self.check_start(q, {**before, **ours})
 
     @cached_property
     def recorded(self) -> dict[str, str]:
@@ -247,12 +236,12 @@ class LawSide:
 
     @cached_property
     def notices(self) -> dict[str, str]:
-        """What a run's outcome says where a recorded entry of the memory is not zero, by path."""
+        """Sentence of a run's outcome where a recorded entry of the memory is not zero, by path."""
         return {f"{path}.{name}": text for path, law in self.laws for name, text in law.notices}
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """What the law side asks to be measured, beyond positions."""
+        """Measurements that the law side needs, beyond positions."""
         return tuple(name for name in self.takes if name in self.probe.used)
 
     @property
@@ -321,7 +310,7 @@ class LawSide:
         limits = {**fresh_blend(n), "tau_applied": held, "tau_cut": tm.zeros(n)}
         x = self._snapshot(seen, parameters, limits if "limits.tau_applied" in shapes else {})
         law = self.law.bound(subtree(parameters, "law"))
-        memory = flatten({"law": _initial(law, x, ref), "sensing": sensing, "limits": limits})
+        memory = flatten({"law": law.initial_memory(x, ref), "sensing": sensing, "limits": limits})
         filled = {path: _filled(as_array(memory[path], path), shape) for path, shape in shapes.items()}
         if "limits.bump" in shapes:
             asked = self.tick(measured, ref, filled, parameters, self.dt).memory["limits.asked"]
@@ -383,13 +372,8 @@ class LawSide:
 
 
 def _payload_of(parameters: Mapping[str, Any]) -> PayloadValues:
-    """What the tool carries, by the controller's model."""
+    """Payload of the tool in the controller's model."""
     return PayloadValues.of(subtree(parameters, "model.payload"))
-
-
-def _initial(law: Law | Task, x: Snapshot, ref: Sample) -> dict[str, Any]:
-    """Memory at the first tick."""
-    return initial_memory(law, x, ref) if isinstance(law, Law) else law.initial_memory(x, ref)
 
 
 def _nested_memory(law: Law | Task, memory: Mapping[str, Any]) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from taut.arm.description import Arm
+from taut.base.checks import instance_of
 from taut.base.errors import MatchError, ModelError, Problem, UsageError
 from taut.base.fields import Declared, Field
 from taut.base.types import Array, Float64Array, Vector
@@ -91,8 +92,7 @@ class Limits(Declared):
         Raises:
             ModelError: The arm states no effort limit, or no speed limit where `speed`.
         """
-        if not isinstance(arm, Arm):  # callers without a type checker
-            raise UsageError(f"Limits.of takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
+        instance_of("arm", arm, Arm, "an Arm from taut.load_arm")
         for attribute, name in (("effort", "tau"), ("velocity", "v"))[: 1 + speed]:
             if np.isinf(getattr(arm, attribute)).all():
                 message = f"arm '{arm.name}' states no {attribute} limits; give limits with {name}"
@@ -223,13 +223,13 @@ def room(speed: Vector, v_max: Array, v_gain: Array, dt: Any) -> Vector:
 
 
 def left(phase: Any) -> Any:
-    """What is left of a jump when this part of its time is over: from 1 to 0, with no slope at either end."""
+    """Remaining fraction of a jump after this fraction of the blend time: 1 to 0, with zero slope at both ends."""
     x = tm.clip(phase, 0.0, 1.0)
     return 1.0 + x * x * (2.0 * x - 3.0)
 
 
 def fresh_blend(n: int) -> dict[str, Any]:
-    """Memory of a blend that has nothing to do."""
+    """Memory of an inactive blend."""
     return {"asked": tm.zeros(n), "bump": tm.zeros(n), "phase": 1.0}
 
 

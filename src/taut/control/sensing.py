@@ -10,7 +10,7 @@ import functools
 import math
 import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
-from typing import TYPE_CHECKING, Any, Final, Literal, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
 import numpy as np
 
@@ -33,20 +33,6 @@ DECIBEL: Final = math.log(10.0) / 20.0  # natural logarithm of an amplitude per 
 SATURATED: Final = "saturated.F_ext"  # 1.0 in a tick whose reading is at the end of the sensor's range
 WRENCH: Final = "N, N m"
 AT_END: Final = 1.0 - 1e-9  # of the range: turning a reading into the world and back rounds
-
-
-class Filter(Protocol):
-    """What sensing needs of a filter of one measurement."""
-
-    def start(self, u: Array) -> dict[str, Any]:
-        """Memory at the first tick, as if u had always been constant."""
-        ...
-
-    def filtered(
-        self, u: Array, memory: Values, parameters: Values, dt: Any, difference: Subtraction
-    ) -> tuple[Array, dict[str, Any]]:
-        """The filter's output for u, and its memory; `difference` goes the short way round for continuous joints."""
-        ...
 
 
 class LowPass(Declared):
@@ -358,6 +344,8 @@ class Wrist(Declared):
         return sensor_place(arm, self.frame, "sensing.wrist")
 
 
+Filter: TypeAlias = LowPass | Notch | Difference | Kalman
+"""Filter of one measurement u: `start(u)` is its memory as if u had always been constant, `filtered` its output."""
 Velocity: TypeAlias = Literal["measured", "difference"] | LowPass | Difference | Kalman
 WORDS: Final = ("measured", "difference")
 SOURCES: Final = (LowPass, Difference, Kalman)
@@ -419,17 +407,17 @@ class Sensing(Declared):
 
     @property
     def tells(self) -> tuple[str, ...]:
-        """What it gives beside measurements: 1.0 in a tick in which a sensor is at the end of its range."""
+        """Outputs beside the measurements: 1.0 in a tick in which a sensor is at the end of its range."""
         return (SATURATED,) if self.wrist is not None and self.wrist.range is not None else ()
 
     @property
     def alters(self) -> frozenset[str]:
-        """Measurements that the law sees otherwise than they are measured."""
+        """Measurements that are changed before the law sees them."""
         return frozenset(name for *_, name in self._filters()) | ({"F_ext"} if self.wrist is not None else set())
 
     @property
     def summary(self) -> str:
-        """What it does, in one line."""
+        """Filters in use, in one line."""
         parts = [f"{name} by {type(part).__name__}" for _, part, _, name in self._filters()]
         return ", ".join([*parts, *(["F_ext by Wrist"] if self.wrist is not None else [])])
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from taut.arm.description import Arm, Payload
-from taut.base.checks import rate_in_hertz
+from taut.base.checks import instance_of, rate_in_hertz
 from taut.base.errors import UsageError
 from taut.base.paths import Named, subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
@@ -98,12 +98,12 @@ class Controller:
 
     @property
     def adds(self) -> Adds:
-        """What the plant is expected to add itself."""
+        """Components that the plant is expected to add itself."""
         return self.side.adds
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """What must be measured beyond positions."""
+        """Measurements that are needed besides positions."""
         return self.side.needs
 
     @property
@@ -275,7 +275,7 @@ class Controller:
         print(self.explanation())
 
     def explanation(self) -> str:
-        """What `explain` prints."""
+        """The text that `explain` prints."""
         from taut.controller.explain import explanation
 
         return explanation(self)
@@ -316,12 +316,9 @@ def compile(
         >>> ctrl.step(np.zeros(2), np.zeros(2), taut.JointMotion(q=[0.1, 0.0])).tolist()
         [1.0, 0.0]
     """
-    if not isinstance(arm, Arm):  # callers without a type checker
-        raise UsageError(f"compile takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
-    if sensing is not None and not isinstance(sensing, Sensing):
-        raise UsageError(f"sensing must be a taut.Sensing; got {type(sensing).__name__}", name="sensing")
-    if limits is not None and not isinstance(limits, Limits):
-        raise UsageError(f"limits must be a taut.Limits; got {type(limits).__name__}", name="limits")
+    instance_of("arm", arm, Arm, "an Arm from taut.load_arm")
+    instance_of("sensing", sensing, Sensing | None, "a taut.Sensing")
+    instance_of("limits", limits, Limits | None, "a taut.Limits")
     side = LawSide(
         law=law if isinstance(law, Law) else _task(law),
         arm=arm,

@@ -8,7 +8,7 @@ from typing import Any, Final, TypeVar
 import numpy as np
 
 from taut.arm.description import Arm, Friction, Payload
-from taut.base.checks import one_of, vector
+from taut.base.checks import instance_of, one_of, vector
 from taut.base.errors import MatchError, UsageError, unknown_name
 from taut.base.types import Array, ArrayLike, Matrix, Rotation, Twist, Vector, Wrench
 from taut.maths import dynamics as dyn
@@ -354,8 +354,7 @@ def snapshot(arm: Arm, q: ArrayLike, v: ArrayLike | None = None, payload: Payloa
         >>> x.g.round(3).tolist()
         [0.981]
     """
-    if not isinstance(arm, Arm):  # callers without a type checker
-        raise UsageError(f"a snapshot is of an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
+    instance_of("arm", arm, Arm, "an Arm from taut.load_arm")
     held = arm.payload if payload is None else payload
     if not isinstance(held, Payload):
         raise UsageError(f"payload must be taut.Payload(mass=...); got {type(held).__name__}", name="payload")

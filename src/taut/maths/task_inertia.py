@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.base.errors import UsageError
+from taut.base.checks import instance_of
 from taut.base.types import ArrayLike, Float64Array, Matrix, Vector
 from taut.maths.snapshot import snapshot
 from taut.trace import math as tm
@@ -30,7 +30,7 @@ class TaskInertia:
     def of(cls, J: Matrix, M_factors: LTDL, damping: Any = 0.0) -> TaskInertia:
         """(J M^-1 J^T + damping I)^-1, unbounded near singularities without damping [1/kg, 1/(kg m^2)]."""
         half = M_factors.half(J.T)
-        A = M_factors.gram(half)
+        A = half.T @ half
         if not (isinstance(damping, float) and damping == 0.0):
             A = A + damping * tm.eye(len(A))
         return cls(J=J, M_factors=M_factors, half=half, Lambda=factor_spd(A).inverse())
@@ -45,7 +45,7 @@ class TaskInertia:
         half = M_factors.half(J.T)
         rows = [i for i in range(len(J)) if not _is_zero(J[i])]  # a planar arm never moves along the others
         part = J[rows]
-        A = M_factors.gram(half[:, rows]) + TINY * tm.eye(len(rows))
+        A = half[:, rows].T @ half[:, rows] + TINY * tm.eye(len(rows))
         u, _ = least_direction(part)
         shown, knee = u @ factor_spd(A).solve(u), 0.5 * most
         over = tm.maximum(shown - knee, 0.0)
@@ -61,7 +61,7 @@ class TaskInertia:
     @property
     def mobility(self) -> Matrix:
         """(k, k) J M^-1 J^T, without damping or bound."""
-        return self.M_factors.gram(self.half)
+        return self.half.T @ self.half
 
     def joint_acceleration(self, F: Vector) -> Vector:
         """(n,) what a wrench of the task accelerates in the joints, M^-1 J^T F."""
@@ -69,8 +69,7 @@ class TaskInertia:
 
     def acceleration(self, tau: Vector) -> Vector:
         """(k,) what torques accelerate in the task, J M^-1 tau."""
-        out: Vector = self.M_factors.weighed(self.half).T @ self.M_factors.half(tau)
-        return out
+        return self.half.T @ self.M_factors.half(tau)
 
     def wrench(self, tau: Vector) -> Vector:
         """(k,) the wrench of torques, J_bar^T tau with the dynamically consistent inverse J_bar = M^-1 J^T Lambda."""
@@ -119,8 +118,7 @@ def rotor_share(arm: Arm, q: ArrayLike | None = None) -> Float64Array:
     References:
         Chapter, section 10.2.1.5 the effect of gearing; 10.2.2.1 on decentralised control.
     """
-    if not isinstance(arm, Arm):  # callers without a type checker
-        raise UsageError(f"rotor_share takes an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
+    instance_of("arm", arm, Arm, "an Arm from taut.load_arm")
     M = snapshot(arm, arm.home if q is None else q).M
     share: Float64Array = arm.rotor_inertia / np.diag(M)
     return share

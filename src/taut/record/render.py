@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, Final, Self, TypeAlias
+from typing import IO, Any, Final, TypeAlias
 
 import numpy as np
 
@@ -26,7 +26,6 @@ READY: Final = b"ready\n"
 TRAIL: Final = (0.84, 0.37, 0.0, 0.9)
 REFERENCE: Final = (0.2, 0.2, 0.2, 0.55)
 MAX_PIECES: Final = 400  # of a trail
-OFF: Final = ("off", "disable", "disabled", "false", "0")  # values of MUJOCO_GL
 
 
 Numbers: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
@@ -69,68 +68,59 @@ def opened(folder: Path, model: Any, frames: Frames) -> Iterator[Iterator[Pictur
     np.savez(folder / "frames.npz", allow_pickle=False, **vars(frames))
     reasons = []
     for backend in backends():
-        if backend in OFF:
-            raise NoRendererError(f"MUJOCO_GL is '{backend}'")
-        with _Renderer(folder, backend) as renderer:
-            reason = renderer.start()
-            if reason is None:
-                yield renderer.pictures(len(frames.qpos), frames.size)
+        with (folder / "errors.txt").open("w+b") as errors, _started(folder, backend, errors) as process:
+            if _can_draw(process):
+                yield _pictures(process, errors, len(frames.qpos), frames.size)
                 return
-        reasons.append(f"{backend or 'default'}: {reason}")
+            reasons.append(f"{backend or 'default'}: {_last_words(process, errors)}")
     raise NoRendererError("; ".join(reasons))
 
 
-class _Renderer:
-    """The other process, seen from here. A context manager."""
-
-    def __init__(self, folder: Path, backend: str) -> None:
-        environment = {name: value for name, value in os.environ.items() if name != "PYOPENGL_PLATFORM"}
-        if backend:
-            environment["MUJOCO_GL"] = backend
-        self._errors = (folder / "errors.txt").open("w+b")
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", __file__, str(folder)],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=self._errors,
-            env=environment,
-        )
-        assert self._process.stdout is not None
-        self._answers = self._process.stdout
-
-    def start(self) -> str | None:
-        """Wait until it can draw; None if it can, else why not."""
-        timer = threading.Timer(START_TIMEOUT, self._process.kill)
-        timer.start()
+@contextmanager
+def _started(folder: Path, backend: str, errors: IO[bytes]) -> Iterator[subprocess.Popen[bytes]]:
+    """The other process, until the context ends."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYOPENGL_PLATFORM"}
+    if backend:
+        environment["MUJOCO_GL"] = backend
+    command = [sys.executable, "-P", __file__, str(folder)]
+    with subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=errors, env=environment
+    ) as process:
         try:
-            answer = self._answers.read(len(READY))
+            yield process
         finally:
-            timer.cancel()
-        return None if answer == READY else self._last_words()
+            process.kill()
 
-    def pictures(self, count: int, size: tuple[int, int]) -> Iterator[Picture]:
-        width, height = size
-        for _ in range(count):
-            data = self._answers.read(width * height * 3)
-            if len(data) < width * height * 3:
-                raise NoRendererError(self._last_words())
-            yield np.frombuffer(data, dtype=np.uint8).reshape(height, width, 3)
 
-    def _last_words(self) -> str:
-        self._process.kill()
-        self._process.wait()
-        self._errors.seek(0)
-        lines = self._errors.read().decode(errors="replace").strip().splitlines()
-        return lines[-1].strip() if lines else "it ended without a word"
+def _can_draw(process: subprocess.Popen[bytes]) -> bool:
+    """Wait until it can draw, or until it has ended."""
+    assert process.stdout is not None
+    timer = threading.Timer(START_TIMEOUT, process.kill)
+    timer.start()
+    try:
+        return process.stdout.read(len(READY)) == READY
+    finally:
+        timer.cancel()
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(self, *_: object) -> None:
-        self._process.kill()
-        self._process.wait()
-        self._answers.close()
-        self._errors.close()
+def _pictures(
+    process: subprocess.Popen[bytes], errors: IO[bytes], count: int, size: tuple[int, int]
+) -> Iterator[Picture]:
+    assert process.stdout is not None
+    width, height = size
+    for _ in range(count):
+        data = process.stdout.read(width * height * 3)
+        if len(data) < width * height * 3:
+            raise NoRendererError(_last_words(process, errors))
+        yield np.frombuffer(data, dtype=np.uint8).reshape(height, width, 3)
+
+
+def _last_words(process: subprocess.Popen[bytes], errors: IO[bytes]) -> str:
+    process.kill()
+    process.wait()
+    errors.seek(0)
+    lines = errors.read().decode(errors="replace").strip().splitlines()
+    return lines[-1].strip() if lines else "it ended without a message"
 
 
 def draw_all(folder: Path, out: IO[bytes]) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from taut.arm.description import Arm
 from taut.arm.parts import short_way
-from taut.base.checks import finite_scalar
+from taut.base.checks import finite_scalar, instance_of
 from taut.base.errors import MatchError, RangeError, UsageError, count_of
 from taut.base.paths import Named
 from taut.base.types import Float64Array
@@ -130,8 +130,7 @@ class Run:
 
     def require_arm(self, arm: Arm) -> None:
         """Require that an arm has the joints of the run (UsageError, MatchError)."""
-        if not isinstance(arm, Arm):  # callers without a type checker
-            raise UsageError(f"arm must be an Arm from taut.load_arm; got {type(arm).__name__}", name="arm")
+        instance_of("arm", arm, Arm, "an Arm from taut.load_arm")
         if arm.joint_names != self.joint_names:
             raise MatchError(
                 f"arm '{arm.name}' does not have the joints of the run: {', '.join(arm.joint_names)} against "

@@ -15,8 +15,7 @@ from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.loop import compiled_loop
 from taut.codegen.program import Block
 from taut.control.limits import take_up
-from taut.control.tasks.feed import feed_of
-from taut.control.trajectories.feed import Feed
+from taut.control.tasks.feed import ReferenceFeed, TaskFeed, feed_of
 from taut.control.trajectories.reference import Reference
 from taut.controller import Controller, take_up_change
 from taut.loop import DT, Loop, sensed_of
@@ -46,7 +45,7 @@ class OngoingRun(ABC):
 
     tape: Tape
     _events: Schedule
-    _feed: Feed
+    _feed: ReferenceFeed | TaskFeed
     _ticks: int  # of the whole run
     _filled: int = 0  # ticks that have their reference
 
@@ -79,7 +78,7 @@ class OngoingRun(ABC):
         """(n,) where the arm is before a tick, and the parameters by path."""
 
     def _refused(self, k: int) -> Outcome | None:
-        """How the run ends before the events of a tick that have no meaning there."""
+        """The outcome of a run that ends before a tick whose events have no meaning there."""
         try:
             self._events.check(k, *self._before())
         except RangeError as error:
@@ -192,7 +191,7 @@ class FusedRun(OngoingRun):
         return last, self._run.run(inputs[k:last], self._values, self._state, outputs[k:last])
 
     def _diverged(self, k: int) -> Outcome:
-        """How a run ended whose step after row k was not finite: by a sensor, by the law, or by itself."""
+        """The outcome of a run whose step after row k was not finite: by a sensor, by the law, or the simulation."""
         error = self._run.raised
         if isinstance(error, NumericalError):  # plain Python raises where compiled code gives infinity
             return self.tape.without_numbers(k, error)
@@ -236,7 +235,7 @@ class FusedRun(OngoingRun):
     def _seen(
         self, plant: Mapping[str, Any], sensing: Mapping[str, Any] | None, inputs: Mapping[str, Any]
     ) -> Snapshot:
-        """What the controller sees in a tick, for the source of a stream."""
+        """Snapshot that the controller sees in a tick, for the source of a stream."""
         measured = self._loop.measured(plant, inputs, self._numbers)
         return self._loop.side.seen(measured, sensing, self._numbers, float(inputs["t"]))
 

@@ -12,7 +12,6 @@ from taut.base.errors import UsageError, quoted_list, unknown_name
 from taut.base.types import ArrayLike
 from taut.control.combine import title
 from taut.control.law import Law
-from taut.control.trajectories.reference import as_reference
 from taut.loop import Loop
 from taut.record.run import Run
 from taut.scenarios.scenario import Scenario, load_scenario
@@ -31,11 +30,8 @@ def compare(
     by: str | Sequence[str] = (),
     noise: bool = True,
     model: WrongModel | None = USUAL,
-    references: Mapping[str, object] | None = None,
-    parameters: Mapping[str, ArrayLike] | None = None,
     q0: ArrayLike | None = None,
     v0: ArrayLike | None = None,
-    seed: int | None = None,
 ) -> Comparison:
     """Laws side by side on one experiment, in the figures of figure 10.12.
 
@@ -55,11 +51,8 @@ def compare(
         noise: Whether to compare the plant's own noise with none; or where it has none, 1e-5 rad of positions and
             1e-3 rad/s of velocities.
         model: By how much the true arm may differ; 20 % in masses and friction if left out; None: no such figures.
-        references: References of laws that follow another kind, by the law's name.
-        parameters: Values by path that every loop gets, such as {"plant.payload.mass": 1.0}.
         q0: (n,) where every run starts [rad | m]; the scenario's, or of a loop the arm's home, if left out.
         v0: (n,) with which velocity; likewise.
-        seed: Of the noise; the scenario's if left out.
 
     Raises:
         UsageError: Two laws of one name, more than eight, nothing to compare; a recorded run too short, or of a
@@ -80,7 +73,7 @@ def compare(
     """
     if model is not None and not isinstance(model, WrongModel):
         raise UsageError(f"model must be a taut.analysis.WrongModel(mass=0.2), or None; got {model!r}", name="model")
-    experiment, own = _experiment(on, case, parameters, q0=q0, v0=v0, seed=seed)
+    experiment, own = _experiment(on, case, q0=q0, v0=v0)
     items = _named(own if laws is None else laws, own)
     if experiment is not None and own and all(isinstance(item, Run) for item in items.values()):
         items = _named([*own.items(), *items.items()], own)
@@ -89,17 +82,9 @@ def compare(
         raise UsageError(
             "laws are compared on a scenario or a taut.Loop: taut.compare(laws, 'one_joint_pid')", name="on"
         )
-    for name in references or {}:
-        if name not in of_law:
-            raise unknown_name("the comparison", "law", name, of_law)
-    places: dict[str, tuple[Law, Experiment]] = {}
-    for name, law in of_law.items():
-        assert experiment is not None
-        places[name] = law, experiment
-        if references and name in references:
-            places[name] = law, dataclasses.replace(experiment, reference=as_reference(references[name]))
     return compare_laws(
-        places,
+        of_law,
+        experiment if of_law else None,
         runs={name: item for name, item in items.items() if isinstance(item, Run)},
         by=[by] if isinstance(by, str) else list(by),
         noise=noise,
@@ -114,7 +99,6 @@ def grade(
     *,
     case: str | None = None,
     tolerance: float = GRADE_TOLERANCE,
-    parameters: Mapping[str, ArrayLike] | None = None,
     q0: ArrayLike | None = None,
     v0: ArrayLike | None = None,
 ) -> Grade:
@@ -130,7 +114,6 @@ def grade(
         on: As of `taut.compare`.
         case: As of `taut.compare`.
         tolerance: Relative; 5 % if left out.
-        parameters: As of `taut.compare`.
         q0: As of `taut.compare`.
         v0: As of `taut.compare`.
 
@@ -143,7 +126,7 @@ def grade(
         >>> graded.ok, graded.wrong_term, round(graded.terms[0].size / graded.terms[0].reference - 3 / 2.205 + 1, 9)
         (False, 'P', 0.0)
     """
-    experiment, own = _experiment(on, case, parameters, q0=q0, v0=v0)
+    experiment, own = _experiment(on, case, q0=q0, v0=v0)
     if experiment is None:
         raise UsageError("a law is graded on a scenario or a taut.Loop; got none", name="on")
     (mine, student), (other, wanted) = (next(iter(_named([one], own).items())) for one in (law, reference))
@@ -155,7 +138,7 @@ def grade(
 
 
 def _experiment(
-    on: Where | None, case: str | None, parameters: Mapping[str, ArrayLike] | None, **changes: Any
+    on: Where | None, case: str | None, **changes: ArrayLike | None
 ) -> tuple[Experiment | None, Mapping[str, Law]]:
     """The experiment with what is different in it, and the laws that it has itself."""
     if on is None:
@@ -167,7 +150,7 @@ def _experiment(
         laws = {name: law for name, law in scenario.laws.items() if isinstance(law, Law)}
         if len(laws) < len(scenario.laws):
             raise UsageError(
-                f"{scenario.source} is a task, whose phases have their own references; compare a phase of recorded "
+                f"{experiment.name} is a task, whose phases have their own references; compare a phase of recorded "
                 "runs, taut.load_run('a.mcap').phase(name)",
                 name="on",
             )
@@ -179,20 +162,20 @@ def _experiment(
         raise UsageError(
             f"laws are compared on a scenario's name, a .toml file or a taut.Loop; got {type(on).__name__}", name="on"
         )
-    given = {name: value for name, value in changes.items() if value is not None}
-    both = {**experiment.parameters, **(parameters or {})}
-    return dataclasses.replace(experiment, parameters=both, **given), laws
+    given: dict[str, Any] = {name: value for name, value in changes.items() if value is not None}
+    return dataclasses.replace(experiment, **given), laws
 
 
 def _case_of(scenario: Scenario, case: str | None) -> Scenario:
+    name = scenario.experiment.name
     if not scenario.cases:
         if case is not None:
-            raise UsageError(f"{scenario.source} has no cases; leave case out", name="case")
+            raise UsageError(f"{name} has no cases; leave case out", name="case")
         return scenario
     if case is None:
-        raise UsageError(f"{scenario.source} has cases; take one of {quoted_list(scenario.cases)}", name="case")
+        raise UsageError(f"{name} has cases; take one of {quoted_list(scenario.cases)}", name="case")
     if case not in scenario.cases:
-        raise unknown_name(scenario.source, "case", case, scenario.cases)
+        raise unknown_name(name, "case", case, scenario.cases)
     return scenario.cases[case]
 
 

@@ -8,7 +8,6 @@ file, section and key as they are written.
 from __future__ import annotations
 
 import contextlib
-import copy
 import dataclasses
 import inspect
 import os
@@ -230,17 +229,13 @@ def shown(value: object) -> str:
 
 
 def with_values(root: Table, values: Mapping[str, Any]) -> Table:
-    """A file with other values of some keys, by their paths: {"run.duration": 2.0}. Raises ScenarioError."""
-    table = copy.deepcopy(root.values)
+    """A file with other values of some keys, by their paths: {"run.duration": 2.0}."""
     for path, value in values.items():
-        *above, last = path.split(".")
-        at: Any = table
-        for word in above:
-            at = at.setdefault(word, {}) if isinstance(at, dict) else None
-        if not isinstance(at, dict):
-            raise ScenarioError(f"{root.where} has no table '{'.'.join(above)}' for '{path}'", name=path)
-        at[last] = value
-    return root.at(root.path, table)
+        changes = value
+        for word in reversed(path.split(".")):
+            changes = {word: changes}
+        root = root.merged(changes, root.file)
+    return root
 
 
 Reader = Callable[[Table, str], Any]

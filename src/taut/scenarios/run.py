@@ -217,7 +217,7 @@ def _info(scenario: Scenario, trial: Trial) -> ScenarioInfo:
         name=scenario.name,
         **trial._asdict(),
         text=scenario.experiment.texts["Scenario"],
-        built_in=scenario.source.partition(":")[0] == f"scenario '{scenario.name}'",
+        built_in=scenario.experiment.name.partition(":")[0] == f"scenario '{scenario.name}'",
     )
 
 
@@ -229,7 +229,7 @@ def _blamed(scenario: Scenario, trial: Trial) -> Iterator[None]:
     except TautError as cause:
         section = SECTIONS.get((cause.name or "").partition(".")[0])
         place = f"[{section}]" if section else f"law '{trial.law}':"
-        raise ScenarioError(f"{scenario.source}: {place} {cause}") from cause
+        raise ScenarioError(f"{scenario.experiment.name}: {place} {cause}") from cause
 
 
 def _targets(scenario: Scenario, folder: Path) -> dict[str, Path]:

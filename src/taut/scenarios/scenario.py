@@ -22,9 +22,9 @@ from taut.base.errors import (
     unknown_name,
 )
 from taut.base.fields import Declared, Field, Plain, Whole
+from taut.control.combine import SideBySide
 from taut.control.law import Law
 from taut.control.lawside import LawSide
-from taut.control.side_by_side import SideBySide
 from taut.control.tasks.feed import feed_of
 from taut.control.tasks.task import Task
 from taut.control.trajectories.reference import Reference
@@ -176,7 +176,6 @@ class Scenario:
     """An experiment: laws for one arm, against one plant, along one reference."""
 
     name: str
-    source: str  # what messages call it
     title: str
     laws: Mapping[str, Law | Task]
     experiment: Experiment
@@ -247,7 +246,7 @@ def load_scenario(
 
     def read_one(table: Table) -> Scenario:
         laws, experiment = read_experiment(table, own_laws, text)
-        return Scenario(**common, source=table.where, laws=laws, experiment=experiment, cases={})
+        return Scenario(**common, laws=laws, experiment=experiment, cases={})
 
     spread, whole = read_spread(root), read_one(root)
     cases = {case: read_one(table) for case, table in _cases_of(root).items()}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import dataclasses
 import os
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -23,11 +22,10 @@ from taut.base.errors import UsageError, unknown_name
 from taut.base.fields import Declared, Field, Part, Whole
 from taut.base.plot_style import short
 from taut.base.types import Float64Array
-from taut.control.combine import Wrapper, law_classes
+from taut.control.combine import SideBySide, Wrapper, law_classes
 from taut.control.law import Law
 from taut.control.limits import Limits
 from taut.control.sensing import Difference, Kalman, LowPass, Sensing
-from taut.control.side_by_side import SideBySide
 from taut.drives import ElectricMotor, Motor, MotorModel
 from taut.environments import (
     Damper,
@@ -49,13 +47,6 @@ from taut.trace.pose import Pose
 CONSTRAINTS: Final = ("plane", "point", "sphere", "cylinder", "line", "hinge", "grasp", "pin", "knife_edge")
 VELOCITY_SOURCES: Final[Mapping[str, Any]] = {"low-pass": LowPass, "difference": Difference, "kalman": Kalman}
 MAX_RATE: Final = 1e6  # [Hz] of any controller that there is
-LIMITS: Final[Mapping[str, Mapping[str, bool]]] = {
-    "arm": {},
-    "arm with rate": {"rate": True},
-    "arm with speed": {"speed": True},
-    "arm with rate and speed": {"rate": True, "speed": True},
-}
-"""The arm's own limits, in words: what they are to Limits.of."""
 
 
 @reads(Law)
@@ -134,19 +125,18 @@ def read_control(table: Table, arm: Arm) -> tuple[float, Sensing, Limits | None]
 
 
 def _limits(table: Table, arm: Arm, rate: float) -> Limits | None:
-    """limits = one of LIMITS, or a table of the fields of Limits; `of = "arm"` gives what the table leaves out."""
+    """limits = "arm", or a table: with of = "arm" of the arguments of Limits.of, else of the fields of Limits."""
     if not isinstance(table.get("limits"), dict):
-        word = table.choice("limits", ("none", *LIMITS), "none")
+        if table.choice("limits", ("none", "arm"), "none") == "none":
+            return None
         with table.blamed("limits"):
-            return None if word == "none" else Limits.of(arm, **LIMITS[word])
+            return Limits.of(arm)
     below = table.table("limits")
-    word = below.choice("of", LIMITS)
-    below.only(["of", *arguments(Limits)])
-    given = below.without("of").values
+    below.choice("of", ("arm",))
+    limits: Limits = read(Limits.of, below, others=["of"], arm=arm) if "of" in below else read(Limits, below)
     with below.blamed():
-        made = Limits(**given) if word is None else dataclasses.replace(Limits.of(arm, **LIMITS[word]), **given)
-        made.check_fit(arm, rate)
-    return made
+        limits.check_fit(arm, rate)
+    return limits
 
 
 EXAMPLE: Final = "PID(kp=100, kd=20)"

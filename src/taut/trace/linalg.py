@@ -16,7 +16,7 @@ from taut.trace.array import has_symbols, select_one, traced_array
 
 
 class LTDL:
-    """Factors of a symmetric positive definite matrix, A = L^T D L: L keeps a branched arm's zeros.
+    """Factors of a symmetric positive definite matrix, A = L^T D L = U U^T: L keeps a branched arm's zeros.
 
     With `least`, a row whose pivot is at most that part of its diagonal entry (dependent on later rows) is left out:
     its unknown is 0, and `dropped` True. Source: Featherstone, Rigid Body Dynamics Algorithms (2008), section 6.5.
@@ -57,23 +57,12 @@ class LTDL:
         return _by_columns(self._solve_one, columns)
 
     def half(self, b: Array) -> Array:
-        """L^-T b, half of the way to x; b may have columns."""
-        return _by_columns(self._down, _entries(b))
+        """Half of a solution: U^-1 b, with which b . A^-1 c is a product of two halves; b may have columns."""
+        return (self._scales() * _by_columns(self._down, _entries(b)).T).T
 
     def other_half(self, y: Array) -> Array:
-        """x of y = L^-T b, a vector."""
-        return _back(self._up(_entries(y).tolist()), np.shape(y))
-
-    def weighed(self, y: Array) -> Array:
-        """D^-1 y: with y = L^-T b, b . A^-1 c is y . D^-1 L^-T c."""
-        return (_back(self._inverse_d, (len(self.d),)) * y.T).T
-
-    def gram(self, y: Matrix) -> Matrix:
-        """B^T A^-1 B of y = L^-T B, symmetric to the last bit."""
-        rows, weighed = y.T, self.weighed(y).T
-        k = len(rows)
-        out = [[rows[max(i, j)] @ weighed[min(i, j)] for j in range(k)] for i in range(k)]
-        return _back([x for row in out for x in row], (k, k))
+        """The solution U^-T y of y = half(b), a vector."""
+        return _back(self._up(list(self._scales() * y)), np.shape(y))
 
     def inverse(self) -> Matrix:
         """A^-1 = L^-1 D^-1 L^-T, symmetric to the last bit: half the work of solving for each column."""
@@ -98,15 +87,14 @@ class LTDL:
         return _back([x for row in out for x in row], (n, n))
 
     def root(self) -> Matrix:
-        """The upper triangular U with A = U U^T: L^T sqrt(D)."""
+        """The upper triangular U = L^T sqrt(D)."""
         n, L, d = len(self.d), self._l, [np.sqrt(d) for d in self.d]
         rows = [[d[k] * (L[k][i] if i < k else float(i == k)) for k in range(n)] for i in range(n)]
         return _back([x for row in rows for x in row], (n, n))
 
-    def between_roots(self, K: Matrix) -> Matrix:
-        """U^-1 K U^-T of a symmetric K: its own eigenvalues are those of K x = l A x."""
-        inverse_root = _back([1.0 / np.sqrt(d) for d in self.d], (len(self.d), 1))
-        return self.half((self.half(K) * inverse_root).T) * inverse_root
+    def _scales(self) -> Array:
+        """(n,) 1 / sqrt(D)."""
+        return _back([np.sqrt(d) for d in self._inverse_d], (len(self.d),))
 
     def least_direction(self) -> tuple[Array, Any]:
         """A unit vector u near the eigenvector of the smallest eigenvalue, and u . A u, by one inverse iteration.
@@ -128,21 +116,18 @@ class LTDL:
         return out / np.sqrt(square), (start @ out) / square
 
     def _solve_one(self, x: list[Any]) -> list[Any]:
-        return self._up(self._down(x))
+        return self._up([y * d for y, d in zip(self._down(x), self._inverse_d, strict=True)])
 
     def _down(self, x: list[Any]) -> list[Any]:
-        n, L = len(x), self._l
-        for k in range(n - 1, -1, -1):  # L^T y = b
+        for k in range(len(x) - 1, -1, -1):  # L^T y = b
             for i in range(k):
-                x[i] = x[i] - L[k][i] * x[k]
+                x[i] = x[i] - self._l[k][i] * x[k]
         return x
 
-    def _up(self, y: list[Any]) -> list[Any]:
-        n, L = len(y), self._l
-        x = [y[k] * self._inverse_d[k] for k in range(n)]
-        for k in range(n):  # L x = D^-1 y
+    def _up(self, x: list[Any]) -> list[Any]:
+        for k in range(len(x)):  # L x = y
             for i in range(k):
-                x[k] = x[k] - L[k][i] * x[i]
+                x[k] = x[k] - self._l[k][i] * x[i]
         return x
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink, Words, assemble
+from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink, assemble
 from taut.arm.parts import Body, Joint, JointKind
 from taut.base.checks import SYMMETRY_TOLERANCE, finite_array
 from taut.base.errors import RangeError, ShapeError
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 UNIT: Final = 1e-6  # how far a screw axis may be from unit length and from zero pitch
 BASE: Final = "base"
 TOOL: Final = "tool"
-SCREW_WORDS: Final = Words(no_mass="fix its entry of Glist", wrong_inertia="fix its entry of Glist")
 
 
 def arm_from_screws(
@@ -41,7 +40,7 @@ def arm_from_screws(
     n = S.shape[1]
     M = finite_array("Mlist", Mlist, shape=(n + 1, 4, 4))
     G = finite_array("Glist", Glist, shape=(n, 6, 6))
-    tree = Tree(name=name, source="screw axes", words=SCREW_WORDS, tool=TOOL)
+    tree = Tree(name=name, source="screw axes", tool=TOOL)
     tree.links.append(TreeLink(name=BASE))
     T_0_link, parent = Pose.identity(), BASE
     for i in range(n):
@@ -114,11 +113,6 @@ def _inertia(name: str, G: Float64Array) -> Body:
     return Body(mass=m, com=c, inertia=0.5 * (I + I.T))
 
 
-WORDS: Final = Words(
-    no_mass="fix its entry of model.inertias",
-    wrong_inertia="fix its entry of model.inertias",
-    hold="or hold it still: pinocchio.buildReducedModel",
-)
 NO_LIMIT: Final = 1e300  # Pinocchio writes the largest float where there is no limit
 KINDS: Final[dict[str, JointKind]] = {
     **{f"JointModelR{axis}": "revolute" for axis in "XYZ"},
@@ -136,7 +130,7 @@ KINDS: Final[dict[str, JointKind]] = {
 
 def pinocchio_tree(model: Any) -> Tree:
     """A Pinocchio model; rotor inertia is `armature`, or rotorInertia rotorGearRatio^2 where that is zero."""
-    tree = Tree(name=model.name or "arm", source="a Pinocchio model", words=WORDS)
+    tree = Tree(name=model.name or "arm", source="a Pinocchio model")
     tree.gravity = np.array(model.gravity.linear)
     links = [str(name) for name in model.names]
     tree.links.append(TreeLink(name=links[0]))
@@ -160,7 +154,7 @@ def _joint(tree: Tree, model: Any, i: int, name: str) -> Joint:
             name,
             "type",
             f"joint '{name}': {type_name} is not one of an arm's joints (hinges and slides); "
-            f"build the model without it, {WORDS.hold}",
+            "build the model without it: pinocchio.buildReducedModel",
         )
     if kind not in ("revolute", "continuous", "prismatic"):
         return Joint(name=name, kind=kind or "fixed", placement=placement)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from taut.arm.loaders.mjcf_source import Compiled, compiled, prepare
-from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink, Words
+from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink
 from taut.arm.loaders.visuals import MeshPaths, mjcf_visuals
 from taut.arm.loaders.xml import Element
 from taut.arm.parts import Body, Joint, JointKind
@@ -25,9 +25,6 @@ if TYPE_CHECKING:
     import mujoco
 
 WORLD: Final = "world"
-WORDS: Final = Words(
-    link="body", no_mass="give it an <inertial>, or geoms with mass", wrong_inertia="fix its <inertial>"
-)
 
 
 def mjcf_tree(root: Element, path: Path) -> Tree:
@@ -36,7 +33,7 @@ def mjcf_tree(root: Element, path: Path) -> Tree:
     if source.problems:
         raise ModelError(str(path), source.problems)
     result = compiled(source, path)
-    tree = Tree(name=root.get("model") or path.stem, source=str(path), line=root.line, words=WORDS)
+    tree = Tree(name=root.get("model") or path.stem, source=str(path), line=root.line, link_word="body")
     links = _Builder(tree, result, str(path)).build()
     meshes = MeshPaths(path.parent)
     for body, visual in mjcf_visuals(result, source.meshes, meshes):

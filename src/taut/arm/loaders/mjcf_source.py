@@ -1,7 +1,7 @@
 """An MJCF document made safe for MuJoCo and compiled by it: includes resolved, files and extensions removed.
 
 One element a line traces MuJoCo's messages to the user's files. Checked here is what MuJoCo accepts in silence:
-numbers not finite or huge, reversed ranges, duplicate names.
+numbers not finite or huge, reversed ranges.
 """
 
 from __future__ import annotations
@@ -217,18 +217,14 @@ def _owners(root: Element) -> Iterator[tuple[str, Element]]:
 
 
 def _problems(root: Element, main: str) -> Iterator[Problem]:
-    names: dict[tuple[str, str], Element] = {}
     counts = dict.fromkeys(MOST, 0)
     for owner, element in _owners(root):
         found: list[tuple[str | None, str]] = []
         if element.tag in REFUSED:
             found.append((element.tag, REFUSED[element.tag]))
         found.extend(_number_problems(element))
-        if element.tag in ("body", "joint", "freejoint", "site") and element.get("name"):
-            kind = "joint" if element.tag == "freejoint" else element.tag
-            first = names.setdefault((kind, element.attributes["name"]), element)
-            if first is not element:
-                found.append(("name", f"this name is there twice (first in line {first.line}); rename one"))
+        if element.get("settotalmass"):
+            found.append(("settotalmass", "settotalmass is not read; scale the masses themselves"))
         if element.tag in counts:
             counts[element.tag] += 1
         for attribute, text in found:
@@ -394,7 +390,6 @@ def _masses_from_meshes(spec: mujoco.MjSpec, source: MjcfSource) -> Iterator[Pro
 
     mode = mujoco.mjtInertiaFromGeom(spec.compiler.inertiafromgeom)
     low, high = spec.compiler.inertiagrouprange
-    lost = False
     for body in spec.bodies:
         if mode == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE:
             continue
@@ -415,11 +410,6 @@ def _masses_from_meshes(spec: mujoco.MjSpec, source: MjcfSource) -> Iterator[Pro
                     line=None if element is None else element.line,
                 )
                 break
-            lost = True
-    if lost and spec.compiler.settotalmass > 0.0:
-        text = "settotalmass of <compiler> needs the masses of mesh files, which are never opened; take it out"
-        line = next((element.line for element in source.lines if element.get("settotalmass")), None)
-        yield Problem(object="compiler", attribute="settotalmass", message=text, line=line)
 
 
 def _moves(body: mujoco.MjsBody, spec: mujoco.MjSpec) -> bool:

@@ -16,11 +16,13 @@ import numpy as np
 from taut.arm.parts import BASE, STANDARD_GRAVITY, TURN, Body, CommandKind, Frame, Joint, Visual
 from taut.arm.rules import (
     AXIS_TOLERANCE,
+    FIX_MASS,
     OTHER_KINDS,
     check_inertia,
     indefinite,
     joint_problems,
     mass_problems,
+    problem_at,
     structure_problems,
     wrong_mass,
 )
@@ -69,16 +71,6 @@ class TreeJoint:
         return self.joint.name
 
 
-@dataclass(frozen=True, kw_only=True)
-class Words:
-    """What sentences about a model call its parts, and where its numbers are mended."""
-
-    link: str = "link"
-    no_mass: str = "give it an inertial element"
-    wrong_inertia: str = "fix the inertial element"
-    hold: str = "or hold it still: load_arm(..., locked={{'{joint}': 0.0}})"  # how a joint is locked
-
-
 @dataclass(kw_only=True)
 class Tree:
     """Links and joints of one model, with the problems met while reading it, and what the catalogue adds."""
@@ -98,7 +90,7 @@ class Tree:
     commands: tuple[CommandKind, ...] = ("torque",)  # what the real arm takes
     leaves: list[str] | None = None  # frames at the ends, where links alone do not tell
     structure_unknown: bool = False  # something unreadable hides how the links hang together
-    words: Words = field(default_factory=Words)
+    link_word: str = "link"  # what messages call a link
 
     def problem(self, object_: str, attribute: str | None, message: str, line: int | None = None) -> None:
         """Report one thing that is wrong."""
@@ -346,7 +338,6 @@ class _Lumps:
 
     def problems(self) -> Iterator[Problem]:
         """Bodies that no joint can move: without mass, or with an inertia that no rigid body has."""
-        words = self._tree.words
         for i, joint in enumerate(self.joints):
             links = self._on_body[i]
             if any(link.unreadable or wrong_mass(link) for link in links):
@@ -361,17 +352,12 @@ class _Lumps:
                 yield links[0].if_massless
                 continue
             if owner is None:
-                owner, text = links[0], f" is moved by joint '{joint.name}' and has no mass; {words.no_mass}"
+                owner, text = links[0], f" is moved by joint '{joint.name}' and has no mass; give it mass and inertia"
             else:
                 fixed = [link.name for link in links if link is not owner and link.is_frame]
                 along = f", with {quoted_list(fixed, 3)} fixed to it" if fixed else ""
-                text = f"{along}: {text}; {words.wrong_inertia}"
-            yield Problem(
-                object=owner.name,
-                attribute=attribute,
-                message=f"{words.link} '{owner.name}'{text}",
-                line=owner.lines.get(attribute, owner.line),
-            )
+                text = f"{along}: {text}; {FIX_MASS}"
+            yield problem_at(owner, attribute, f"{self._tree.link_word} '{owner.name}'{text}")
 
 
 def _unit_axis(axis: Float64Array) -> Float64Array:

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink, Words
+from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink
 from taut.arm.loaders.visuals import SIZES, MeshPaths, colours_of, urdf_visuals
 from taut.arm.loaders.xml import BadNumberError, Element, numbers
 from taut.arm.parts import Body, Joint, JointKind, inertia_matrix
@@ -21,7 +21,6 @@ from taut.arm.rules import MAX_LINKS
 from taut.base.errors import ModelError, Problem, quoted_list, unknown_name
 from taut.trace.pose import Pose
 
-WORDS: Final = Words(no_mass="give it an <inertial> with mass and inertia", wrong_inertia="fix its <inertial>")
 KINDS: Final[tuple[JointKind, ...]] = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 LIMITS: Final = ("lower", "upper", "velocity", "effort")
 INERTIA: Final = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
@@ -57,7 +56,7 @@ def urdf_tree(robot: Element, path: Path, packages: Mapping[str, Path] | None = 
     `packages` has the folders that stand for `package://NAME` in mesh names.
     """
     name = robot.get("name") or path.stem
-    tree = Tree(name=name, source=str(path), line=robot.line, words=WORDS)
+    tree = Tree(name=name, source=str(path), line=robot.line)
     if name != robot.get("name"):
         tree.notes.append(f"the robot has no name; it is called '{name}' after its file")
     for tag in ("link", "joint"):

@@ -22,7 +22,6 @@ from taut.trace import math as tm
 
 DEPENDENT: Final = 3e-4  # of the largest singular value, rows of length 1; below it rounding is beyond 1e-9
 OUT_OF_RANGE: Final = 0.01  # [-] of a wrench, which a stream may state where the tool is, and not where it should be
-ELSEWHEN: Final = 0.1234567  # [s]
 REFERENCE_INSTANTS: Final = 64  # at a motion before it is followed
 
 
@@ -58,12 +57,10 @@ def check_place(constraint: Constraint, x: Snapshot, tolerance: float) -> None:
     _check_on(phi, constraint.one_sided, tolerance, "q0", "a hybrid run must start on its constraint, and", advice)
 
 
-def check_reference(
-    constraint: Constraint, x: Snapshot, ref: Reference, tool: str | None, tolerance: float, *, later: bool = False
-) -> None:
+def check_reference(constraint: Constraint, x: Snapshot, ref: Reference, tool: str | None, tolerance: float) -> None:
     """A known reference must ask for admissible forces and keep to the constraint, within the tolerance.
 
-    Checked are samples of a chunk, 64 instants of a trajectory; if followed `later`, only what needs neither x nor t.
+    Checked are samples of a chunk, 64 instants of a trajectory.
     """
     of_tool, here = of_one_body(constraint, x, tool), constraint.at(x).A
     for t, sample in _known(ref):
@@ -72,16 +69,14 @@ def check_reference(
         presses = ref.presses if isinstance(ref, Pressing) else bool(np.any(sample.press))
         _check_force(constraint, sample, presses=presses)
         A, F_app = here, np.asarray(sample.F_app, dtype=np.float64)
-        known = not later and not isinstance(ref, Chunk)
+        known = not isinstance(ref, Chunk)
         if of_tool and isinstance(sample.motion, TaskMotion):
             assert constraint.frame is not None
             pose, now = sample.motion.pose @ x.T(tool).inverse() @ x.T(*constraint.frame), float(x.t) + t
+            A, known = constraint.of_twist(pose, now)[0], True
+            subject = f"the motion must keep to the constraint, and at t = {t:g} s"
             phi = constraint.of_pose(pose, now)
-            known = not later or not np.any(phi != constraint.of_pose(pose, now + ELSEWHEN))
-            if known:
-                A = constraint.of_twist(pose, now)[0]
-                subject = f"the motion must keep to the constraint, and at t = {t:g} s"
-                _check_on(phi, constraint.one_sided, tolerance, "ref", subject, "give poses with phi = 0")
+            _check_on(phi, constraint.one_sided, tolerance, "ref", subject, "give poses with phi = 0")
         if known and A is not None and np.any(F_app):
             _check_admitted(np.asarray(A, dtype=np.float64), F_app, constraint.one_sided, t)
 
@@ -203,7 +198,7 @@ def along_constraint(
     return made if d is None else _at_point(made, -d)
 
 
-def felt_along(x: Snapshot, rows: ConstraintRows, frame: str | None) -> Snapshot:
+def without_reaction(x: Snapshot, rows: ConstraintRows, frame: str | None) -> Snapshot:
     """The snapshot with F_ext less the constraint's reaction: friction along it, and the push of a hand.
 
     A law that answers F_ext with an acceleration (`Impedance` with D) would make motion along it of the contact

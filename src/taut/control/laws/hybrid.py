@@ -20,8 +20,8 @@ from taut.control.laws.constraints import (
     check_constraint,
     check_place,
     check_reference,
-    felt_along,
     of_one_body,
+    without_reaction,
 )
 from taut.control.laws.force import (
     E_INT_MAX,
@@ -191,10 +191,6 @@ class HybridMotionForce(Law):
         check_place(self.constraint, x, self.tolerance)
         check_reference(self.constraint, x, ref, self.motion.controlled_frame, self.tolerance)
 
-    def check_reference_later(self, x: Snapshot, ref: Reference, rate: float) -> None:  # noqa: ARG002
-        """The same of a phase that begins elsewhere, as far as it is known."""
-        check_reference(self.constraint, x, ref, self.motion.controlled_frame, self.tolerance, later=True)
-
     def touches(self, x: Snapshot) -> Any:
         """Whether phi is within the tolerance and, for one-sided rows with a sensor, a force is on it."""
         rows = self.constraint.at(x)
@@ -261,7 +257,7 @@ class HybridMotionForce(Law):
             return x, motion
         assert self.constraint.frame is not None
         (frame,) = self.constraint.frame
-        seen = felt_along(x, rows, frame) if of_one_body(self.constraint, x, None) else x
+        seen = without_reaction(x, rows, frame) if of_one_body(self.constraint, x, None) else x
         return seen, along_constraint(x, rows, frame, motion, tool)
 
     def _multipliers(

@@ -13,7 +13,7 @@ from taut.base.fields import Choice
 from taut.base.types import Float64Array, Vector
 from taut.control.closed_loop import ApparentImpedance, ClosedLoop
 from taut.control.command import Command, Terms, Torque
-from taut.control.gains import Gain, MemoryView
+from taut.control.gains import Gain, GainValue, MemoryView
 from taut.control.law import Law
 from taut.control.laws.null_space import Posture, check_free, check_null, with_null_space
 from taut.control.laws.task_error import FRAMES, GainFrame, TaskError
@@ -105,17 +105,15 @@ class Impedance(TaskLaw):
 
     def check_state(self, x: Snapshot, rate: float) -> None:
         """The loop of feedback="acceleration" is stable; a wrist sensor is on the link that is controlled."""
-        check_directions(x, self.tool, self.space.at(x).J)
+        c = self.space.at(x)
+        check_directions(x, self.tool, c.J)
         check_free(self, x, self.dimensions)
-        if self.D is not None and self.feedback == "wrench":
-            check_sensor(x, self.tool)
-        self.check_change(x, rate)
+        if self.D is not None:
+            (check_sensor(x, self.tool) if self.feedback == "wrench" else self._check_loop(x, c, self.D, rate))
 
-    def check_change(self, x: Snapshot, rate: float) -> None:
-        """0 < eig(Lambda^-1 (D + B dt / 2)) < 2, where feedback="acceleration" needs it."""
-        if self.D is None or self.feedback == "wrench":
-            return
-        c, D = self.space.at(x), self.D.matrix(self.dimensions)
+    def _check_loop(self, x: Snapshot, c: TaskError, inertia: GainValue, rate: float) -> None:
+        """0 < eig(Lambda^-1 (D + B dt / 2)) < 2, which feedback="acceleration" needs."""
+        D = inertia.matrix(self.dimensions)
         inverse = c.J @ x.M_factors.solve(c.J.T)
         B = self.damping_matrix(c, bounded_inertia(x, c.J))
         sizes, axes = np.linalg.eigh(0.5 * (inverse + inverse.T))

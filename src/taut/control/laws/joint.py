@@ -6,16 +6,16 @@ desired minus actual, f(v) the friction of the plant: b v for viscous, mu sign(v
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from taut.base.errors import MatchError
 from taut.base.fields import Choice, Part
 from taut.base.types import Array, Vector
+from taut.control.closed_loop import ClosedLoop
 from taut.control.command import Command, Terms, Torque, Velocity
 from taut.control.gains import Gain, Integral, MemoryView
 from taut.control.law import Law, call
@@ -25,12 +25,9 @@ from taut.maths.friction import FrictionValues, dry_limit
 from taut.maths.snapshot import Snapshot
 from taut.trace import math as tm
 
-if TYPE_CHECKING:
-    from taut.control.closed_loop import ClosedLoop, PlacedGains
-
 RAISED: Final = ("kp", "kd")
 INTEGRAL: Final = "e_int"
-SPREAD: Final = 3.0  # widths over which an excess that falls at once is given: tanh is near 1 there, and s is too
+SPREAD: Final = 3.0  # widths over which an excess that drops at once acts: tanh is near 1 there
 
 
 class PID(Law):
@@ -56,7 +53,7 @@ class PID(Law):
 
     def closed_loop(self, x: Snapshot) -> ClosedLoop:
         """M e_ddot + kd e_dot + kp e + ki int(e) = 0, each joint with its own inertia unless gains are matrices."""
-        return _of_joints(
+        return ClosedLoop.of_joints(
             x, lambda g: replace(self, kp=g.K, kd=g.D, ki=g.Ki), inertia=x.M, stiffness=True, decentralised=True
         )
 
@@ -107,7 +104,7 @@ class ComputedTorque(Law):
 
     def closed_loop(self, x: Snapshot) -> ClosedLoop:
         """e_ddot + kd e_dot + kp e + ki int(e) = 0."""
-        return _of_joints(x, lambda g: replace(self, kp=g.K, kd=g.D, ki=g.Ki))
+        return ClosedLoop.of_joints(x, lambda g: replace(self, kp=g.K, kd=g.D, ki=g.Ki))
 
     def command(
         self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float
@@ -146,7 +143,7 @@ class GravityPID(Law):
 
     def closed_loop(self, x: Snapshot) -> ClosedLoop:
         """M e_ddot + kd e_dot + kp e + ki int(e) = 0, each joint with its own inertia unless gains are matrices."""
-        return _of_joints(
+        return ClosedLoop.of_joints(
             x, lambda g: replace(self, kp=g.K, kd=g.D, ki=g.Ki), inertia=x.M, stiffness=True, decentralised=True
         )
 
@@ -174,7 +171,9 @@ class GravityCompensation(Law):
 
     def closed_loop(self, x: Snapshot) -> ClosedLoop:
         """M v_dot + kd v = 0."""
-        return _of_joints(x, lambda g: replace(self, kd=g.D), inertia=x.M, single_pole="always", decentralised=True)
+        return ClosedLoop.of_joints(
+            x, lambda g: replace(self, kd=g.D), inertia=x.M, single_pole="always", decentralised=True
+        )
 
     def command(self, x: Snapshot, ref: Sample) -> Command:  # noqa: ARG002
         return Torque(gravity=x.g, D=-(self.kd @ x.v))
@@ -196,7 +195,7 @@ class VelocityPI(Law):
 
     def closed_loop(self, x: Snapshot) -> ClosedLoop:
         """e_ddot + kp e_dot + ki e = 0; with ki = 0 one pole, e_dot + kp e = 0."""
-        return _of_joints(x, lambda g: replace(self, kp=g.D, ki=g.K), single_pole="possible")
+        return ClosedLoop.of_joints(x, lambda g: replace(self, kp=g.D, ki=g.K), single_pole="possible")
 
     def command(
         self, x: Snapshot, ref: JointMotion, memory: MemoryView, dt: float
@@ -258,12 +257,12 @@ class FrictionCompensation(Law):
             if values.falls and self.at == "ref":
                 fall = SPREAD * self.width.as_array()
                 known = 0.0 if values.stribeck is None else values.stribeck
-                values = dataclasses.replace(values, stribeck=tm.maximum(known, fall))
+                values = replace(values, stribeck=tm.maximum(known, fall))
             tau = tau + dry_limit(values, v, None, load, -load) * tm.tanh(v / self.width)
         return Torque(friction=self.share @ tau)
 
     def _load(self, x: Snapshot, ref: JointMotion) -> Vector:
-        """(n,) torques that the motion takes without friction, whoever gives them [N m | N]."""
+        """(n,) torques of the motion without friction, whoever provides them [N m | N]."""
         along = x.at(ref.q, ref.v) if self.at == "ref" else x
         a = ref.a if isinstance(ref, JointMotion) else tm.zeros(x.n)  # a law of task space asks for none of joints
         return along.inverse_dynamics(a)
@@ -358,10 +357,3 @@ def _faster(before: Mapping[str, Any], after: Mapping[str, Any], s: Vector) -> d
         else:
             out[name] = before[name] + s * (value - before[name]) if name == INTEGRAL else value
     return out
-
-
-def _of_joints(x: Snapshot, gains: Callable[[PlacedGains], Law], **options: Any) -> ClosedLoop:
-    """The closed loop of a law of joints; for a design alone, so that a controller does not load it."""
-    from taut.control.closed_loop import ClosedLoop
-
-    return ClosedLoop.of_joints(x, gains, **options)

@@ -15,7 +15,7 @@ from taut.control.command import Command, Position, Terms, Torque, Velocity
 from taut.control.gains import Gain, GainValue, Integral, Memory, MemoryView, require_at_most
 from taut.control.law import Law
 from taut.control.laws.null_space import Posture, check_free, check_null, with_null_space
-from taut.control.laws.task_error import TaskError, task_error
+from taut.control.laws.task_error import TaskError, spatial, task_error
 from taut.control.laws.task_space import TaskLaw, eased, task_gain, tool_loop
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.maths.singularity import ResolvedMotion, resolve
@@ -122,14 +122,9 @@ class TaskComputedTorque(TaskLaw):
             total = total - (1.0 - eased(away, away.far, error.X)) * (self.kp @ error.X)
         if self.error == "space":  # what is nearly lost, and how dear it is, is seen at the tool
             p, J = x.T(self.tool).p, x.J(self.tool)
-            a, total = a.mapped(lambda b: _at_point(p, b)), _at_point(p, total)
+            a, total = a.mapped(lambda b: spatial(-p, b)), spatial(-p, total)
         clear = 0.0 if away is None else away.clear
         return a, resolve(x, J, total, rate=settling(self.kd), held=limited, beyond=clear)
-
-
-def _at_point(p: Vector, a: Vector) -> Vector:
-    """(6,) what acts at the world's origin, at the point p of the same body."""
-    return tm.array([*(a[:3] - tm.cross(p, a[3:])), *a[3:]])
 
 
 def settling(kd: GainValue) -> Any:

@@ -160,11 +160,6 @@ class Coordinates(Declared):
         """x, y, z, roll, pitch, yaw, as in Pose(rpy=). Singular at a pitch of a quarter turn."""
         return cls(function=_position_and_rpy, angles=(3, 4, 5))
 
-    @classmethod
-    def cylindrical(cls) -> Self:
-        """Distance from the world's z axis, angle about it, height. Singular on the axis."""
-        return cls(function=_cylindrical, angles=(1,))
-
 
 def _position(T: Pose) -> Array:
     return T.p
@@ -175,11 +170,6 @@ def _position_and_rpy(T: Pose) -> Array:
     upright = tm.sqrt(R[0, 0] * R[0, 0] + R[1, 0] * R[1, 0] + NEVER)
     roll, pitch, yaw = tm.atan2(R[2, 1], R[2, 2]), tm.atan2(-R[2, 0], upright), tm.atan2(R[1, 0], R[0, 0])
     return tm.array([*T.p, roll, pitch, yaw])
-
-
-def _cylindrical(T: Pose) -> Array:
-    x, y, z = T.p
-    return tm.array([tm.sqrt(x * x + y * y + NEVER), tm.atan2(y, x), z])
 
 
 def task_error(
@@ -239,13 +229,13 @@ def _bracket(a: Twist, b: Twist) -> Twist:
     return tm.array([*(tm.cross(a[3:], b[:3]) + tm.cross(a[:3], b[3:])), *tm.cross(a[3:], b[3:])])
 
 
-def _spatial(p: Array, V: Twist) -> Twist:
-    """A twist at p as one of the point of the body that passes the origin."""
+def spatial(p: Array, V: Twist) -> Twist:
+    """A twist, or an acceleration, at p as that of the point of the body that passes the origin."""
     return tm.array([*(V[:3] + tm.cross(p, V[3:])), *V[3:]])
 
 
 def _spatial_rate(p: Array, V: Twist, rate: Twist) -> Twist:
-    """The rate of `_spatial` of a moving point."""
+    """The rate of `spatial` of a moving point."""
     return tm.array([*(rate[:3] + tm.cross(p, rate[3:]) + tm.cross(V[:3], V[3:])), *rate[3:]])
 
 
@@ -255,7 +245,7 @@ def _space(x: Snapshot, ref: TaskMotion, tool: str | None) -> TaskError:
     J_space[:3], J_space[3:] = J[:3] + tm.skew(T.p) @ J[3:], J[3:]
     return TaskError(
         X=pose_log(ref.pose @ T.inverse()),
-        V=_spatial(ref.p, ref.twist) - _spatial(T.p, V),
+        V=spatial(ref.p, ref.twist) - spatial(T.p, V),
         acceleration=_spatial_rate(ref.p, ref.twist, ref.acceleration),
         J=J_space,
         Jdot_v=_spatial_rate(T.p, V, x.Jdot_v(tool)),

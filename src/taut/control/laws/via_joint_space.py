@@ -32,11 +32,11 @@ from taut.maths.snapshot import Snapshot
 from taut.trace import math as tm
 from taut.trace.graph import LARGEST
 
-PULL: Final = 1.0  # [1/s] at which redundant joints go to their posture
+PULL: Final = 1.0  # [1/s] rate at which redundant joints go to their posture
 DAMPING: Final = 0.1  # [-] of J J^T at a singularity, as the singular value that it is the square of
 RISE: Final = 0.1  # [s] in which the speed of joints that catch up is reached from rest
 ARRIVED: Final = 1e-5  # [m, rad] an error under which the tool's target is met
-MOVING: Final = 1e-3  # share of full speed above which the joints are on their way
+MOVING: Final = 1e-3  # fraction of full speed above which joints catch up
 MIN_DIVISOR: Final = 1e-30  # keeps a quotient finite
 
 
@@ -139,12 +139,12 @@ class ViaJointSpace(Law):
         moved = shortened(q_pred - q + share * ahead, arm.velocity * dt)
         q_new = q + tm.clip(moved, dt * slowest, dt * fastest)
 
-        rates = self._rates(x, q_pred, ref, task, seen, free, forced, memory.posture)
-        pushed = rates.wish + seen.J.T @ seen.solved.multipliers(seen.e) / dt  # where a held joint would go
-        wish = tm.where(free > 0.5, rates.v + share * ahead / dt, pushed)
+        speeds, rates, wish, slowed = self._rates(x, q_pred, ref, task, seen, free, forced, memory.posture)
+        pushed = wish + seen.J.T @ seen.solved.multipliers(seen.e) / dt  # where a held joint would go
+        wish = tm.where(free > 0.5, speeds + share * ahead / dt, pushed)
         held = tm.where(wish > fastest, 1.0, tm.where(wish < slowest, -1.0, 0.0))
-        v = tm.clip(rates.v, slowest, fastest)
-        a = tm.where(held > 0.0, -fastest / RISE, tm.where(held < 0.0, -slowest / RISE, rates.a))
+        v = tm.clip(speeds, slowest, fastest)
+        a = tm.where(held > 0.0, -fastest / RISE, tm.where(held < 0.0, -slowest / RISE, rates))
 
         left = tm.array(task.left(seen.T, ref.pose, dyn.jacobian(x.model, q_pred, self.tool) @ (q_new - q_pred)))
         new = {
@@ -159,7 +159,7 @@ class ViaJointSpace(Law):
         }
         # Where joints catch up, or may not go as fast as they should, the rate of what is asked is what it is.
         asked = shortened(v + (q_new - q_pred) / dt, arm.velocity)
-        limited = tm.where(share < 1.0, 1.0, tm.where(rates.slowed < 1.0, 1.0, 0.0))
+        limited = tm.where(share < 1.0, 1.0, tm.where(slowed < 1.0, 1.0, 0.0))
         seen_rate = shortened((asked - memory.v_asked) / dt, arm.velocity / RISE)
         new["v_asked"] = asked
         return JointMotion.of({"q": q_new, "v": asked, "a": tm.where(limited > 0.5, seen_rate, a)}), new
@@ -191,8 +191,12 @@ class ViaJointSpace(Law):
         free: Vector,
         forced: Vector,
         posture: Array,
-    ) -> _Rates:
-        """Equations 10.29 and 10.30 for the free joints; the others move as they must."""
+    ) -> tuple[Vector, Vector, Vector, Any]:
+        """Equations 10.29 and 10.30 for the free joints; the others move as they must.
+
+        Velocities and accelerations of the joints, velocities where held joints would go, each (n,); the fraction of
+        the speed that equation 10.29 asks for.
+        """
         arm, T, J = x.arm, seen.T, seen.J
         solve = Resolved(J, free, seen.damping + TINY)
         b = task.seen(T, ref.twist) - J @ forced
@@ -214,7 +218,7 @@ class ViaJointSpace(Law):
         if redundant:
             null = free * (J_rate.T @ (slowed * solve.multipliers(b, null)) - PULL * v)
         a = solve(wanted - J_rate @ v + J @ (forced / RISE), null)
-        return _Rates(v=v, a=shortened(a, arm.velocity / RISE), wish=wish, slowed=slowed)
+        return v, shortened(a, arm.velocity / RISE), wish, slowed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -224,19 +228,9 @@ class _Seen:
     T: Any
     J: Matrix  # rows of the task, without dimension
     e: Array
-    damping: Any  # for the sake of a singularity
+    damping: Any  # near a singularity
     solved: Resolved
     step: Vector  # (n,)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Rates:
-    """Velocities and accelerations of the joints; where held ones would go."""
-
-    v: Vector  # (n,) [rad/s | m/s]
-    a: Vector  # (n,) [rad/s^2 | m/s^2]
-    wish: Vector  # (n,) [rad/s | m/s]
-    slowed: Any  # share of the speed that equation 10.29 asks for
 
 
 def _outcome(left: Array, held: Vector, damping: Any, motion: Vector, task: Task) -> Any:

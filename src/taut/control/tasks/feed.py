@@ -1,14 +1,18 @@
-"""The references of a task: each phase has its own, whose time counts from its begin."""
+"""Feeding references to a controller: a sample for every tick, of a law or of the phases of a task."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
+from taut.arm.description import Arm
+from taut.arm.parts import require_radians, short_way
 from taut.base.checks import float_array
-from taut.base.errors import UsageError, one_thread_at_a_time
+from taut.base.errors import TautError, UsageError, one_thread_at_a_time
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.control.law import Law
@@ -16,24 +20,167 @@ from taut.control.lawside import LawSide
 from taut.control.tasks.phase import STOP
 from taut.control.tasks.task import Task, blamed
 from taut.control.trajectories.compound import PhaseSample
-from taut.control.trajectories.feed import Feed, ReferenceFeed
-from taut.control.trajectories.reference import Hold, Reference, Sample, Stream, Trajectory, as_reference
+from taut.control.trajectories.reference import (
+    Hold,
+    JointMotion,
+    Reference,
+    Rows,
+    Sample,
+    Stream,
+    Trajectory,
+    as_reference,
+    sample_rows,
+)
+from taut.control.trajectories.samples import Chunk
+from taut.control.trajectories.task_reference import TaskMotion, faded, offset, quintic_between
 from taut.maths.snapshot import Snapshot, measurement_shapes
 
+NEAR: Final = 1e-9  # [ticks] tolerance of a period that is meant to be a whole number of ticks
+BLOCK: Final = 4096  # ticks that a run fills and takes at once
 NEXT: Final = "law.next"
 TICKS: Final = "law.ticks"
 TASK_BLOCK: Final = 256  # ticks that a run takes at once: more would be taken back where a phase begins among them
 AHEAD: Final = 256  # ticks whose samples are made at once where ticks are taken one by one
 
 
-def feed_of(side: LawSide, ref: Reference, q: Float64Array, parameters: Callable[[], Mapping[str, Any]]) -> Feed:
-    """What fills the reference of a run that starts at q; of a task, the references are those of its phases."""
+def feed_of(
+    side: LawSide, ref: Reference, q: Float64Array, parameters: Callable[[], Mapping[str, Any]]
+) -> ReferenceFeed | TaskFeed:
+    """The feed of a run that starts at q; the references of a task are those of its phases."""
     if side.task is not None:
         return TaskFeed(side, side.task, parameters)
     return ReferenceFeed(ref, side.law.reference, side.arm, side.dt, side.at_rest(q))
 
 
-class TaskFeed(Feed):
+class ReferenceFeed:
+    """Fills the reference of a block of ticks; `at_rest` is the sample to hold where the reference names none."""
+
+    block = BLOCK  # ticks that a run takes at once, at most
+
+    def __init__(self, ref: Reference, kind: type[Sample], arm: Arm, dt: float, at_rest: Sample) -> None:
+        self._kind, self._arm, self._dt = kind, arm, dt
+        self._ref: Any = ref
+        self._since = 0.0  # time at which a chunk started
+        self._current: Any = None
+        self._asked = -1  # the last tick at which a stream was asked
+        self._fade: Fade | None = None  # from the answer before
+        if isinstance(ref, Hold):
+            self._ref = at_rest if ref.sample is None else ref.sample
+        if isinstance(ref, Stream) and ref.source is None:
+            raise UsageError(
+                "a stream in a simulation needs source=, a function that gives the next sample", name="ref"
+            )
+        if isinstance(ref, Stream) and ref.blend is not None and kind not in (JointMotion, TaskMotion):
+            raise UsageError(
+                f"blend is for a stream of motions, and the law follows {kind.__name__}; leave it out", name="blend"
+            )
+
+    def follow(self, memory: Mapping[str, Any], tick: int, state: Callable[[], Any]) -> bool:  # noqa: ARG002
+        """Whether another reference begins with a tick, so that what was filled beyond it is void."""
+        return False
+
+    def ends(self, outputs: Mapping[str, Float64Array], first: int, end: int) -> int | None:  # noqa: ARG002
+        """The tick with which another reference begins after the ticks from first to end, by their outputs."""
+        return None
+
+    def next_question(self, tick: int) -> int | None:
+        """The first tick after `tick` at which the source of a stream is asked; None if never.
+
+        Question j is asked in the first tick at or after j periods, so that any period is kept on average.
+        """
+        if not isinstance(self._ref, Stream):
+            return None
+        period: float = self._ref.period / self._dt  # [ticks]
+        j = math.floor(tick / period + NEAR) + 1
+        return max(tick + 1, math.ceil(j * period - NEAR))
+
+    def fill(
+        self, views: Mapping[str, Float64Array], first: int, state: Callable[[], Any], *, ahead: bool = True
+    ) -> int:
+        """Write the reference of the ticks from `first` on into views (k, ...) by field; the number of filled ticks.
+
+        Less than k are filled where the reference fails in a later tick; in the first it raises. `state` gives the
+        snapshot at the first tick, for a source; `ahead` refuses a later sample that does not fit before tick 0.
+        """
+        count = len(next(iter(views.values())))
+        if isinstance(self._ref, Stream):
+            self._ask(self._ref, first, state)
+        while True:
+            try:
+                table = self._rows((first + np.arange(count, dtype=np.float64)) * self._dt)
+                if "q" in table:
+                    require_radians("ref.q", table["q"], self._arm)
+            except Exception as error:
+                if count == 1 or (ahead and first == 0 and isinstance(error, TautError)):
+                    raise
+                count //= 2  # what comes later may never be asked for
+                continue
+            for name, view in views.items():
+                view[:count] = table[name]
+            return count
+
+    def _ask(self, stream: Stream, first: int, state: Callable[[], Any]) -> None:
+        """The next answer of a stream, if its time has come, and the fade from the one before."""
+        if first == self._asked or (first != 0 and self.next_question(first - 1) != first):
+            return
+        now = np.array([first * self._dt])
+        before = None if stream.blend is None or self._current is None else self._rows(now)
+        self._since, self._fade = first * self._dt, None
+        self._current = self._answer(stream, state())
+        self._asked = first
+        if before is not None:
+            assert stream.blend is not None
+            self._fade = Fade.of(self._kind, before, self._rows(now), self._since, stream.blend, self._arm)
+
+    def _rows(self, times: Float64Array) -> dict[str, Float64Array]:
+        """Each field at many times: one row each, or a single one where all are the same."""
+        streaming = isinstance(self._ref, Stream)
+        source = self._current if streaming else self._ref
+        since = times - self._since if streaming else times
+        table = sample_rows(source, since[:1] if isinstance(source, Sample) else since, self._kind, self._arm.n)
+        return table if self._fade is None else self._fade.applied(table, times)
+
+    def _answer(self, stream: Stream, x: Any) -> Sample | Chunk:
+        assert stream.source is not None
+        answer: object = stream.source(x)
+        if not isinstance(answer, (Sample, Chunk)):
+            raise UsageError(
+                f"the source of a stream must give a sample or a chunk; got {type(answer).__name__} at "
+                f"t = {self._since:g} s",
+                name="source",
+            )
+        return answer
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fade:
+    """Offset of an old motion from the new one that replaced it; it decays to zero as a quintic."""
+
+    kind: type[Sample]
+    since: float  # [s]
+    duration: float  # [s]
+    start: Any  # the offset at `since`
+
+    @classmethod
+    def of(cls, kind: type[Sample], old: Rows, new: Rows, since: float, duration: float, arm: Arm) -> Fade:
+        """The fade from one motion to another, of rows at `since` [s]; continuous joints take the shorter way."""
+        if kind is TaskMotion:
+            return cls(kind=kind, since=since, duration=duration, start=offset(old, new))
+        q = short_way(old["q"] - new["q"], arm.continuous)
+        return cls(kind=kind, since=since, duration=duration, start=(q, old["v"] - new["v"], old["a"] - new["a"]))
+
+    def applied(self, rows: Rows, times: Float64Array) -> dict[str, Float64Array]:
+        """The new motion plus the remaining offset, at times from `since` on [s]."""
+        x = np.clip((times - self.since) / self.duration, 0.0, 1.0)
+        full = {name: np.broadcast_to(values, (len(times), *values.shape[1:])) for name, values in rows.items()}
+        if self.kind is TaskMotion:
+            return faded(full, x, self.duration, self.start)
+        none = (np.zeros_like(self.start[0]),) * 3
+        left = quintic_between(x, self.duration, self.start, none)
+        return {name: full[name] + part for name, part in zip(("q", "v", "a"), left, strict=True)}
+
+
+class TaskFeed:
     """Fills the reference of a block of ticks in which one phase acts.
 
     A phase without a reference holds where it began; so do fields that the phase does not follow, and a task that has
@@ -121,19 +268,9 @@ class TaskFeed(Feed):
 
     @property
     def _start(self) -> str:
-        """What the fields of the sample begin with that the phase follows."""
+        """Prefix of the fields of the sample that the phase follows."""
         kind = self._task.reference
         return f"{kind.name_of(self._law.reference)}_" if issubclass(kind, PhaseSample) else ""
-
-    @property
-    def kind(self) -> type[Sample]:
-        """The kind of sample that the phase follows."""
-        return self._law.reference
-
-    def own(self, views: Mapping[str, Float64Array]) -> dict[str, Float64Array]:
-        """Those of the fields of a sample of the task that the phase follows, by their own names."""
-        start = self._start
-        return {field[len(start) :]: view for field, view in views.items() if field.startswith(start)}
 
     def next_question(self, tick: int) -> int | None:
         """The first tick after `tick` at which the source of a stream is asked; None if never."""
@@ -153,7 +290,7 @@ class TaskFeed(Feed):
         start = self._start
         for field, values in self._others.items() if start else ():
             views[field][...] = values
-        own = self.own(views)
+        own = {field[len(start) :]: view for field, view in views.items() if field.startswith(start)}
         if given is None:
             with blamed(self._name):
                 return self._inner.fill(own, first - self._since, state, ahead=False)
@@ -243,7 +380,7 @@ class TaskSteps:
         self._sample[:] = row
 
     def _seen(self, tick: int, going: bool, given: Mapping[str, Any], parameters: Mapping[str, Any]) -> Snapshot:
-        """What the controller sees in a tick."""
+        """The controller's snapshot in a tick."""
         sizes = measurement_shapes(self._side.arm.n)
         measured = {path: float_array(path, value, shape=sizes[path]) for path, value in given.items()}
         self._side.check_finite(measured, tick)

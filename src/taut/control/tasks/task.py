@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -11,7 +10,6 @@ from typing import Any, ClassVar, Final, Self, TypeVar
 import numpy as np
 
 from taut.base.errors import (
-    MatchError,
     NumericalError,
     RangeError,
     ShapeError,
@@ -20,9 +18,9 @@ from taut.base.errors import (
     raised_location,
 )
 from taut.base.fields import Declared, Plain
-from taut.control.command import Command, Position, Terms, Torque, Velocity
+from taut.control.command import Command, Position, Terms, Torque, Velocity, one_kind
 from taut.control.gains import Gain, LawMemory, MemoryView
-from taut.control.law import Law, call, initial_memory
+from taut.control.law import Law, call
 from taut.control.tasks.phase import STOP, Guard, GuardView, Lasting, Phase, condition, named_phases
 from taut.control.trajectories.compound import PhaseSample, phase_sample
 from taut.control.trajectories.reference import Hold, JointMotion, Reference, Sample, Stream, Trajectory, as_reference
@@ -34,18 +32,18 @@ __all__ = ["ENDED", "NO_CONTACT", "Halt", "Task"]
 T = TypeVar("T")
 RUNNING, UNTIL, UNLESS, TIMEOUT, NO_CONTACT = range(5)
 ENDED: Final = {UNTIL: "until", UNLESS: "unless", TIMEOUT: "timeout", NO_CONTACT: "no contact"}
-"""What ended a phase, by the code that is recorded in the last tick of it."""
+"""Cause of a phase's end, by the code that is recorded in its last tick."""
 OFFSET_FROM_SINGULAR: Final = 0.1  # [rad | m] to a state beside a singular one
 TICK_ROUNDING: Final = 1e-6  # [ticks] by which a timeout that is meant to be a whole number of ticks may miss one
 MADE_BY: Final = {kind.kind: kind for kind in (Torque, Velocity, Position)}
 
 
 class Halt(Law):
-    """Holds the arm where it was when this law began: what acts where a task has stopped.
+    """Holds the arm where it was when this law began; it acts once a task has stopped.
 
     Law:          tau = M (kp (q_0 - q) - kd v) + h, with q_0 where it began; as a velocity 0, as a position q_0
     Closed loop:  e_ddot + kd e_dot + kp e = 0, e = q_0 - q
-                  moving when it began, the arm comes to rest and goes back; nothing of an earlier push is kept up
+                  an arm that was moving comes to rest and returns; an earlier contact force is not maintained
     """
 
     ignores_reference: ClassVar[bool] = True
@@ -93,12 +91,12 @@ class Task(Declared):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The phases in their order, and what follows where the task has stopped."""
+        """The phases in their order, then the state in which the task has stopped."""
         return (*self.phases, STOP)
 
     @property
     def title(self) -> str:
-        """What it is called in messages."""
+        """Its name in messages."""
         return f"the task of {', '.join(self.phases)}"
 
     @property
@@ -132,12 +130,8 @@ class Task(Declared):
         own: Sample = ref if part is None else getattr(ref, part)
         return own
 
-    def alone(self, name: str) -> Task:
-        """The task of one of the phases."""
-        return Task.of([dataclasses.replace(self.phases[name], name=name, otherwise=STOP, then=None)])
-
     def at_rest(self, x: Snapshot) -> Sample:
-        """The sample that asks its laws to stay as in the snapshot."""
+        """The sample with which its laws keep the arm where it is in the snapshot."""
         kind, own = self.reference, {law.reference: law.at_rest(x) for law in reversed(self.followers)}
         if not issubclass(kind, PhaseSample):
             return own[kind] if own else JointMotion.at_rest(x, None)
@@ -155,19 +149,17 @@ class Task(Declared):
         for law in self.laws.values():
             law.check_rates(rate)
 
-    def check_states(self, x: Snapshot, rate: float, *, changed: bool = False) -> None:
-        """Only the first phase starts where the run does; gains that change may be of any."""
-        for name in self.laws if changed else [next(iter(self.phases))]:
-            self.laws[name].check_states(x, rate, changed=changed)
+    def check_states(self, x: Snapshot, rate: float) -> None:
+        """Only the first phase starts where the run does."""
+        self.laws[self.names[0]].check_states(x, rate)
 
-    def check_references(self, x: Snapshot, ref: Reference, rate: float, *, later: bool = False) -> None:  # noqa: ARG002
-        """What the phases are to follow, as far as it is known before: not what depends on where a phase begins."""
-        for i, (name, phase) in enumerate(self.phases.items()):
-            given = phase.reference
-            if isinstance(given, Trajectory) or not (callable(given) or isinstance(given, Stream)):
-                reference = as_reference(Hold() if given is None else given)
-                with blamed(name):
-                    self.laws[name].check_references(x, reference, rate, later=i > 0)
+    def check_references(self, x: Snapshot, ref: Reference, rate: float) -> None:  # noqa: ARG002
+        """That of the first phase, as far as it is known; the others are checked where they begin."""
+        name, phase = next(iter(self.phases.items()))
+        given = phase.reference
+        if isinstance(given, Trajectory) or not (callable(given) or isinstance(given, Stream)):
+            with blamed(name):
+                self.laws[name].check_references(x, as_reference(Hold() if given is None else given), rate)
 
     def check_begin(self, name: str, x: Snapshot, ref: Reference, rate: float) -> None:
         """RangeError or UsageError for a phase that has no meaning at x, unless refused there without contact."""
@@ -185,7 +177,7 @@ class Task(Declared):
         out |= {"lasted": np.zeros(counters)} if counters else {}
         for name, law in self.laws.items():
             own = self.sample_of(name, ref)
-            out[name] = _zeros(_beside_singular(partial(initial_memory, law, ref=own), x, idle=True))
+            out[name] = _zeros(_beside_singular(partial(law.initial_memory, ref=own), x, idle=True))
         return out
 
     @staticmethod
@@ -205,11 +197,11 @@ class Task(Declared):
         for name, law in self.laws.items():
             own = self.sample_of(name, ref)
             if name == STOP:
-                law = law._replaced({"kind": _kind(commands)})
+                law = law._replaced({"kind": one_kind(commands, "the phases of a task").kind})
             old = memory[name]
 
             def called(x: Snapshot, law: Law = law, own: Sample = own, old: LawMemory = old) -> tuple[Command, Any]:
-                return call(law, x, own, _chosen(fresh, initial_memory(law, x, own), old), dt)
+                return call(law, x, own, _chosen(fresh, law.initial_memory(x, own), old), dt)
 
             commands[name], new = _beside_singular(called, x, idle=_known_false(acting[name]))
             after[name] = _chosen(acting[name], new, old)
@@ -293,7 +285,7 @@ class Task(Declared):
 
 @contextmanager
 def blamed(name: str) -> Iterator[None]:
-    """An error is said to be of a phase; one that is no sentence of ours, that its reference failed, and where."""
+    """Name the phase in an error; for errors that are not ours, report that its reference failed, and where."""
     try:
         yield
     except (ShapeError, RangeError) as cause:
@@ -365,15 +357,6 @@ def _chosen(which: Any, a: Any, b: Any) -> Any:
     return tm.where(which, a, b)
 
 
-def _kind(commands: Mapping[str, Command]) -> str:
-    """The kind of command that all phases give; MatchError where they give several."""
-    kinds = {command.kind for command in commands.values()}
-    if len(kinds) > 1:
-        words = ", ".join(f"'{name}' a {command.kind}" for name, command in commands.items())
-        raise MatchError(f"the phases of a task give commands of one kind; these give {words}", name="task")
-    return kinds.pop()
-
-
 def _selected(commands: Mapping[str, Command], acting: Mapping[str, Any], n: int) -> Command:
     """The command of the law that acts, and its terms, zero where it has none of that name."""
     total = commands[STOP].total
@@ -387,7 +370,7 @@ def _selected(commands: Mapping[str, Command], acting: Mapping[str, Any], n: int
 
 
 def _called(guard: Any) -> str:
-    """What a guard is called."""
+    """Name of a guard in messages."""
     inner = guard.guard if isinstance(guard, Lasting) else guard
     word = getattr(inner, "__name__", type(inner).__name__)
     word = "its guard" if word == "<lambda>" else word

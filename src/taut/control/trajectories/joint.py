@@ -177,15 +177,14 @@ class JerkLimited(JointTrajectory):
         task.max_velocity, task.max_acceleration = self.velocity.tolist(), self.acceleration.tolist()
         task.max_jerk = self.jerk.tolist()
         try:
-            result = ruckig.Ruckig(n).calculate(task, plan)
-        except ruckig.RuckigError as cause:  # numbers that it cannot work with, such as limits of 1e-300
+            planned = ruckig.Ruckig(n).calculate(task, plan) in (ruckig.Result.Working, ruckig.Result.Finished)
+        except ruckig.RuckigError:  # numbers that it cannot work with, such as limits of 1e-300
+            planned = False
+        if not planned:
             raise NumericalError(
-                "Ruckig cannot work with numbers as large or small as these; give positions and limits in rad or m "
-                "and seconds",
+                "Ruckig found no jerk-limited trajectory; relax the limits, in rad or m and seconds",
                 name="JerkLimited",
-            ) from cause
-        if result not in (ruckig.Result.Working, ruckig.Result.Finished):
-            raise NumericalError(f"Ruckig found no jerk-limited trajectory ({result}); relax the limits")
+            )
         self.__dict__["_plan"] = plan
 
     @property

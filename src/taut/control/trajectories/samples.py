@@ -20,7 +20,7 @@ from taut.trace.pose import Pose
 
 MIN_SAMPLE_GAP: Final = 1e-12  # [s]
 MAX_CSV_BYTES: Final = 32 * 2**20  # half a million samples of an arm
-MAX_QUOTED: Final = 300  # letters of what a message quotes
+MAX_QUOTED: Final = 300  # letters of a quotation in a message
 
 
 def sample_times(times: ArrayLike) -> Float64Array:
@@ -40,7 +40,13 @@ def sample_times(times: ArrayLike) -> Float64Array:
 
 
 class Sampled(Motion[S]):
-    """Base of motions by samples at stated `times`."""
+    """Base of motions by samples at stated `times`, which `check` keeps as `_knots`, a sample of arrays (k, ...)."""
+
+    def rows(self, times: Float64Array) -> S:
+        knots = self.__dict__["_knots"]
+        table = {name: getattr(knots, name) for name in knots.fields(1)}
+        made: S = knots.of(knots.between(times, self.__dict__["times"], table))
+        return made
 
     @property
     def duration(self) -> float:
@@ -84,6 +90,7 @@ class Samples(Sampled[JointMotion]):
             if getattr(self, name).shape != (k, n):
                 rule = f"must have shape ({k}, {n}), a row for each of the times; got {getattr(self, name).shape}"
                 self.refuse(name, rule, ShapeError)
+        self.__dict__["_knots"] = JointMotion.of({name: getattr(self, name) for name in "qva"})
 
     @classmethod
     def from_csv(cls, path: str | os.PathLike[str]) -> Samples:
@@ -101,9 +108,6 @@ class Samples(Sampled[JointMotion]):
         parts = {letter: table[:, 1 + k * n : 1 + (k + 1) * n] for k, letter in enumerate(letters)}
         return cls(times=table[:, 0], **parts)
 
-    def rows(self, times: Float64Array) -> JointMotion:
-        return JointMotion.of(JointMotion.between(times, self.times, {"q": self.q, "v": self.v, "a": self.a}))
-
 
 def _rates(times: Float64Array, values: Float64Array) -> Float64Array:
     """(k, n) differences of values (k, n) over the times."""
@@ -113,7 +117,7 @@ def _rates(times: Float64Array, values: Float64Array) -> Float64Array:
 
 
 def _joint_columns(header: Sequence[str]) -> list[str]:
-    """What the columns of a file with this header should be."""
+    """Expected columns of a file with this header."""
     letters = ["q", *(letter for letter in "va" if any(word.startswith(letter) for word in header[1:]))]
     n = max(1, sum(word.startswith("q") for word in header))
     return ["t", *(f"{letter}{i + 1}" for letter in letters for i in range(n))]
@@ -193,7 +197,7 @@ class TaskSamples(Sampled[TaskMotion]):
         return TaskMotion.of({"p": position(t), "R": R, "twist": twist, "acceleration": acceleration})
 
     def _eased(self, times: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """Time of the rotation spline, which starts and ends at a rate: eased in its first and last piece.
+        """Time of the rotation spline, which does not start and end at rest: eased in its first and last piece.
 
         The time runs evenly where the pieces meet, so that the angular acceleration stays continuous.
         """
@@ -213,7 +217,7 @@ class TaskSamples(Sampled[TaskMotion]):
 
 
 def _task_columns(header: Sequence[str]) -> list[str]:
-    """What the columns of a file with this header should be."""
+    """Expected columns of a file with this header."""
     orders = ROTATION_COLUMNS.values()
     return ["t", "x", "y", "z", *next((names for names in orders if names[:1] == tuple(header[4:5])), (*orders,)[0])]
 
@@ -233,11 +237,6 @@ class Chunk(Sampled[Sample]):
             rule = f"must have one sample for each time; got {len(self.samples)} for {len(self.times)} times"
             self.refuse("targets", rule, ShapeError)
         self.__dict__["_knots"] = stacked(self.samples)
-
-    def rows(self, times: Float64Array) -> Sample:
-        kind, knots = type(self.samples[0]), self.__dict__["_knots"]
-        table = {name: getattr(knots, name) for name in kind.fields(1)}
-        return kind.of(kind.between(times, self.times, table))
 
 
 def chunk(times: ArrayLike, targets: Sequence[Sample] | Sequence[Pose] | ArrayLike) -> Chunk:

@@ -7,8 +7,7 @@ from typing import ClassVar, Final, Literal
 
 import numpy as np
 
-from taut.base.checks import one_of, read_only, vector
-from taut.base.errors import UsageError
+from taut.base.checks import instance_of, one_of, read_only, vector
 from taut.base.types import Array, ArrayLike, Float64Array
 from taut.control.trajectories.reference import Rows, Sample, Shapes
 from taut.maths.snapshot import Snapshot
@@ -63,10 +62,7 @@ class TaskMotion(Sample):
         acceleration: ArrayLike | None = None,
         frame: Axes = "world",
     ) -> None:
-        if not isinstance(pose, Pose):  # callers without a type checker
-            raise UsageError(
-                f"ref.pose must be a taut.Pose(p=..., rpy=...); got {type(pose).__name__}", name="ref.pose"
-            )
+        instance_of("ref.pose", pose, Pose, "a taut.Pose")
         one_of("frame", frame, FRAMES)
         V = np.zeros(6) if twist is None else vector("ref.twist", twist, 6, unit="m/s, rad/s")
         rate = vector("ref.acceleration", np.zeros(6) if acceleration is None else acceleration, 6)

@@ -9,7 +9,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.base.checks import finite_array, positive_scalar, unit_vector
+from taut.base.checks import finite_array, instance_of, positive_scalar, unit_vector
 from taut.base.errors import ShapeError, UsageError
 from taut.base.types import Array, ArrayLike, Float64Array
 from taut.maths.constraints.rows import ConstraintRows, Piece, Surface, joined, of_joints, of_poses
@@ -326,8 +326,7 @@ class Constraint:
             T: A pose of the tool that it can be in.
             frame: The frame; the arm's tool if left out.
         """
-        if not isinstance(T, Pose):  # callers without a type checker
-            raise UsageError(f"T must be a taut.Pose, one that the hinge allows; got {type(T).__name__}", name="T")
+        instance_of("T", T, Pose, "a taut.Pose, one that the hinge allows")
         c, u = _three("point", point, "m"), unit_vector("axis", axis)
         own, (e1, e2) = T.inverse(), _across(u)
         c_E, u_E = own.R @ c + own.p, own.R @ u
@@ -350,10 +349,7 @@ class Constraint:
             second: Another, on another branch.
             T: Pose of the second in the first; the two coincide if left out.
         """
-        if not isinstance(T, Pose | None):  # callers without a type checker
-            raise UsageError(
-                f"T must be a taut.Pose, of the second frame in the first; got {type(T).__name__}", name="T"
-            )
+        instance_of("T", T, Pose | None, "a taut.Pose, of the second frame in the first")
         own = Pose() if T is None else T
 
         def phi(a: Pose, b: Pose) -> Array:

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.base.checks import vector
-from taut.base.errors import RangeError, UsageError
+from taut.base.checks import instance_of, vector
+from taut.base.errors import RangeError
 from taut.base.types import ArrayLike, Float64Array, Matrix, Vector
 from taut.maths.constraints.constraint import Constraint
 from taut.maths.constraints.rows import MIN_INDEPENDENT_PART, ConstraintRows
@@ -109,10 +109,8 @@ def onto(constraint: Constraint, arm: Arm, q: ArrayLike) -> Float64Array:
         >>> taut.snapshot(arm, onto(board, arm, arm.home)).T().p[2].round(9).item()
         0.4
     """
-    if not isinstance(constraint, Constraint):  # callers without a type checker
-        raise UsageError(f"onto takes a taut.Constraint; got {type(constraint).__name__}", name="constraint")
-    if not isinstance(arm, Arm):
-        raise UsageError(f"onto takes an arm from taut.load_arm; got {type(arm).__name__}", name="arm")
+    instance_of("constraint", constraint, Constraint, "a taut.Constraint")
+    instance_of("arm", arm, Arm, "an Arm from taut.load_arm")
     at = vector("q", q, arm.n, joints=arm.joint_names)
     for _ in range(MULTIPLIER_STEPS):
         x = snapshot(arm, at)

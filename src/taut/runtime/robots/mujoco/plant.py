@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from taut.arm.description import Arm, CommandKind, Payload
-from taut.base.checks import positive_scalar, read_only
+from taut.base.checks import instance_of, positive_scalar, read_only
 from taut.base.errors import UsageError
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
@@ -129,8 +129,10 @@ class MujocoPlant(PlantInMujoco):
         for name, value in (("friction", friction), ("limits", limits)):
             if value not in ("arm", None):
                 raise UsageError(f"{name} must be 'arm' or None; got {value!r}", name=name)
-        if tip is not None and not isinstance(tip, SpringTip):
-            raise UsageError(f"tip must be taut.environments.SpringTip(...); got {type(tip).__name__}", name="tip")
+        instance_of("tip", tip, SpringTip | None, "a taut.environments.SpringTip")
+        instance_of("scene_at", scene_at, Pose | None, "a taut.Pose")
+        if scene is None and scene_at is not None:
+            raise UsageError("scene_at says where the scene stands, and there is none; give scene=", name="scene_at")
         drives, seen = actuation or Actuation(), sensors or Sensors()
         numbers = PlantParts(
             name=f"MujocoPlant({getattr(arm, 'name', '')})",
@@ -149,8 +151,8 @@ class MujocoPlant(PlantInMujoco):
             tip=tip,
         )
         self._timestep = None if timestep is None else positive_scalar("timestep", timestep, unit="s")
-        place, around = _place(scene_at, scene is not None), None if scene is None else read_scene(scene)
-        rig = built(numbers, tool, around, place, limits=limits is not None)
+        around = None if scene is None else read_scene(scene)
+        rig = built(numbers, tool, around, scene_at or Pose.identity(), limits=limits is not None)
         super().__init__(rig, numbers.name, None if scene is None else SceneView(rig))
         self._parts, self._values = numbers, {path: read_only(value) for path, value in numbers.values.items()}
         self.friction, self.takes, self.actuation, self.sensors = friction, takes, drives, seen
@@ -262,13 +264,13 @@ class MujocoPlant(PlantInMujoco):
         return whole_steps(self.name, dt, self._timestep, "timestep")
 
     def measure(self) -> dict[str, Float64Array]:
-        """What the sensors give, by measurement; forces and torques are those of the last step."""
+        """Readings of the sensors, by measurement; forces and torques are those of the last step."""
         given = self._readings.read(self._true())
         self._saturated = {name: value for name, value in given.items() if name.startswith("saturated.")}
         return given
 
     def _true(self) -> dict[str, Float64Array]:
-        """What is true now, by name."""
+        """True values of all measured quantities, by name."""
         q, v = self.state()
         true = {"q": q, "v": v, "tau": self._tau, "tau_link": self._tau_link, "F_ext": self._F_ext}
         if self.sensors.needs_acceleration:
@@ -304,7 +306,7 @@ class MujocoPlant(PlantInMujoco):
         return self._contact if self._parts.environment is None else self._contact + self._forces.last("wrench")
 
     def trouble(self) -> tuple[str, int | None] | None:
-        """What went wrong in the last period, in words, and the joint; None if nothing did."""
+        """Fault in the last period, in words, and the joint; None without one."""
         if not self._forces.sane:
             return "its drives, or what touches its tool, gave numbers that are not finite", None
         return super().trouble()
@@ -318,17 +320,6 @@ class MujocoPlant(PlantInMujoco):
         normal = {} if self._normals is None else {PRESSED: self._normals.of_contacts()}
         cut = {} if self.takes == "torque" else {"tau_cut": self._cut}
         return {"F_ext": self._F_ext, **cut, **work, **normal, **self._saturated, **self._poses()}
-
-
-def _place(at: Pose | None, there: bool) -> Pose:
-    """Where the scene stands."""
-    if at is None:
-        return Pose.identity()
-    if not isinstance(at, Pose):
-        raise UsageError(f"scene_at must be a taut.Pose; got {type(at).__name__}", name="scene_at")
-    if not there:
-        raise UsageError("scene_at says where the scene stands, and there is none; give scene= too", name="scene_at")
-    return at
 
 
 def _rebuilt(made_of: Mapping[str, Any], values: Mapping[str, ArrayLike]) -> MujocoPlant:
