@@ -116,20 +116,22 @@ class Kernel:
         self.alone = Alone(self._take)
         self.step, self.tick = call.slow if call is not None else _no_step, self._tick
         inputs, parameters, memory, outputs = blocks.layout.values()
-        self._starter = plain(start, inputs, parameters, Block(), new=Block(), outputs=memory)
         if engine == "float":
             self._evaluate = plain(tick, inputs, parameters, memory, new=memory, outputs=outputs)
+            self._starter = plain(start, inputs, parameters, Block(), new=Block(), outputs=memory)
         else:
-            self._compile(Steps(tick, inputs, parameters, memory), call, (what, samples), level)
+            self._compile(Steps(tick, inputs, parameters, memory), start, call, (what, samples), level)
 
     def _compile(
         self,
         steps: Steps,
+        start: Function,
         call: Call | None,
         check: tuple[str, Callable[[], Sequence[Flat]]],
         level: int | None,
     ) -> None:
         program = trace(steps.step, steps.inputs, steps.parameters, steps.memory)
+        starter = trace(start, steps.inputs, steps.parameters, Block())
         self.program, self.operations = program, program.operations
         slots: tuple[int, ...] | None = ()
         if call is not None and call.reference is not None:
@@ -148,14 +150,14 @@ class Kernel:
         )
 
         def text() -> str:
-            parts = [declarations(), kernel(program, "kernel")]
+            parts = [declarations(), kernel(program, "kernel"), kernel(starter, "start")]
             return "\n".join([*parts, path.text()] if fast else parts)
 
-        content = b"".join([program.content, layout_key(), repr((path, fast)).encode()])
+        content = b"".join([program.content, starter.content, layout_key(), repr((path, fast)).encode()])
         builtins = (*(("step",) if call is not None else ()), "tick") if fast else ()
         verify = verified(check[0], steps.step, program, check[1])
-        self.module = compiled(content, text, ("kernel", *builtins), verify, level)
-        self._evaluate = machine_code(self.module["kernel"])
+        self.module = compiled(content, text, ("kernel", "start", *builtins), verify, level)
+        self._evaluate, self._starter = machine_code(self.module["kernel"]), machine_code(self.module["start"])
         if not fast:
             return
         blocks = self.blocks
