@@ -44,12 +44,12 @@ PROVIDED_BY: Final[Mapping[str, str]] = {
     "v_motor": "; give the plant tachometers at the motors, sensors.motor_velocity",
     "a_tip": "; give the plant an accelerometer, sensors.tip",
 }
-"""What would measure it, for messages."""
+"""How to provide a measurement, for messages."""
 ONE_PLACE: Final = 1e-6  # [m] between the origins of frames that are the same point
 
 
 class AnyPlant(Protocol):
-    """What every plant declares: a model, an engine, or a robot."""
+    """Interface of every plant: a model, a physics engine, or a robot."""
 
     @property
     def name(self) -> str: ...
@@ -186,7 +186,7 @@ def _check_weight(side: LawSide, plant: AnyPlant) -> None:
 
 
 def _check_adds(side: LawSide, plant: AnyPlant) -> None:
-    """What a plant adds is left out by the law, and of the torques that limits of rate and speed count from."""
+    """MatchError unless the law, and limits of rate and speed, leave out exactly what the plant adds."""
     added, left_out, used, counted = Adds.of(plant.adds), side.adds, side.probe.used, set[str]()
     if side.probe.kind == "torque":
         brakes = "limits.v_gain" in side.parameters
@@ -276,14 +276,14 @@ class Loop:
         return round(self.duration * self.side.rate) + 1
 
     def input_shapes(self) -> dict[str, tuple[int, ...]]:
-        """What each tick gets from outside: time, the reference, noise."""
+        """Shapes of the inputs of each tick, by path: time, the reference, noise."""
         reference = self.side.law.reference.fields(self.side.arm.n)
         shapes: dict[str, tuple[int, ...]] = {"t": ()}
         shapes |= {f"ref.{name}": shape for name, shape in reference.items()}
         return shapes | {f"noise.{name}": shape for name, shape in self.plant.noise.items()}
 
     def parameter_shapes(self) -> dict[str, tuple[int, ...]]:
-        """All parameters, and the period."""
+        """Shapes of all parameters and of the period, by path."""
         return {path: value.shape for path, value in self.parameters.items()} | {DT: ()}
 
     def start(self, q: Vector, v: Vector, inputs: Values, parameters: Values) -> dict[str, Any]:
@@ -297,7 +297,7 @@ class Loop:
         return self.plant.start(q, v, parameters, self.dt)
 
     def measured(self, plant: Values, inputs: Values, parameters: Values) -> dict[str, Any]:
-        """What the sensors give in a tick, from the plant's memory, and the time."""
+        """Readings of the sensors in a tick, from the plant's memory, and the time."""
         return {**self.plant.measure(plant, subtree(inputs, "noise"), parameters), "t": inputs["t"]}
 
     def step(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:

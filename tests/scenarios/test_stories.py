@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import defaultdict
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -37,9 +38,9 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> Any:
         metrics = json.loads((folder / f"{name}.json").read_text())
         joint = load_scenario(name).outputs.joint
         by_law = {
-            (case, law): m for case, laws in metrics.items() if "setpoint" not in laws for law, m in laws.items()
+            (case, law): m for case, laws in metrics.items() if "duration" not in laws for law, m in laws.items()
         }
-        by_law |= {(law,): m for law, m in metrics.items() if "setpoint" in m}
+        by_law |= {(law,): m for law, m in metrics.items() if "duration" in m}
         return {key: {name: m[name]["joints"][joint] for name in TITLES.values()} for key, m in by_law.items()}
 
     return run
@@ -48,11 +49,13 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> Any:
 @pytest.mark.parametrize("name", ["so101_servo", "panda_geared"])
 def test_the_table_on_the_page_is_the_one_that_is_printed(name: str, told: Any) -> None:
     _, _, after = PAGE.read_text(encoding="utf-8").partition(f"$ taut run {name}\n```\n\n```text\n")
-    lines = [line for line in after.partition("```")[0].splitlines() if re.match("[│┃]", line)]
-    heads, _, *rows = [[cell.strip() for cell in re.split("[│┃]", line)[1:-1]] for line in lines]
-    places = {i: TITLES[head] for i, head in enumerate(heads) if head}
-    first = min(places)
-    page = {tuple(row[:first]): {metric: float(row[i]) for i, metric in places.items()} for row in rows}
+    _, _, heads, *rows = [re.split(" {2,}", line.strip()) for line in after.partition("\n```")[0].splitlines()]
+    page: dict[tuple[str, ...], dict[str, float]] = defaultdict(dict)
+    for first, *cells in rows:
+        for head, cell in zip(heads, cells, strict=True):
+            metric, law = (first, head) if first.partition(" [")[0] in TITLES else (head, first)
+            if metric.partition(" [")[0] in TITLES:
+                page[tuple(law.split(": "))][TITLES[metric.partition(" [")[0]]] = float(cell)
     assert list(page) == list(told(name))
     for key, numbers in page.items():
         for metric, number in numbers.items():

@@ -20,7 +20,7 @@ SUFFIXES: Final = (".urdf", ".xml", ".mjcf")
 
 
 class PinocchioModel(Protocol):
-    """A pinocchio.Model, by the one attribute that it is told from others by; it has no types."""
+    """A pinocchio.Model, recognised by one of its attributes; it has no types."""
 
     jointPlacements: Sequence[Any]
 

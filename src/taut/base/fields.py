@@ -173,7 +173,7 @@ class Declared:
 
     def find(self, path: str) -> tuple[Declared, Declaration[Any]]:
         """The object that has the parameter at a path, and its declaration. Raises UnknownNameError."""
-        if path in self.declared and self.declared[path].run_time:
+        if path in self.declared and self.declared[path].run_time and self.__dict__[path] is not None:
             return self, self.declared[path]
         for name, part in self.declared_parts().items():
             below = self._below(name)
@@ -183,22 +183,13 @@ class Declared:
 
     def changed(self, path: str, value: Any, *, name: str = "") -> Self:
         """A copy with another value of the parameter at a path, which messages call `name`; checked as a new one."""
-        head, _, rest = path.partition(".")
-        parts = self.declared_parts()
-        inner = head if head in parts else next((part for part in parts if not self._below(part)), "")
+        new = self.bound({path: self.checked_parameter(path, value, name=name)})
+        owner, field = new.find(path)
         try:
-            own = path in self.declared and self.declared[path].run_time
-            if not own and inner:
-                rest = rest if inner == head else path
-                value = parts[inner].changed(rest, value, name=name or path)
-                return self._with_parts({inner: value})
-            if not own:
-                raise unknown_name(type(self).__name__, "parameter", path, self.parameters())
-            copy = self._replaced({path: self.declared[path].taken(value, self)})
-            copy.check()
+            owner.check()
         except TautError as cause:
-            raise cause.about(path, name or path) from None
-        return copy
+            raise cause.about(field.name, name or path) from None
+        return new
 
     def checked_parameter(
         self, path: str, value: Any, *, name: str = "", joints: Sequence[str] | int | None = None

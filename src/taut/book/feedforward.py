@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from taut import JointMotion, Law, Run, snapshot
-from taut.base.plot_style import DASHED, INK, SMALL, colour
+from taut.base.plot_style import DASHED, colour, legend_above
 from taut.base.types import Float64Array
 from taut.book.models import (
     KD,
@@ -30,11 +30,10 @@ from taut.book.models import (
     weight,
 )
 from taut.book.page import BY_HAND, ODE, Row, Shown, curve, entry, law_diagram, legend, panels, row
-from taut.book.single_joint import W, angles, ticks, trajectory
+from taut.book.single_joint import W, angles, line_by_line, ticks, trajectory
 from taut.laws import PID, ComputedTorque, FeedForward, FrictionCompensation
 from taut.trajectories import Sine
 
-LINE_BY_LINE: Final = "the pseudocode, line by line"
 STATE: Final = JointMotion(q=[0.9], v=[0.5], a=[-1.2])  # desired, chosen
 THETA, V = 0.7, 1.3  # [rad], [rad/s] actual, chosen
 FED_FORWARD: Final = FeedForward() + FrictionCompensation(at="ref")
@@ -56,7 +55,7 @@ def eq_10_15() -> Shown:
 
 @entry("eq-10.16", "feedforward control")
 def eq_10_16() -> Shown:
-    """The chapter's h has friction, so that FrictionCompensation stands beside the law."""
+    """The chapter's h includes friction, so FrictionCompensation is added to the law."""
     tau = total(ticked(FED_FORWARD, link(r=WRONG_R), [THETA], [V], STATE).terms)[0]
     yield row("torque at theta_d = 0.9, 0.5, -1.2 [N m]", tau, model_torque(0.9, 0.5, -1.2), BY_HAND)
 
@@ -66,9 +65,7 @@ def fig_10_9() -> Shown:
     """Chosen: a sine as trajectory."""
     got = ticks(FED_FORWARD, angles(100), link(r=WRONG_R))
     written = [model_torque(*trajectory(W * 0.01 * k)) for k in range(100)]
-    worst = int(np.argmax(np.abs(got - written)))
-    yield row("last torque of 100 ticks at 100 Hz [N m]", got[-1], written[-1], LINE_BY_LINE, rel=1e-11)
-    yield row("the torque that differs most [N m]", got[worst], written[worst], LINE_BY_LINE)
+    yield from line_by_line(got, written)
 
 
 CENTRES: Final = {1: -0.5 * math.pi, 2: 0.5 * math.pi}  # [rad] of the tasks of figure 10.10
@@ -101,7 +98,7 @@ def fed_forward(number: int, r: float = WRONG_R) -> Callable[..., float]:
 
 
 def of_run(name: str, run: Run, written: Solved, states: str = "") -> Iterator[Row]:
-    """Errors and effort of a run beside those by SciPy."""
+    """Rows of the errors and the effort of a run, beside those by SciPy."""
     assert run.error is not None
     e, wanted = run.error[:, 0], written.e
     yield row(f"{name}: RMS error [rad]", rms(e), rms(wanted), ODE, rel=SAMPLED, states=states)
@@ -111,7 +108,7 @@ def of_run(name: str, run: Run, written: Solved, states: str = "") -> Iterator[R
 
 @entry("fig-10.10", "feedforward control with a wrong model")
 def fig_10_10() -> Shown:
-    """Numbers of the chapter. The chapter's h has friction, so that FrictionCompensation stands beside the law."""
+    """Numbers of the chapter. The chapter's h includes friction, so FrictionCompensation is added to the law."""
     figure, axes = panels(*((f"Task {number}", "angle [rad]", "t [s]") for number in (1, 2)), height=2.6)
     peaks, wanted_peaks = [], []
     for number, ax in enumerate(axes, 1):
@@ -156,10 +153,10 @@ def controllers() -> dict[str, tuple[Law, Callable[..., float]]]:
 
 @entry("fig-10.12", "feedforward, feedback, and both")
 def fig_10_12() -> Shown:
-    """Gains of figure 10.6 are torques, and those of 10.19 accelerations.
+    """Gains of figure 10.6 multiply errors into torques, those of equation 10.19 into accelerations.
 
-    Both readings are here, the second with the gains over M. Both confirm the chapter: better tracking than either
-    alone, less effort than feedback alone. FrictionCompensation stands beside the law for the friction in h.
+    Both readings are computed, the second with the gains divided by M. Both confirm the chapter: better tracking than
+    either alone, less effort than feedback alone. FrictionCompensation is added to the law for the friction in h.
     """
     titles = (
         ("Task 2", "angle [rad]", "t [s]"), ("tracking error", "error [rad]", "t [s]"),
@@ -180,14 +177,7 @@ def fig_10_12() -> Shown:
         right.bar(k, effort[name][0], color=colour(k))
     curve(left, run.t, q, "desired", linestyle=DASHED)
     right.set_xticks([])
-    handles, labels = (
-        one + other
-        for one, other in zip(middle.get_legend_handles_labels(), left.get_legend_handles_labels(), strict=True)
-    )
-    figure.legend(
-        handles, labels, loc="outside upper left", ncols=5, fontsize=SMALL, frameon=False, labelcolor=INK,
-        columnspacing=1.2, handlelength=1.6,
-    )  # fmt: skip
+    legend_above(figure, [*middle.lines, left.lines[-1]])
     for name in list(error)[2:]:
         for measure, of, other in (("RMS error", error, "ff"), ("RMS error", error, "fb"), ("effort", effort, "fb")):
             got, wanted = np.divide(of[name], of[other])
@@ -199,7 +189,7 @@ def fig_10_12() -> Shown:
 def eq_10_17() -> Shown:
     """Chosen: Kp = 100, Kd = 20, Ki = 150, 0.8 rad at 0.7 Hz.
 
-    The chapter's h has friction, so that FrictionCompensation stands beside the law.
+    The chapter's h includes friction, so FrictionCompensation is added to the law.
     """
     kp, kd, ki, at = 100.0, 20.0, 150.0, 0.3
     law, sine = LINEARISING + FrictionCompensation(at="meas"), Sine(center=[0.3], amplitude=0.8, frequency=0.7)
@@ -260,6 +250,4 @@ def fig_10_13() -> Shown:
         e, edot = qd - q, qdotd - qdot
         eint = eint + e * dt
         written.append(model_torque(q, qdot, qdotdotd + 100.0 * e + 20.0 * edot + 150.0 * eint))
-    worst = int(np.argmax(np.abs(got - written)))
-    yield row("last torque of 200 ticks at 100 Hz [N m]", got[-1], written[-1], LINE_BY_LINE, rel=1e-10)
-    yield row("the torque that differs most [N m]", got[worst], written[worst], LINE_BY_LINE, rel=1e-8)
+    yield from line_by_line(got, written)

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cache
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 import taut
 from taut import Constraint, Pose, RigidContact, Run, TaskForce, snapshot
 from taut.analysis import ConstraintTable, check_specification, natural_constraints
-from taut.base.plot_style import INK
+from taut.base.plot_style import INK, SMALL, colour
 from taut.book.models import in_mujoco, panda, simulated, ticked, total, two, two_links
 from taut.book.multi_joint import TORQUE, Q, V
-from taut.book.page import MUJOCO, Row, Shown, canvas, compared, entry, frame, row, words
+from taut.book.page import MUJOCO, Row, Shown, compared, entry, panels, row
 from taut.book.single_joint import ConstantTorque
 from taut.environments import Damper, Environments, Spring
 from taut.laws import ForceControl
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 F: Final = np.array([5.0, -3.0, -10.0, 0.3, 0.2, -0.1])  # [N, N m] of the arm on what it touches
 KFP, KFI = 0.5, 3.0  # [1], [1/s] those of MATHS: the pole is -2, the chapter's is -6
@@ -29,7 +31,7 @@ PRESS: Final = TaskForce(F_app=F)
 
 @entry("eq-10.32", "dynamics of an arm that touches")
 def eq_10_32() -> Shown:
-    """The tool of two links slides on a plane, which takes the force that the dynamics leave.
+    """The tool of two links slides on a plane, which bounds its motion by a contact force.
 
     Chosen: 3 N m at both joints, 0.4 m/s along a frictionless plane; negative presses.
     """
@@ -71,7 +73,7 @@ def eq_10_35() -> Shown:
 
 @cache
 def pressing_down(kfi: float) -> tuple[Run, Any]:
-    """A Panda that presses, and carries what its law does not know; (k,) the error of the vertical force [N]."""
+    """A run of a Panda that presses with an unmodelled load, and (k,) its error of the vertical force [N]."""
     held = Environments(
         spring=Spring(stiffness=[2e4, 2e4, 2e4, 500.0, 500.0, 5.0]),
         damper=Damper(damping=[400.0, 400.0, 400.0, 6.0, 6.0, 0.05]),
@@ -84,7 +86,7 @@ def pressing_down(kfi: float) -> tuple[Run, Any]:
 
 @entry("eq-10.36", "its error")
 def eq_10_36() -> Shown:
-    """Without its integral, (1 + Kfp) F_e is what the law does not know: its load's weight.
+    """Without the integral, (1 + Kfp) F_e equals the unmodelled weight of the load.
 
     The feedforward F_d was left out: (I + Kfp) F_e + Kfi int(F_e) is what g does not know. A Panda against
     springs, Kfp = 0.5, with half a kilogram that the law does not know.
@@ -107,7 +109,7 @@ def eq_10_37() -> Shown:
 
 @entry("eq-10.38", "force control with damping")
 def eq_10_38() -> Shown:
-    """With nothing to press on, the damping bounds the speed.
+    """Without contact, the damping bounds the speed.
 
     The damping is that at the end of the tick, (I + Kdamp Lambda^-1 dt)^-1 Kdamp V, which is the chapter's as dt
     falls. Chosen: Kdamp = (40, 2) and 0.1 about z; the gantry has 10 N and 50 N s/m.
@@ -154,7 +156,7 @@ def eraser() -> Constraint:
 
 
 def counted(name: str, found: ConstraintTable, motions: int, forces: int) -> Iterator[Row]:
-    """Rows of how many motions and forces may be chosen."""
+    """Rows of the numbers of motions and forces that may be specified."""
     states = f"{motions} + {forces}"
     yield row(f"{name}: motions that may be chosen", found.motions, motions, "the chapter", states=states)
     yield row(f"{name}: forces that may be chosen", found.forces, forces, "the chapter")
@@ -187,35 +189,18 @@ def fig_10_16() -> Shown:
     yield board()
 
 
-def board() -> Any:
-    """The chalkboard and the eraser, with their frames, in a parallel projection."""
-    figure, ax = canvas(8.0, 4.2, 0.85)
-    turned = Rotation.from_euler("zyx", [0.0, 0.0, -62.0], degrees=True).as_matrix()
-    view = turned @ Rotation.from_euler("z", 28.0, degrees=True).as_matrix()
-
-    def seen(points: Any) -> Any:
-        return np.array([2.1, 1.1]) + 2.3 * (np.asarray(points) @ view.T)[..., :2]
-
-    def patch(corners: Any, fill: str) -> None:
-        ax.fill(*seen(corners).T, facecolor=fill, edgecolor=INK, linewidth=0.9)
-
-    def axes_at(T: Pose, name: str) -> None:
-        p, R = np.asarray(T.p), np.asarray(T.R)
-        away = seen(p + R.T) - seen(p)  # (3, 2)
-        frame(ax, seen(p), 0.45 * away.T, name, aside=-0.1 * away[0] - 0.1 * away[1])
-        for letter, far in zip("xyz", away, strict=True):
-            words(ax, seen(p) + 0.52 * far, letter)
-
-    patch([[-0.3, -0.5, 0.0], [2.1, -0.5, 0.0], [2.1, 1.0, 0.0], [-0.3, 1.0, 0.0]], "#E9F0EA")
-    b = Pose([1.25, 0.3, 0.12], rpy=[0.0, 0.0, 0.3])
-    half, R = np.array([0.28, 0.14, 0.12]), np.asarray(b.R)
-    for k, sign in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0), (2, 1.0)):
-        if (view @ (sign * R[:, k]))[2] > 0.0:  # towards who looks
-            face = np.zeros((4, 3))
-            face[:, k] = sign
-            face[:, [i for i in range(3) if i != k]] = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
-            patch(np.asarray(b.p) + (face * half) @ R.T, ("#C8B89A", "#D6C8AC", "#E4D9C2")[k])
-    axes_at(Pose([0.0, 0.0, 0.0]), "s")
-    axes_at(b, "b")
-    words(ax, (5.6, 1.15), "chalkboard")
+def board() -> Figure:
+    """The chalkboard and the eraser, with their frames."""
+    figure, axes = panels(None, height=3.6, subplot_kw={"projection": "3d", "computed_zorder": False})
+    ax: Any = axes[0]
+    ax.bar3d(-0.3, -0.5, -0.03, 2.4, 1.5, 0.03, color="#E9F0EA", edgecolor=INK, linewidth=0.5)
+    ax.bar3d(1.0, 0.1, 0.0, 0.6, 0.3, 0.2, color="#D6C8AC", edgecolor=INK, linewidth=0.5)
+    for name, origin in (("s", np.zeros(3)), ("b", np.array([1.3, 0.25, 0.2]))):
+        for k, (axis, letter) in enumerate(zip(0.45 * np.eye(3), "xyz", strict=True)):
+            ax.quiver(*origin, *axis, color=colour(k))
+            ax.text(*(origin + 1.2 * axis), letter, fontsize=SMALL)
+        ax.text(*(origin - [0.15, 0.1, 0.0]), f"{{{name}}}", fontsize=SMALL)
+    ax.set(xlim=(-0.3, 2.1), ylim=(-0.5, 1.0), zlim=(0.0, 0.7))
+    ax.set_box_aspect((2.4, 1.5, 0.7), zoom=1.1)
+    ax.view_init(35.0, -70.0)
     return figure

@@ -1,4 +1,4 @@
-"""Numbers beside what they should be, and pictures, under the chapter's own numbers."""
+"""Entries of the book: computed numbers beside expected ones, and pictures."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from taut.base.types import ArrayLike
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.patches import Rectangle
 
 BY_HAND: Final = "the equation, written out"
 ROOTS: Final = "numpy.roots"
@@ -33,7 +34,7 @@ EXPECTED_ZERO: Final = 1e-9  # expected number to which a difference is not rela
 
 @dataclass(frozen=True)
 class Row:
-    """One number that this library computed, beside what it should be."""
+    """One number that this library computed, beside the expected one."""
 
     quantity: str
     unit: str  # empty for a pure number
@@ -49,7 +50,7 @@ class Row:
 
     @property
     def ok(self) -> bool:
-        """The two are as near as they should be."""
+        """The difference is within the tolerance."""
         return abs(self.difference) <= self.within
 
     def json(self, name: str) -> dict[str, Any]:
@@ -79,7 +80,7 @@ def row(
     near: float = 0.0,  # absolute tolerance added to it
     states: str = "",
 ) -> Row:
-    """A row of anything that is a number."""
+    """A row of a computed and an expected number."""
     name, _, unit = quantity.removesuffix("]").partition(" [")
     wanted = float(expected)
     return Row(name, unit, float(computed), wanted, source, rel * abs(wanted) + near, states)
@@ -208,17 +209,6 @@ def panels(*titles: tuple[str, str, str] | None, height: float = 2.5, **options:
     return figure, axes
 
 
-def canvas(width: float, height: float, scale: float) -> tuple[Figure, Axes]:
-    """A figure without axes, to draw on in units of its own."""
-    from matplotlib.figure import Figure as NewFigure
-
-    figure = NewFigure(figsize=(scale * width, scale * height), dpi=150, layout="constrained", facecolor="white")
-    ax = figure.subplots()
-    ax.set(xlim=(0.0, width), ylim=(0.0, height), aspect="equal")
-    ax.axis("off")
-    return figure, ax
-
-
 def curve(ax: Axes, x: Any, y: Any, label: str = "", k: int | None = None, **options: Any) -> None:
     """A curve in the k-th colour; a thin dark one where it is a reference; dots with `marker`."""
     style = {"color": INK, "linewidth": 0.9} if k is None else {"color": colour(k), "linewidth": 1.4}
@@ -233,7 +223,7 @@ def legend(ax: Axes, **options: Any) -> None:
 
 
 def words(ax: Axes, at: ArrayLike, text: str, *, size: float = SMALL, **options: Any) -> None:
-    """Letters in the middle of a point."""
+    """Letters centred at a point."""
     x, y = np.asarray(at).tolist()
     ax.text(x, y, text, **{"fontsize": size, "color": INK, "ha": "center", "va": "center", **options})
 
@@ -248,13 +238,35 @@ def arrow(ax: Axes, *points: ArrayLike, ink: str = INK, width: float = 1.0) -> N
 
 def block(
     ax: Axes, x: float, y: float, text: str = "", *, width: float = 1.1, height: float = 0.46, fill: str = "#FFFFFF"
-) -> None:
-    """A box about its middle, with a word in it."""
-    from matplotlib.patches import Rectangle
+) -> Rectangle:
+    """A box about its middle, with letters in it."""
+    from matplotlib.patches import Rectangle as Box
 
     corner = (x - 0.5 * width, y - 0.5 * height)
-    ax.add_patch(Rectangle(corner, width, height, facecolor=fill, edgecolor=INK, linewidth=1.0, zorder=2))
+    box = Box(corner, width, height, facecolor=fill, edgecolor=INK, linewidth=1.0, zorder=2)
     words(ax, (x, y), text, zorder=3)
+    ax.add_patch(box)
+    return box
+
+
+def diagram(
+    ax: Axes,
+    nodes: Mapping[str, tuple[float, float, float, str]],  # middle, width and letters; a point where the width is 0
+    edges: Iterable[tuple[str, str, str, str]],  # from, to, letters, Matplotlib's connection style
+) -> None:
+    """A block diagram: boxes, and arrows between them."""
+    boxes = {
+        name: block(ax, x, y, text, width=width, height=0.42 + 0.2 * text.count("\n")) if width else None
+        for name, (x, y, width, text) in nodes.items()
+    }
+    for start, end, text, way in edges:
+        style = {"arrowstyle": "-|>", "color": INK, "connectionstyle": way, "shrinkA": 0.0, "shrinkB": 0.0}
+        (x0, y0, w0, _), (x1, y1, w1, _) = nodes[start], nodes[end]
+        style |= {"patchA": boxes[start], "patchB": boxes[end]}
+        ax.annotate("", xy=(x1, y1), xytext=(x0, y0), arrowprops=style)
+        words(ax, (0.5 * (x0 + x1) + 0.25 * (w0 - w1), 0.5 * (y0 + y1) + 0.12), text, va="bottom")
+    x, y, width = np.array([node[:3] for node in nodes.values()]).T
+    ax.set(xlim=(x.min() - 0.1, (x + 0.5 * width).max() + 0.1), ylim=(y.min() - 1.0, y.max() + 0.5))
 
 
 def frame(ax: Axes, origin: Any, axes: Any, name: str, *, aside: Any) -> None:
@@ -272,55 +284,31 @@ LABELS: Final[Mapping[str, str]] = {
     "nonlinear": r"$\hat{h}(\theta, \dot{\theta})$",
 }
 """Symbols of the terms of joint laws."""
-SPACING: Final = 0.62  # between blocks that stand above each other
-
-
-def junction(ax: Axes, x: float, y: float) -> None:
-    """A summing junction."""
-    ax.plot([x], [y], "o", color=INK, markersize=11.0, markerfacecolor="#FFFFFF", zorder=3)
-    words(ax, (x, y - 0.015), "Σ", zorder=4)
+STRAIGHT: Final = "arc3"
 
 
 def law_diagram(terms: Sequence[str], title: str) -> Figure:
     """A block diagram of the terms of PID control, or of feedback linearisation, between desired motion and arm."""
-    of_error = [name for name in terms if name in "PID"]
     model = "nonlinear" in terms  # then M turns what is fed forward and back into a torque
-    sum_x, half = 3.85, 0.5 * SPACING * (len(of_error) - 1) + 0.45
-    torque_x = sum_x + (3.0 if model else 0.0)
-    arm_x, middle = torque_x + 1.65, 0.15 + (1.45 if model else half)
-    figure, ax = canvas(max(arm_x + 1.05, 7.2), middle + (1.45 if model else half) + 0.3, 0.78)
-    words(ax, (0.1, ax.get_ylim()[1] - 0.15), title, ha="left", size=SMALL + 0.5)
-    words(ax, (0.35, middle + 0.2), r"$\theta_d$")
-    arrow(ax, (0.15, middle), (0.87, middle))
-    junction(ax, 1.0, middle)
-    words(ax, (1.35, middle + 0.2), r"$\theta_e$")
-    for k, name in enumerate(of_error):
-        y = middle + SPACING * (0.5 * (len(of_error) - 1) - k)
-        arrow(ax, (1.13, middle), (1.6, middle), (1.6, y), (1.95, y))
-        block(ax, 2.55, y, LABELS[name], width=1.2)
-        if y == middle:
-            arrow(ax, (3.15, y), (sum_x - 0.13, y))
-        else:
-            arrow(ax, (3.15, y), (sum_x, y), (sum_x, middle + np.sign(y - middle) * 0.14))
-    junction(ax, sum_x, middle)
+    nodes = {"desired": (0.0, 0.0, 0.0, ""), "error": (1.0, 0.0, 0.3, "Σ"), "sum": (4.0, 0.0, 0.3, "Σ")}
+    added = [name for name in terms if name != "nonlinear"]
+    for k, name in enumerate(added):
+        nodes[name] = (2.5, 0.6 * (0.5 * (len(added) - 1) - k), 1.2, LABELS[name])
+    last = "sum"
     if model:
-        x = sum_x + 1.0
-        arrow(ax, (sum_x + 0.13, middle), (x - 0.13, middle))
-        junction(ax, x, middle)
-        arrow(ax, (x, middle + 1.0), (x, middle + 0.14))
-        words(ax, (x, middle + 1.15), LABELS["feedforward"])
-        arrow(ax, (x + 0.13, middle), (x + 0.6, middle))
-        block(ax, x + 1.05, middle, r"$\hat{M}(\theta)$", width=0.9)
-        arrow(ax, (x + 1.5, middle), (torque_x - 0.13, middle))
-        junction(ax, torque_x, middle)
-        block(ax, torque_x, middle - 0.95, LABELS["nonlinear"], width=1.15)
-        arrow(ax, (torque_x, middle - 0.72), (torque_x, middle - 0.14))
-        arrow(ax, (torque_x, 0.15), (torque_x, middle - 1.18))
-    arrow(ax, (torque_x + 0.13, middle), (arm_x - 0.45, middle))
-    words(ax, (0.5 * (torque_x + arm_x - 0.32), middle + 0.18), r"$\tau$")
-    block(ax, arm_x, middle, "arm", width=0.9, height=0.7)
-    arrow(ax, (arm_x + 0.45, middle), (arm_x + 0.95, middle))
-    words(ax, (arm_x + 0.75, middle + 0.2), r"$\theta, \dot{\theta}$")
-    arrow(ax, (arm_x + 0.65, middle), (arm_x + 0.65, 0.15), (1.0, 0.15), (1.0, middle - 0.14))
-    words(ax, (0.86, middle - 0.24), "−")
+        nodes |= {"M": (5.2, 0.0, 0.9, r"$\hat{M}(\theta)$"), "nonlinear": (6.4, 0.9, 1.2, LABELS["nonlinear"])}
+        nodes["torque"] = (6.4, 0.0, 0.3, "Σ")
+        last = "torque"
+    x = nodes[last][0]
+    nodes |= {"arm": (x + 1.6, 0.0, 0.9, "arm"), "angle": (x + 2.9, 0.0, 0.0, "")}
+    edges = [("desired", "error", r"$\theta_d$", STRAIGHT), ("arm", "error", "", f"bar,fraction={-1.3 / (x + 0.6)}")]
+    edges += [("error", name, "", STRAIGHT) for name in added if name != "feedforward"]
+    edges += [(name, "sum", "", STRAIGHT) for name in added]
+    if model:
+        edges += [("sum", "M", "", STRAIGHT), ("M", "torque", "", STRAIGHT), ("nonlinear", "torque", "", STRAIGHT)]
+    edges += [(last, "arm", r"$\tau$", STRAIGHT), ("arm", "angle", r"$\theta, \dot{\theta}$", STRAIGHT)]
+    figure, (ax,) = panels(None)
+    diagram(ax, nodes, edges)
+    words(ax, (0.85, -0.4), "−")
+    ax.set_title(title, fontsize=SMALL, color=INK, loc="left")
     return figure

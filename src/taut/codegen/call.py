@@ -33,7 +33,7 @@ PYARRAY_TYPE, PYARRAY_NEW = 2, 93  # places in NumPy's table of C functions, fix
 
 @dataclass(frozen=True)
 class Offsets:
-    """Where the parts of a NumPy array object stand [bytes]."""
+    """Offsets of the parts of a NumPy array object [bytes]."""
 
     type_: int
     data: int
@@ -93,7 +93,7 @@ def _numpy_table() -> Any:
 
 @functools.cache
 def slot_offsets(cls: type, names: tuple[str, ...]) -> tuple[int, ...] | None:
-    """Where the slots of a class stand [bytes], found by looking; None if they cannot be."""
+    """Offsets of the slots of a class [bytes], found by probing an instance; None if they cannot be."""
     probe: object = object.__new__(cls)
     marks = [object() for _ in names]
     for name, mark in zip(names, marks, strict=True):
@@ -106,7 +106,7 @@ def slot_offsets(cls: type, names: tuple[str, ...]) -> tuple[int, ...] | None:
 
 
 def layout_key() -> bytes:
-    """What of Python's and NumPy's memory layout is baked into generated code."""
+    """Memory layout of Python and NumPy on which generated code depends."""
     return repr((offsets(), object.__basicsize__)).encode()
 
 
@@ -147,7 +147,7 @@ class _Keeper(np.ndarray[Any, np.dtype[np.uint64]]):
 
 
 class _MethodDef(ctypes.Structure):
-    """What CPython knows of a builtin function."""
+    """CPython's PyMethodDef: the definition of a builtin function."""
 
     _fields_ = (
         ("name", ctypes.c_char_p),
@@ -161,7 +161,7 @@ DEFINITION_WORDS: Final = ctypes.sizeof(_MethodDef) // 8
 
 
 class Context:
-    """What a generated call needs at run time: blocks, counters, and the Python objects it touches."""
+    """Run-time data of a generated call: blocks, counters, and the Python objects that it uses."""
 
     def __init__(
         self,
@@ -244,7 +244,7 @@ class CallPath:
     guarded: bool = True  # refuses numbers that are not finite
 
     def text(self) -> str:
-        """All functions."""
+        """LLVM text of all functions."""
         parts = [self._advance(Writer()), self._tick(Writer())]
         if self.arguments is not None:
             parts.append(self._step(Writer(), [*self.arguments]))

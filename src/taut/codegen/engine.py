@@ -111,7 +111,7 @@ def verified(
         return [outputs, new]
 
     def by_rounding(sample: Flat, expected: list[Float64Array]) -> list[Float64Array]:
-        """How much the results move by rounding alone: near a singularity, more than any fixed tolerance."""
+        """Change of the results by rounding alone: near a singularity it exceeds any fixed tolerance."""
         rng, moved = np.random.default_rng(0), [np.zeros_like(part) for part in expected]
         for _ in range(TRIALS):
             near = [x * (1.0 + ULPS * np.finfo(float).eps * rng.uniform(-1.0, 1.0, x.shape)) for x in sample]

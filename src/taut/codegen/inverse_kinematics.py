@@ -46,12 +46,12 @@ class IkResult:
 
     @property
     def ok(self) -> bool:
-        """Whether the tool is at the target, within the tolerance."""
+        """True where the tool is at the target, within the tolerance."""
         return self.outcome is IkOutcome.SOLVED
 
     @property
     def sentence(self) -> str:
-        """How it ended, in words and numbers."""
+        """The outcome in words and numbers."""
         linear, angular = self.error
         names = ", ".join(repr(name) for name in self.held)
         at = f" ({names})" if self.held and not self.ok else ""
@@ -225,7 +225,7 @@ class _Search:
         return IkResult(q=q, outcome=outcome, error=error, iterations=count, starts=1, held=held)
 
     def has_fewer_joints(self, q: Float64Array) -> bool:
-        """Whether joints move the tool in fewer directions than were asked for, and in all of these at q."""
+        """True where the joints move the tool in fewer directions than requested, and in all of those at q."""
         model, task = model_of(self.arm), self.task
         rows = task.seen(dyn.pose(model, q, task.frame), dyn.jacobian(model, q, task.frame))
         return task.rank < task.asked and np.linalg.matrix_rank(rows, tol=NEARLY_SINGULAR) == task.rank

@@ -70,7 +70,7 @@ class Alone:
 
 @dataclass(frozen=True, kw_only=True)
 class Call:
-    """How a kernel is called with arrays."""
+    """The arguments of a kernel's `step`."""
 
     arguments: Sequence[str]  # the inputs that are arrays, by position
     slow: Callable[..., Any]  # takes a call that is not plain
@@ -175,7 +175,7 @@ class Kernel:
 
     @property
     def ready(self) -> bool:
-        """Whether memory has started and waits for nothing."""
+        """True where memory has started, and the next tick may use it as it is."""
         return bool(self._words["ready"])
 
     @property
@@ -242,7 +242,7 @@ def _no_step(*_: object, **__: object) -> NoReturn:
 
 
 def _reads(program: Program, path: str) -> bool:
-    """Whether a program depends on one of its inputs."""
+    """True where a program depends on one of its inputs."""
     field = program.inputs.field(path)
     index = range(field.offset, field.offset + field.size)
     return any(program.graph.ops[i] == 1 and program.graph.a[i] in index for i in program.live)

@@ -97,7 +97,7 @@ def _multiplied(name: str, a: str, b: str, c: str, *, less: bool = False, minus:
 
 
 def declarations() -> str:
-    """What kernels call."""
+    """Declarations and definitions of the functions that kernels call."""
     one = [f"declare double @llvm.{name}.f64(double)" for name in ("sqrt", "fabs", "floor")]
     libm = [f"declare double @{name}(double{', double' if name == 'atan2' else ''}) #0" for name in LIBM]
     whole = "declare i64 @llvm.fptosi.sat.i64.f64(double)\ndeclare double @llvm.fmuladd.f64(double, double, double)"
@@ -278,7 +278,7 @@ class _Body:
         return self._graph.ops[i] == Op.SQRT and self._graph.a[i] in positive
 
     def _is_finiteness(self, i: int) -> bool:
-        """Whether a comparison asks for infinity alone, which no rounding makes of a number that is in use."""
+        """True for a comparison that only detects infinity, which rounding does not cause in practice."""
         return self._graph.ops[i] == Op.LE and self._graph.value[self._graph.b[i]] == LARGEST
 
     def lines(self) -> list[str]:
@@ -387,7 +387,7 @@ class Writer:
         self.line(f" br i1 {wrong}, label %{target}, label %{after}", f"{after}:")
 
     def load_at(self, owner: str, offset: int, kind: str = "ptr") -> str:
-        """What stands `offset` bytes behind a pointer."""
+        """The value `offset` bytes behind a pointer."""
         place = self.put(f"getelementptr i8, ptr {owner}, i64 {offset}")
         return self.put(f"load {kind}, ptr {place}")
 

@@ -34,7 +34,6 @@ class TracedSteps:
         self.repeats = steps.repeats
         inner = 0 if self.inner is None else self.inner.operations
         self.operations = self.step.operations + inner * self.repeats  # of a period
-        self.length = self.step.operations + inner  # in the code, which may run more than once
 
     @property
     def content(self) -> bytes:
@@ -92,7 +91,7 @@ class StepLoop:
             return
         if ticks is not None:
             self._ticks += ticks
-        level = level_for(None if ticks is None else self._ticks * self.operations / max(self._length, 1))
+        level = level_for(None if ticks is None else self._ticks * (1 + self._steps.repeats))
         if level > self._level:
             self._level = level
             self.module: NativeModule = self._at(level=level)
@@ -100,7 +99,7 @@ class StepLoop:
 
     def _compile(self, traced: TracedSteps, example: tuple[Float64Array, ...], ticks: int | None) -> None:
         steps, self.outputs = self._steps, traced.step.outputs
-        self.operations, self._length = traced.operations, traced.length
+        self.operations = traced.operations
         rng = np.random.default_rng(0)
         inputs, parameters, memory = example  # copies, for a run goes on in the arrays that it began with
         near = [memory, *(memory + 0.01 * rng.standard_normal(memory.shape) for _ in range(2))]

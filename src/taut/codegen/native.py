@@ -38,7 +38,7 @@ def level_for(calls: float | None) -> int:
 
 
 def available() -> bool:
-    """Whether native code can be made here: whether llvmlite is installed."""
+    """True where llvmlite is installed, so that native code can be made."""
     return importlib.util.find_spec("llvmlite") is not None
 
 
@@ -61,7 +61,7 @@ class NativeModule:
 
 
 def _together() -> bool:
-    """Whether code is linked with its constants beside it, which it then need not be given the addresses of."""
+    """True where code is linked with its constants next to it, and addresses them relative to itself."""
     return sys.platform == "linux" and platform.machine() == "x86_64"
 
 
@@ -112,7 +112,7 @@ def _sources() -> bytes:
 
 @functools.cache
 def _platform_key() -> bytes:
-    """What besides the program decides about the machine code."""
+    """Everything besides the program that determines the machine code."""
     import llvmlite
     import llvmlite.binding as llvm
 
@@ -188,7 +188,7 @@ ENVIRONMENT: Final = "TAUT_CACHE_DIR"
 
 
 def cache_folder() -> Path:
-    """Where compiled code is kept; the variable TAUT_CACHE_DIR moves it."""
+    """Folder of compiled code; the variable TAUT_CACHE_DIR moves it."""
     given = os.environ.get(ENVIRONMENT)
     if given:
         return Path(given).expanduser()
@@ -200,7 +200,7 @@ def cache_folder() -> Path:
 
 
 def _private(info: os.stat_result) -> bool:
-    """Whether nobody else can write a file or folder: what is loaded from it will run."""
+    """True where nobody else can write a file or folder, from which code is loaded and run."""
     if sys.platform == "win32":  # the folder stands in the user's own profile, with its access list
         return True
     return info.st_uid == os.getuid() and not info.st_mode & (stat.S_IWGRP | stat.S_IWOTH)

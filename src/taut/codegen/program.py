@@ -205,7 +205,7 @@ def trace(function: Function, inputs: Block, parameters: Block, memory: Block) -
 
 
 def failure(cause: Exception, way_out: str = "") -> str:
-    """What went wrong in law code, where, and how to fix it."""
+    """An error of law code in words: what failed, where, and how to fix it."""
     text, place = f"{type(cause).__name__}: {cause}", raised_location(cause)
     if isinstance(cause, ZeroDivisionError):
         return f"it divides by a constant zero at {place}"

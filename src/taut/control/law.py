@@ -106,11 +106,11 @@ class Law(Remembers):
 
     @property
     def notices(self) -> tuple[tuple[str, str], ...]:
-        """Pairs of a path of its memory and what the outcome of a run says where that is not zero."""
+        """Path of each memory with a notice, and the sentence in a run's outcome where it is not zero."""
         return tuple((path, memory.notice) for path, memory in self.every_memory().items() if memory.notice)
 
     def seen_by(self, child: str, x: Snapshot, ref: Any) -> tuple[Snapshot, Any]:  # noqa: ARG002
-        """What a law that this one holds sees and follows."""
+        """Snapshot and reference of a law that this one holds."""
         return x, ref
 
     def memory_of_children(self, x: Snapshot, ref: Sample) -> dict[str, Any]:
@@ -136,11 +136,11 @@ class Law(Remembers):
         return None
 
     def apparent_impedance(self, x: Snapshot) -> ApparentImpedance | None:  # noqa: ARG002
-        """What the tool feels like about a state, in plain numbers; None for a law that promises nothing of it."""
+        """Apparent impedance of the tool at a state, in plain numbers; None for a law that specifies none."""
         return None
 
     def at_rest(self, x: Snapshot) -> Sample:
-        """The sample that asks this law to stay as in the snapshot."""
+        """The sample with which this law keeps the arm where it is in the snapshot."""
         return self.reference.at_rest(x, self.controlled_frame)
 
     def check_rates(self, rate: float) -> None:

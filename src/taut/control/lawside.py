@@ -94,7 +94,7 @@ class LawSide:
 
     @property
     def title(self) -> str:
-        """What the law is called in messages."""
+        """Name of the law in messages."""
         return title(self.law)
 
     @property
@@ -236,12 +236,12 @@ class LawSide:
 
     @cached_property
     def notices(self) -> dict[str, str]:
-        """What a run's outcome says where a recorded entry of the memory is not zero, by path."""
+        """Sentence of a run's outcome where a recorded entry of the memory is not zero, by path."""
         return {f"{path}.{name}": text for path, law in self.laws for name, text in law.notices}
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """What the law side asks to be measured, beyond positions."""
+        """Measurements that the law side needs, beyond positions."""
         return tuple(name for name in self.takes if name in self.probe.used)
 
     @property
@@ -372,7 +372,7 @@ class LawSide:
 
 
 def _payload_of(parameters: Mapping[str, Any]) -> PayloadValues:
-    """What the tool carries, by the controller's model."""
+    """Payload of the tool in the controller's model."""
     return PayloadValues.of(subtree(parameters, "model.payload"))
 
 

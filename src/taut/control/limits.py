@@ -223,13 +223,13 @@ def room(speed: Vector, v_max: Array, v_gain: Array, dt: Any) -> Vector:
 
 
 def left(phase: Any) -> Any:
-    """What is left of a jump when this part of its time is over: from 1 to 0, with no slope at either end."""
+    """Remaining fraction of a jump after this fraction of the blend time: 1 to 0, with zero slope at both ends."""
     x = tm.clip(phase, 0.0, 1.0)
     return 1.0 + x * x * (2.0 * x - 3.0)
 
 
 def fresh_blend(n: int) -> dict[str, Any]:
-    """Memory of a blend that has nothing to do."""
+    """Memory of an inactive blend."""
     return {"asked": tm.zeros(n), "bump": tm.zeros(n), "phase": 1.0}
 
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 import numpy as np
 
 from taut.arm.description import Arm
+from taut.base.checks import entry_names
 from taut.base.errors import RangeError, UsageError
 from taut.base.fields import Choice, Declared, Field, Part, Plain
 from taut.base.paths import subtree
@@ -242,19 +243,21 @@ def kalman_gains(acceleration_noise: Any, position_noise: Any, dt: Any) -> tuple
 def check_filter(part: Declared, path: str, rate: float, joints: Sequence[str] | int) -> None:
     """A filter's numbers: a scalar or one for each of `joints`, below half the rate [Hz]. ShapeError, RangeError."""
     part.check_size(joints, f"{path}.")
-    check_frequencies(part, path, rate)
+    check_frequencies(part, path, rate, None if isinstance(joints, int) else joints)
 
 
-def check_frequencies(part: Declared, path: str, rate: float) -> None:
+def check_frequencies(part: Declared, path: str, rate: float, entries: Sequence[str] | None = None) -> None:
     """Every number in Hz is below half the rate."""
     for name, values in part.parameters().items():
-        largest = float(np.max(values))
-        if part.units()[name] == "Hz" and largest >= 0.5 * rate:
+        if part.units()[name] == "Hz" and np.any(values >= 0.5 * rate):
+            index = [int(i) for i in np.argwhere(values >= 0.5 * rate)[0]]
+            value = float(values[tuple(index)])
             raise RangeError(
-                f"{path}.{name} must be < {0.5 * rate:g} [Hz], half the controller's rate of {rate:g} Hz; got "
-                f"{largest!r}; make it lower, or the rate higher",
+                f"{entry_names(f'{path}.{name}', index, entries)} must be < {0.5 * rate:g} [Hz], half the "
+                f"controller's rate of {rate:g} Hz; got {value!r}; make it lower, or the rate higher",
                 name=f"{path}.{name}",
-                value=largest,
+                joint=entries[index[0]] if entries is not None and index else None,
+                value=value,
                 rule="below half the rate",
             )
 
@@ -342,6 +345,7 @@ class Wrist(Declared):
 
 
 Filter: TypeAlias = LowPass | Notch | Difference | Kalman
+"""Filter of one measurement u: `start(u)` is its memory as if u had always been constant, `filtered` its output."""
 Velocity: TypeAlias = Literal["measured", "difference"] | LowPass | Difference | Kalman
 WORDS: Final = ("measured", "difference")
 SOURCES: Final = (LowPass, Difference, Kalman)
@@ -403,17 +407,17 @@ class Sensing(Declared):
 
     @property
     def tells(self) -> tuple[str, ...]:
-        """What it gives beside measurements: 1.0 in a tick in which a sensor is at the end of its range."""
+        """Outputs beside the measurements: 1.0 in a tick in which a sensor is at the end of its range."""
         return (SATURATED,) if self.wrist is not None and self.wrist.range is not None else ()
 
     @property
     def alters(self) -> frozenset[str]:
-        """Measurements that the law sees otherwise than they are measured."""
+        """Measurements that are changed before the law sees them."""
         return frozenset(name for *_, name in self._filters()) | ({"F_ext"} if self.wrist is not None else set())
 
     @property
     def summary(self) -> str:
-        """What it does, in one line."""
+        """Filters in use, in one line."""
         parts = [f"{name} by {type(part).__name__}" for _, part, _, name in self._filters()]
         return ", ".join([*parts, *(["F_ext by Wrist"] if self.wrist is not None else [])])
 

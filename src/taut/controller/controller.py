@@ -98,12 +98,12 @@ class Controller:
 
     @property
     def adds(self) -> Adds:
-        """What the plant is expected to add itself."""
+        """Components that the plant is expected to add itself."""
         return self.side.adds
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """What must be measured beyond positions."""
+        """Measurements that are needed besides positions."""
         return self.side.needs
 
     @property
@@ -275,7 +275,7 @@ class Controller:
         print(self.explanation())
 
     def explanation(self) -> str:
-        """What `explain` prints."""
+        """The text that `explain` prints."""
         from taut.controller.explain import explanation
 
         return explanation(self)

@@ -1,4 +1,4 @@
-"""What a controller is, in words: its laws, gains with units, closed loop, and what a tick costs."""
+"""A controller in words: its laws, gains with units, closed loop, and the cost of a tick."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def explanation(ctrl: Controller) -> str:
-    """What `ctrl.explain()` prints."""
+    """The text that `ctrl.explain()` prints."""
     side = ctrl.side
     lines = [f"{side.title} for arm '{side.arm.name}' ({count_of(side.arm.n, 'joint')}) at {side.rate:g} Hz"]
     for name, law in all_laws(side.law):
@@ -48,7 +48,7 @@ def summary(law: type[Law]) -> str:
 
 
 def statements(law: type[Law], head: str) -> list[str]:
-    """What stands behind 'Law:' or 'Closed loop:', each statement whole: lines set in further go on with it."""
+    """The statements behind 'Law:' or 'Closed loop:' of a docstring; indented lines continue the one before."""
     lines = _section(law, head)
     out: list[str] = []
     for indent, text in lines:

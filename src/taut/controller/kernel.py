@@ -1,4 +1,4 @@
-"""What is compiled of a control side, its tick as a function of blocks, and the calls that compiled code leaves."""
+"""The compiled part of a control side, its tick as a function of blocks, and calls that need Python."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def recording_kernel(side: LawSide, engine: Engine, sensed: tuple[str, ...], tic
 
 
 def _call_of(side: LawSide, slow: Callable[..., Any]) -> Call:
-    """How `step` is called: positions, velocities, and the sample of a law; a task makes its samples itself."""
+    """Arguments of `step`: positions, velocities, and the sample of a law; a task makes its samples itself."""
     return Call(
         arguments=("q", "v") if side.sensing.needs_velocity else ("q",),
         slow=slow,
@@ -143,7 +143,7 @@ def _call_of(side: LawSide, slow: Callable[..., Any]) -> Call:
 
 
 def _probed(side: LawSide) -> Probe:
-    """What a first run on plain numbers shows; a law that fails there is reported in a sentence."""
+    """Results of a first run on plain numbers; a law that fails there is reported in a sentence."""
     try:
         with np.errstate(all="ignore"):
             return side.probe
@@ -208,11 +208,11 @@ WHY: Final = {
     "v": ", measured velocities, unless compiled with sensing=taut.Sensing(velocity='difference')",
     "F_ext": ", which the law asks for: pass F_ext= or F_app=",
 } | {name: f", which the law asks for: pass {name}=" for name in MEASUREMENTS if name != "F_ext"}
-"""What asks for a measurement, and what would do without it."""
+"""Reason why a measurement is needed and, where there is one, the alternative, for messages."""
 
 
 def step_arguments(side: LawSide, args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[dict[str, Any], Any]:
-    """What is measured, by name, and the sample of the reference, or None."""
+    """The measurements by name, and the sample of the reference or None."""
     known = ("q", "v", "ref", "F_app", *MEASUREMENTS)
     positional: tuple[str, ...] = known[:3]
     if len(args) == 2 and isinstance(args[1], Sample):
@@ -259,7 +259,7 @@ def sample_arguments(side: LawSide, ref: Any) -> dict[str, Any]:
 def checked_arguments(
     side: LawSide, given: Mapping[str, Any], inputs: Mapping[str, Float64Array], tick: int
 ) -> dict[str, Float64Array]:
-    """What is given as arrays of the shapes of the inputs, by path."""
+    """Arguments as arrays in the shapes of the inputs, by path."""
     joints = side.arm.joint_names
     checked = {
         path: float_array(path, value, shape=inputs[path].shape, joints=None if path in AT_TOOL else joints)

@@ -18,7 +18,7 @@ from taut.controller.kernel import not_finite
 
 
 class State(Enum):
-    """What the next tick of a controller does first."""
+    """States of a controller, each with the first action of its next tick."""
 
     FRESH = "it starts the memory from what is measured"
     RUNNING = "nothing: it goes on with the memory that there is"
@@ -47,7 +47,7 @@ class StateMachine:
 
     @property
     def started(self) -> bool:
-        """Whether there is a memory to go on with."""
+        """True after the first tick, when there is a memory to go on with."""
         return self.state is not State.FRESH
 
     def _enter(self, state: State) -> None:
@@ -83,7 +83,7 @@ class StateMachine:
             self._enter(State.CHANGED)
 
     def parameters_of_last_tick(self) -> Float64Array:
-        """All parameters as the last tick saw them, flat."""
+        """All parameters as the last tick used them, flat."""
         if self._last is not None and self._last[0] == self.kernel.count:
             return self._last[1]
         return self.kernel.blocks.parameters

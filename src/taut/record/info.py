@@ -28,6 +28,11 @@ ShapeKind: TypeAlias = Literal["plane", "box", "sphere", "ellipsoid", "cylinder"
 Numbers: TypeAlias = tuple[float, ...]
 
 
+def numbers(values: Any) -> Numbers:
+    """An array as the numbers of a shape or a thing."""
+    return tuple(float(x) for x in values)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Shape:
     """A shape on a thing."""

@@ -46,20 +46,20 @@ class PlantBase(ABC):
     takes: str = "torque"
     """The command: "torque", "velocity" or "position"."""
     measures: frozenset[str] = frozenset({"v"})
-    """What it measures besides positions."""
+    """Measurements besides positions."""
     distorts: frozenset[str] = frozenset()
     """The measurements that differ from the truth."""
     adds: Any = ()
-    """What it adds to a torque command itself, such as ("gravity",)."""
+    """Components that it adds to a torque command itself, such as ("gravity",)."""
     real: bool = False
-    """Whether commands move a real arm: then a run with an unstable loop is refused, not begun with a warning."""
+    """True where commands move a real arm: a run with an unstable loop is then refused, not begun with a warning."""
 
     def __init__(self, arm: Arm) -> None:
         self.arm = arm
 
     @property
     def name(self) -> str:
-        """What messages call it."""
+        """Name of the plant in messages."""
         return f"{type(self).__name__}({self.arm.name})"
 
     @abstractmethod
@@ -75,12 +75,12 @@ class PlantBase(ABC):
         """One control period under a command; (n,) the torque that acted on the joints."""
 
     def measure(self) -> dict[str, Float64Array]:
-        """What the sensors give: q, and whatever `measures` names."""
+        """Readings of the sensors: q, and whatever `measures` names."""
         q, v = self.state()
         return {"q": q.copy(), "v": v.copy()}
 
     def trouble(self) -> tuple[str, int | None] | None:
-        """What went wrong in the last period, in words, and the joint; None if nothing did."""
+        """Fault in the last period, in words, and the joint; None without one."""
         return None
 
     def extra(self) -> dict[str, Any]:
@@ -92,7 +92,7 @@ class PlantBase(ABC):
         return None
 
     def around(self) -> Around:
-        """What stands around the arm, for films."""
+        """Objects around the arm, for films."""
         return Around()
 
     @property

@@ -78,7 +78,7 @@ class OngoingRun(ABC):
         """(n,) where the arm is before a tick, and the parameters by path."""
 
     def _refused(self, k: int) -> Outcome | None:
-        """How the run ends before the events of a tick that have no meaning there."""
+        """The outcome of a run that ends before a tick whose events have no meaning there."""
         try:
             self._events.check(k, *self._before())
         except RangeError as error:
@@ -191,7 +191,7 @@ class FusedRun(OngoingRun):
         return last, self._run.run(inputs[k:last], self._values, self._state, outputs[k:last])
 
     def _diverged(self, k: int) -> Outcome:
-        """How a run ended whose step after row k was not finite: by a sensor, by the law, or by itself."""
+        """The outcome of a run whose step after row k was not finite: by a sensor, by the law, or the simulation."""
         error = self._run.raised
         if isinstance(error, NumericalError):  # plain Python raises where compiled code gives infinity
             return self.tape.without_numbers(k, error)
@@ -235,7 +235,7 @@ class FusedRun(OngoingRun):
     def _seen(
         self, plant: Mapping[str, Any], sensing: Mapping[str, Any] | None, inputs: Mapping[str, Any]
     ) -> Snapshot:
-        """What the controller sees in a tick, for the source of a stream."""
+        """Snapshot that the controller sees in a tick, for the source of a stream."""
         measured = self._loop.measured(plant, inputs, self._numbers)
         return self._loop.side.seen(measured, sensing, self._numbers, float(inputs["t"]))
 

@@ -28,7 +28,7 @@ from taut.maths.model import Chain, PayloadValues
 from taut.maths.snapshot import Snapshot
 from taut.plant.contact import each_contact
 from taut.plant.rigid import RigidPlant
-from taut.record.info import Around, Change, PartInfo, RunInfo, Shape, Stability, Thing, versions
+from taut.record.info import Around, Change, PartInfo, RunInfo, Shape, Stability, Thing, numbers, versions
 from taut.record.progress import Progress
 from taut.record.run import Run
 from taut.runtime.events import Event, Schedule, listed
@@ -241,7 +241,7 @@ PERIOD: Final = 0.02  # [s] between two places of a surface that moves
 
 
 def around_info(plant: AnyPlant, q: Float64Array, duration: float) -> Around:
-    """What stands around the arm."""
+    """Objects around the arm, for films."""
     if isinstance(plant, PlantBase):
         return plant.around()
     return _of_model(plant, q, duration) if isinstance(plant, RigidPlant) else Around()
@@ -278,19 +278,19 @@ def _thing(surface: Surface, p: Float64Array, duration: float) -> Thing:
     n, rgba = surface.axis, HOLLOW if surface.inside else BOARD
     if surface.kind == "sphere":
         ball = Shape(kind="sphere", size=(surface.radius, 0.0, 0.0), rgba=rgba)
-        return Thing(shapes=(ball,), p=_numbers(surface.point))
+        return Thing(shapes=(ball,), p=numbers(surface.point))
     along = float(n @ (p - surface.point))
     if surface.kind == "cylinder":
         pipe = Shape(kind="cylinder", size=(surface.radius, SURFACE_HALF_WIDTH, 0.0), rgba=rgba)
-        return Thing(shapes=(pipe,), p=_numbers(surface.point + along * n), wxyz=_along(n))
+        return Thing(shapes=(pipe,), p=numbers(surface.point + along * n), wxyz=_along(n))
     board = Shape(kind="box", size=(SURFACE_HALF_WIDTH, SURFACE_HALF_WIDTH, THICKNESS), rgba=rgba)
     times: tuple[float, ...] = ()
     shifts: tuple[tuple[float, ...], ...] = ()
     if surface.displacement is not None:
-        times = _numbers(np.linspace(0.0, duration, max(2, round(duration / PERIOD) + 1)))
-        shifts = tuple(_numbers(surface.displacement(t) * n) for t in times)
+        times = numbers(np.linspace(0.0, duration, max(2, round(duration / PERIOD) + 1)))
+        shifts = tuple(numbers(surface.displacement(t) * n) for t in times)
     at = p - (along + THICKNESS) * n  # the board's face is the plane
-    return Thing(shapes=(board,), p=_numbers(at), wxyz=_along(n), times=times, shifts=shifts)
+    return Thing(shapes=(board,), p=numbers(at), wxyz=_along(n), times=times, shifts=shifts)
 
 
 def _along(z: Float64Array) -> tuple[float, ...]:
@@ -298,8 +298,4 @@ def _along(z: Float64Array) -> tuple[float, ...]:
     helper = np.eye(3)[int(np.argmin(np.abs(z)))]
     x = np.cross(helper, z)
     x /= np.linalg.norm(x)
-    return _numbers(Pose.of(np.column_stack([x, np.cross(z, x), z]), np.zeros(3)).wxyz)
-
-
-def _numbers(values: Any) -> tuple[float, ...]:
-    return tuple(float(x) for x in values)
+    return numbers(Pose.of(np.column_stack([x, np.cross(z, x), z]), np.zeros(3)).wxyz)

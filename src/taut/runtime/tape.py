@@ -84,7 +84,7 @@ class Tape:
         )
 
     def _leave_out(self, first: int, end: int) -> None:
-        """What a phase remembers is NaN where it does not act: it is old there, and belongs to nothing."""
+        """Set the recorded memory of a phase to NaN in the ticks in which the phase does not act."""
         for column, values in self.outputs.items() if self._phases else ():
             if column.startswith("law."):
                 values[first:end][~self._acting(column, first, end)] = np.nan
@@ -122,7 +122,7 @@ class Tape:
         )
 
     def _contact_at(self, window: PhaseWindow) -> str:
-        """What a phase that began without contact measured in that tick, in words."""
+        """Measurements of a phase in the tick in which it began without contact, in words."""
         row = {name: column[window.first] for name, column in self.outputs.items()}
         seen: dict[str, Any] = {
             name: row.get(f"sensed.{name}", row[name]) for name in ("q", "v", "F_ext") if name in row
@@ -134,7 +134,7 @@ class Tape:
         return self._side.task.phases[window.name].contact_state(x)
 
     def _remarks(self, ticks: int) -> str:
-        """Which sensors were at their range in the first ticks of the run, and what the law has to say of them."""
+        """Sensors that reached the end of their range in the first ticks of the run, and the notices of the law."""
         said, sensors = "", [name for name in self.outputs if name.startswith("saturated.")]
         texts = {name: f"the sensor of {name.removeprefix('saturated.')} was at its range" for name in sensors}
         for path, text in (texts | dict(self._side.notices)).items():
@@ -150,7 +150,7 @@ class Tape:
         return said
 
     def _inadmissible(self, ticks: int) -> str:
-        """What hybrid laws left out of what they were asked for, which of a stream is not known before a run."""
+        """Parts of the reference that hybrid laws left out; those of a stream are not known before a run."""
         from taut.control.laws.wrappers import check_streamed
 
         whole, task = self._side.law, self._side.task
@@ -170,7 +170,7 @@ class Tape:
         return said
 
     def out_of_reach(self, ticks: int) -> str:
-        """Whether targets of the first ticks were certainly out of the tool's reach, and by how much."""
+        """Targets of the first ticks that were certainly out of the tool's reach, and by how much, in words."""
         x = Snapshot(self._side.model, q=self._side.arm.home, v=np.zeros(self._side.arm.n))
         away = far_away(self._side.law, x, self.reference(0, ticks))
         at = np.flatnonzero(np.zeros(ticks) if away is None else away > SEEN)
@@ -203,7 +203,7 @@ class Tape:
         return Outcome(kind="stopped", message=message, tick=tick - 1)
 
     def is_sane(self, tick: int) -> bool:
-        """Whether the arm's motion in a row is one that an arm can have: then what is wrong is the law."""
+        """True where the motion in a row is one that an arm can have; the fault is then in the law."""
         return bool((np.abs(self.outputs["v"][tick]) < SANE).all())
 
     def diverged(self, tick: int) -> Outcome:

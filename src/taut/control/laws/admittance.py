@@ -266,7 +266,7 @@ class Model:
         return mean
 
     def share(self, allowed: Any, X: Twist, U: Twist) -> Any:
-        """What of U leaves no more energy than is allowed [J]; below zero where the spring alone has more."""
+        """Fraction of U that leaves no more energy than allowed [J]; below zero where the spring alone has more."""
         spring = self.energy(X, tm.zeros(6))
         kinetic = self.energy(X, U) - spring
         moves = kinetic > 0.0
@@ -332,12 +332,12 @@ def _later(ref: TaskMotion, dt: Any) -> TaskMotion:
 
 
 def _check_own(D: Float64Array, B: Float64Array, K: Float64Array, rate: float) -> None:
-    """The model must be slower than the rate: D >= B dt / 2 + K dt^2 / 4, so that nothing turns round in a tick."""
+    """The model must be slower than the rate: D >= B dt / 2 + K dt^2 / 4, so that nothing reverses within a tick."""
     dt = 1.0 / rate
     L = np.linalg.cholesky(D)
     inverse = np.linalg.inv(L)
     most = float(np.linalg.eigvalsh(inverse @ (0.5 * dt * B + 0.25 * dt * dt * K) @ inverse.T)[-1])
-    name, why = f"(B dt / 2 + K dt^2 / 4) / D at {rate:g} Hz", "or the virtual mass turns round within a tick"
+    name, why = f"(B dt / 2 + K dt^2 / 4) / D at {rate:g} Hz", "or the virtual mass reverses within a tick"
     require_at_most(name, most, 1.0 + 1e-9, "1", f"{why}: make D larger, B and K smaller, or the rate higher")
 
 

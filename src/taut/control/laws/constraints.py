@@ -198,7 +198,7 @@ def along_constraint(
     return made if d is None else _at_point(made, -d)
 
 
-def felt_along(x: Snapshot, rows: ConstraintRows, frame: str | None) -> Snapshot:
+def without_reaction(x: Snapshot, rows: ConstraintRows, frame: str | None) -> Snapshot:
     """The snapshot with F_ext less the constraint's reaction: friction along it, and the push of a hand.
 
     A law that answers F_ext with an acceleration (`Impedance` with D) would make motion along it of the contact

@@ -20,8 +20,8 @@ from taut.control.laws.constraints import (
     check_constraint,
     check_place,
     check_reference,
-    felt_along,
     of_one_body,
+    without_reaction,
 )
 from taut.control.laws.force import (
     E_INT_MAX,
@@ -257,7 +257,7 @@ class HybridMotionForce(Law):
             return x, motion
         assert self.constraint.frame is not None
         (frame,) = self.constraint.frame
-        seen = felt_along(x, rows, frame) if of_one_body(self.constraint, x, None) else x
+        seen = without_reaction(x, rows, frame) if of_one_body(self.constraint, x, None) else x
         return seen, along_constraint(x, rows, frame, motion, tool)
 
     def _multipliers(

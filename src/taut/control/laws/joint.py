@@ -27,7 +27,7 @@ from taut.trace import math as tm
 
 RAISED: Final = ("kp", "kd")
 INTEGRAL: Final = "e_int"
-SPREAD: Final = 3.0  # widths over which an excess that falls at once is given: tanh is near 1 there, and s is too
+SPREAD: Final = 3.0  # widths over which an excess that drops at once acts: tanh is near 1 there
 
 
 class PID(Law):
@@ -262,7 +262,7 @@ class FrictionCompensation(Law):
         return Torque(friction=self.share @ tau)
 
     def _load(self, x: Snapshot, ref: JointMotion) -> Vector:
-        """(n,) torques that the motion takes without friction, whoever gives them [N m | N]."""
+        """(n,) torques of the motion without friction, whoever provides them [N m | N]."""
         along = x.at(ref.q, ref.v) if self.at == "ref" else x
         a = ref.a if isinstance(ref, JointMotion) else tm.zeros(x.n)  # a law of task space asks for none of joints
         return along.inverse_dynamics(a)

@@ -31,10 +31,10 @@ from taut.trace.linalg import LTDL, times_square_root
 if TYPE_CHECKING:
     from taut.control.tasks.task import Task
 
-EASED: Final = (0.05, 0.3)  # of the reach, and [rad]: what an error counts for at most, out of reach
+EASED: Final = (0.05, 0.3)  # of the reach, and [rad]: largest error that counts, out of reach
 RATE: Final = 5.0  # [1/s] at which joints settle under a spring to a target out of reach
-HEAVY: Final = 10.0  # times the arm's mass, which no direction of its tool is made heavier than
-LOST: Final = 1e-9  # of the largest singular value: below it a direction is not there
+HEAVY: Final = 10.0  # times the arm's mass: largest apparent mass in any direction of the tool
+LOST: Final = 1e-9  # of the largest singular value: below it the arm cannot move in a direction
 
 
 def task_gain(default: Any = ..., *, unit: str, accepts: Iterable[str] = ("pair", "matrix"), **more: Any) -> Gain:
@@ -66,7 +66,7 @@ class TaskSpace:
 
     @property
     def bound(self) -> Bound | None:
-        """What bounds the spring."""
+        """Bound of the spring, if there is one."""
         return None if self.error_max is None else Bound.of(self.error_max)
 
     def spring(self, K: GainValue, error: TaskError) -> Terms:
@@ -93,13 +93,13 @@ class TaskSpace:
 
     @property
     def asked(self) -> Asked | None:
-        """What an error says of the pose: all of it, its position, or nothing that is known."""
+        """The part of the pose that the error determines: all of it, its position, or None where that is unknown."""
         if self.coordinates is None:
             return "pose"
         return "position" if self.coordinates == Coordinates.position() else None
 
     def beyond_reach(self, x: Snapshot, ref: TaskMotion) -> Beyond | None:
-        """How clearly a target is out of reach; None where an error does not say enough to know."""
+        """How clearly a target is out of reach; None where the error does not determine it."""
         found = None if self.asked is None else spheres(x.model, self.tool, self.asked)
         return Beyond.of(found, ref.p, ref.R) if found else None
 
@@ -241,7 +241,7 @@ def far_away(law: Law | Task, x: Snapshot, rows: dict[str, Float64Array]) -> Flo
 
 
 def _asked(law: Law) -> Asked | None:
-    """What of the pose a law asks for, or the law that it holds."""
+    """The part of the pose that a law, or the law that it holds, follows."""
     if "directions" in law.declared:
         return "pose" if vars(law)["directions"] == "all" else "position"
     if isinstance(law, TaskLaw):

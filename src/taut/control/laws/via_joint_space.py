@@ -32,11 +32,11 @@ from taut.maths.snapshot import Snapshot
 from taut.trace import math as tm
 from taut.trace.graph import LARGEST
 
-PULL: Final = 1.0  # [1/s] at which redundant joints go to their posture
+PULL: Final = 1.0  # [1/s] rate at which redundant joints go to their posture
 DAMPING: Final = 0.1  # [-] of J J^T at a singularity, as the singular value that it is the square of
 RISE: Final = 0.1  # [s] in which the speed of joints that catch up is reached from rest
 ARRIVED: Final = 1e-5  # [m, rad] an error under which the tool's target is met
-MOVING: Final = 1e-3  # share of full speed above which the joints are on their way
+MOVING: Final = 1e-3  # fraction of full speed above which joints catch up
 MIN_DIVISOR: Final = 1e-30  # keeps a quotient finite
 
 
@@ -228,7 +228,7 @@ class _Seen:
     T: Any
     J: Matrix  # rows of the task, without dimension
     e: Array
-    damping: Any  # for the sake of a singularity
+    damping: Any  # near a singularity
     solved: Resolved
     step: Vector  # (n,)
 

@@ -49,7 +49,7 @@ class WithEnergy(Protocol):
 
 
 class EnergyTank(Wrapper):
-    """Energy tank: changes of K and D of a law bring in no more energy than is kept for them.
+    """Energy tank: changes of K and D of a law bring in no more energy than is stored for them.
 
     Law:          K_now' = K_now + s (K - K_now) dt / settle, with s <= 1 such that the energy E of the tank pays
                   E' = E - (U(K_now') - U(K_now)) + max(dissipation, 0) dt, within [0, capacity]; it starts full
@@ -59,7 +59,7 @@ class EnergyTank(Wrapper):
 
     Args:
         law: A law with gains K or D that states `energy` and `dissipation`, such as `taut.laws.Impedance`.
-        capacity: Energy that is kept for changes of K and D.
+        capacity: Energy stored for changes of K and D.
         settle: Time constant of such changes.
         stiffness: A function of the pose in the place of the law's K, such as a stiffness that differs by place.
 
@@ -85,7 +85,7 @@ class EnergyTank(Wrapper):
             self.refuse("law", "must have gains K or D and state its energy and dissipation, such as Impedance")
 
     def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
-        """What a function of the pose gives where a run starts is as good as numbers would be."""
+        """The result of a function of the pose is checked like numbers, where a run starts."""
         if self.stiffness is not None:
             self.law.changed("K", self._wanted(x)["K"])
 
@@ -114,7 +114,7 @@ class EnergyTank(Wrapper):
         return {name: gain.as_array() for name, gain in self.law.gains().items() if name in PAID}
 
     def _wanted(self, x: Snapshot) -> dict[str, Any]:
-        """What these gains are to be at a pose."""
+        """Desired values of these gains at a pose."""
         gains = self._gains()
         if self.stiffness is not None:
             gains["K"] = _six(self.stiffness(x.T(self.law.controlled_frame)), self.law.dimensions)
@@ -136,29 +136,30 @@ class NormalEstimate(Wrapper):
                     seen = g / (n_0 . g) - n_0,  g = F_ext - (F_ext . s) s,  s = v / |v|
                     v is the velocity of the tool over the surface
                     w = 1 where the tool slides and presses, 0 below `speed` or `force` and beyond the angle `most`
-    Closed loop:  tilt - tilt_true falls as exp(-rate integral(w dt)), whatever the arm does, for nothing of the
-                    estimate is in `seen`. 15 degrees become 1 in 2.8 / rate of sliding, 0.34 s with rate = 8
+    Closed loop:  tilt - tilt_true falls as exp(-rate integral(w dt)), whatever the arm does, since
+                    `seen` does not depend on the estimate. 15 degrees become 1 in 2.8 / rate of sliding, 0.34 s at
+                    rate = 8
                   The contact gives N n - mu N s with an unknown mu. A sliding tool moves in the surface, n . s = 0,
                     so g = N n: friction is in F_ext and not in g, and one direction of sliding shows both tilts, that
                     across it by the force, that along it by the motion alone
                   White noise of d_F and d_v in each tick leaves sqrt(rate dt / 2) (d_F / N, d_v / |v|) rad across and
                     along the motion; a constant force that is no contact's, such as a bias, leaves its share of N
-                  n_hat turns by less than 2 rate tan(most) a second, and not at all where the tool rests or is free
+                  n_hat rotates by less than 2 rate tan(most) a second, and not at all while the tool rests or is free
 
     What is estimated is a rotation of the whole constraint about where the tool touches: rows of a face turn with it,
-    and a curved surface bends as it is stated to. Where the true surface is elsewhere on a curve the tilt changes on
-    the way, at a rate w_n, and the estimate is w_n / rate behind.
+    and a curved surface keeps its stated curvature. Where a curved surface is displaced from the stated one the tilt
+    changes along the path, at a rate w_n, and the estimate lags by w_n / rate.
 
     Frames:
-        World axes. Of a surface that moves, what moves along n_0 is counted: one that moves in its own plane drags by
-        friction where nothing says so.
+        World axes. Of the motion of a surface the part along n_0 is taken into account; a surface that moves in its
+        own plane drags the tool by friction, which the estimate does not know.
 
     Args:
         law: The hybrid law, with its stated constraint.
         rate: Of the estimate.
-        speed: Of sliding, below which nothing is believed; from twice that on everything is.
-        force: Likewise, of pressing.
-        most: Largest angle between the stated and the true normal; believed in full up to half its tangent.
+        speed: Sliding speed below which the measurement is ignored; it counts in full from twice that on.
+        force: Contact force, likewise.
+        most: Largest angle between the stated and the true normal; used in full up to half its tangent.
 
     Example:
         >>> import taut
@@ -242,7 +243,7 @@ class NormalEstimate(Wrapper):
 
 
 def check_streamed(law: Law, x: Snapshot, ref: Reference) -> None:
-    """What hybrid laws were asked for from a time and place that are not those of x. RangeError, UsageError."""
+    """Check a recorded reference of hybrid laws, at the poses that it states. Raises RangeError, UsageError."""
     held = [inner for _, inner in all_laws(law)]
     estimated = any(isinstance(inner, NormalEstimate) for inner in held)
     for inner in held:

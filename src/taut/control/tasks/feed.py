@@ -35,7 +35,7 @@ from taut.control.trajectories.samples import Chunk
 from taut.control.trajectories.task_reference import TaskMotion, faded, offset, quintic_between
 from taut.maths.snapshot import Snapshot, measurement_shapes
 
-NEAR = 1e-9  # of a tick: what a period that is meant to be whole may miss one by
+NEAR: Final = 1e-9  # [ticks] tolerance of a period that is meant to be a whole number of ticks
 BLOCK: Final = 4096  # ticks that a run fills and takes at once
 NEXT: Final = "law.next"
 TICKS: Final = "law.ticks"
@@ -46,7 +46,7 @@ AHEAD: Final = 256  # ticks whose samples are made at once where ticks are taken
 def feed_of(
     side: LawSide, ref: Reference, q: Float64Array, parameters: Callable[[], Mapping[str, Any]]
 ) -> ReferenceFeed | TaskFeed:
-    """What fills the reference of a run that starts at q; of a task, the references are those of its phases."""
+    """The feed of a run that starts at q; the references of a task are those of its phases."""
     if side.task is not None:
         return TaskFeed(side, side.task, parameters)
     return ReferenceFeed(ref, side.law.reference, side.arm, side.dt, side.at_rest(q))
@@ -154,7 +154,7 @@ class ReferenceFeed:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fade:
-    """What led from a new motion to an old one when it took its place, which fades to nothing as a quintic."""
+    """Offset of an old motion from the new one that replaced it; it decays to zero as a quintic."""
 
     kind: type[Sample]
     since: float  # [s]
@@ -170,7 +170,7 @@ class Fade:
         return cls(kind=kind, since=since, duration=duration, start=(q, old["v"] - new["v"], old["a"] - new["a"]))
 
     def applied(self, rows: Rows, times: Float64Array) -> dict[str, Float64Array]:
-        """The new motion with what is left of the old one, at times from `since` on [s]."""
+        """The new motion plus the remaining offset, at times from `since` on [s]."""
         x = np.clip((times - self.since) / self.duration, 0.0, 1.0)
         full = {name: np.broadcast_to(values, (len(times), *values.shape[1:])) for name, values in rows.items()}
         if self.kind is TaskMotion:
@@ -268,7 +268,7 @@ class TaskFeed:
 
     @property
     def _start(self) -> str:
-        """What the fields of the sample begin with that the phase follows."""
+        """Prefix of the fields of the sample that the phase follows."""
         kind = self._task.reference
         return f"{kind.name_of(self._law.reference)}_" if issubclass(kind, PhaseSample) else ""
 
@@ -380,7 +380,7 @@ class TaskSteps:
         self._sample[:] = row
 
     def _seen(self, tick: int, going: bool, given: Mapping[str, Any], parameters: Mapping[str, Any]) -> Snapshot:
-        """What the controller sees in a tick."""
+        """The controller's snapshot in a tick."""
         sizes = measurement_shapes(self._side.arm.n)
         measured = {path: float_array(path, value, shape=sizes[path]) for path, value in given.items()}
         self._side.check_finite(measured, tick)

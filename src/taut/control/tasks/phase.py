@@ -9,8 +9,8 @@ from typing import Any, Final, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
-from taut.base.checks import finite_scalar, one_of, positive_scalar, vector, whole_number
-from taut.base.errors import RangeError, ShapeError, UsageError, unknown_name
+from taut.base.checks import finite_scalar, one_of, positive_scalar, unit_vector, whole_number
+from taut.base.errors import ShapeError, UsageError, unknown_name
 from taut.base.types import ArrayLike
 from taut.control.combine import all_laws
 from taut.control.law import Law
@@ -59,11 +59,11 @@ class GuardView:
 
 
 Seen: TypeAlias = Snapshot | GuardView
-"""What the functions below take: where contact is needed a phase has not begun yet, and there is a snapshot alone."""
+"""Argument of the functions below; where contact is checked no phase has begun yet, so it is a plain snapshot."""
 
 
 def contact(x: Seen, force: float, direction: ArrayLike | None = None, frame: Axes = "world") -> Any:
-    """Guard: whether something touches the tool with more than a force.
+    """Guard: whether the contact force at the tool exceeds a threshold.
 
     Args:
         x: The snapshot of a guard; it must have F_ext.
@@ -81,16 +81,13 @@ def contact(x: Seen, force: float, direction: ArrayLike | None = None, frame: Ax
     F = x.F_ext[:3]
     if direction is None:
         return tm.norm(F) > force
-    along = vector("direction", direction, 3)
-    length = float(np.linalg.norm(along))
-    if length == 0.0:
-        raise RangeError("direction must have a length; got zeros", name="direction", rule="not zero")
-    axes = along / length if frame == "world" else x.T().R @ (along / length)
+    along = unit_vector("direction", direction)
+    axes = along if frame == "world" else x.T().R @ along
     return axes @ F > force
 
 
 def no_contact(x: Seen, force: float, direction: ArrayLike | None = None, frame: Axes = "world") -> Any:
-    """Guard: whether nothing touches the tool with more than a force [N]; the opposite of `contact`."""
+    """Guard: whether the contact force at the tool is below a threshold [N]; the opposite of `contact`."""
     return ~contact(x, force, direction, frame)
 
 
@@ -103,7 +100,7 @@ def reached(
     rotation: float | None = None,
     tool: str | None = None,
 ) -> Any:
-    """Guard: whether the arm is where it is to be.
+    """Guard: whether the arm has reached a target.
 
     Args:
         x: The snapshot.
@@ -151,7 +148,7 @@ def settled(
     rotation: float | None = None,
     v: float | None = None,
 ) -> Any:
-    """Guard: whether the arm is where its reference is, and, with `v`, all but at rest.
+    """Guard: whether the arm has reached its reference and, with `v`, is nearly at rest.
 
     Args:
         x: The snapshot of a guard, in a phase whose law follows a motion.
@@ -178,7 +175,7 @@ def moved(x: GuardView, distance: float, tool: str | None = None) -> Any:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Lasting:
-    """A guard that has to hold for some ticks on end. Made by `taut.guards.lasting`."""
+    """A guard that has to hold for several consecutive ticks. Made by `taut.guards.lasting`."""
 
     guard: Callable[[Any], Any]
     ticks: int
@@ -235,7 +232,7 @@ def condition(result: Any, who: str) -> Any:
 
 @runtime_checkable
 class KnowsContact(Protocol):
-    """A law that knows where contact is."""
+    """A law that can determine whether the arm is in contact."""
 
     def touches(self, x: Snapshot) -> Any:
         """Whether the arm is in contact, as a condition."""
@@ -266,12 +263,12 @@ class Phase:
         reference: A sample, hold, trajectory, stream or chunk, whose time counts from the begin of the phase; or a
             function of the snapshot at its begin that gives one: `lambda x: taut.trajectories.Line(T0=x.T(), ...)`. A
             hold of the state at the begin if left out.
-        until: Guard that ends the phase well.
-        unless: Guard that says that something is wrong.
+        until: Guard that ends the phase successfully.
+        unless: Guard that detects a fault.
         timeout: Longest time in the phase [s].
-        otherwise: Where `unless` and `timeout` lead: "stop", or the name or number of a phase.
-        then: Where `until` leads: the next phase, and from the last one "stop", if left out.
-        name: What it is called, as in the path of a gain: law.approach.kp; phase1, phase2, ... if left out.
+        otherwise: What follows `unless` and `timeout`: "stop", or the name or number of a phase.
+        then: What follows `until`: the next phase, after the last one "stop", if left out.
+        name: Its name, as in the path of a gain: law.approach.kp; phase1, phase2, ... if left out.
         contact: Threshold of contact for a law that needs it: a force [N], or a guard; 1.0 N if left out, and for
             a law that knows its surface, such as HybridMotionForce, to be on it.
 
@@ -340,7 +337,7 @@ class Phase:
         return reduce(lambda a, b: a & b, holds)
 
     def contact_state(self, x: Snapshot) -> str:
-        """Why there is no contact, in words with numbers; empty for a guard of the user's."""
+        """Why there is no contact, in words with numbers; empty for a user's guard."""
         if callable(self.contact):
             return ""
         said = [law.contact_state(x) for _, law in all_laws(self.law) if isinstance(law, KnowsContact)]

@@ -32,18 +32,18 @@ __all__ = ["ENDED", "NO_CONTACT", "Halt", "Task"]
 T = TypeVar("T")
 RUNNING, UNTIL, UNLESS, TIMEOUT, NO_CONTACT = range(5)
 ENDED: Final = {UNTIL: "until", UNLESS: "unless", TIMEOUT: "timeout", NO_CONTACT: "no contact"}
-"""What ended a phase, by the code that is recorded in the last tick of it."""
+"""Cause of a phase's end, by the code that is recorded in its last tick."""
 OFFSET_FROM_SINGULAR: Final = 0.1  # [rad | m] to a state beside a singular one
 TICK_ROUNDING: Final = 1e-6  # [ticks] by which a timeout that is meant to be a whole number of ticks may miss one
 MADE_BY: Final = {kind.kind: kind for kind in (Torque, Velocity, Position)}
 
 
 class Halt(Law):
-    """Holds the arm where it was when this law began: what acts where a task has stopped.
+    """Holds the arm where it was when this law began; it acts once a task has stopped.
 
     Law:          tau = M (kp (q_0 - q) - kd v) + h, with q_0 where it began; as a velocity 0, as a position q_0
     Closed loop:  e_ddot + kd e_dot + kp e = 0, e = q_0 - q
-                  moving when it began, the arm comes to rest and goes back; nothing of an earlier push is kept up
+                  an arm that was moving comes to rest and returns; an earlier contact force is not maintained
     """
 
     ignores_reference: ClassVar[bool] = True
@@ -91,12 +91,12 @@ class Task(Declared):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The phases in their order, and what follows where the task has stopped."""
+        """The phases in their order, then the state in which the task has stopped."""
         return (*self.phases, STOP)
 
     @property
     def title(self) -> str:
-        """What it is called in messages."""
+        """Its name in messages."""
         return f"the task of {', '.join(self.phases)}"
 
     @property
@@ -131,7 +131,7 @@ class Task(Declared):
         return own
 
     def at_rest(self, x: Snapshot) -> Sample:
-        """The sample that asks its laws to stay as in the snapshot."""
+        """The sample with which its laws keep the arm where it is in the snapshot."""
         kind, own = self.reference, {law.reference: law.at_rest(x) for law in reversed(self.followers)}
         if not issubclass(kind, PhaseSample):
             return own[kind] if own else JointMotion.at_rest(x, None)
@@ -285,7 +285,7 @@ class Task(Declared):
 
 @contextmanager
 def blamed(name: str) -> Iterator[None]:
-    """An error is said to be of a phase; one that is no sentence of ours, that its reference failed, and where."""
+    """Name the phase in an error; for errors that are not ours, report that its reference failed, and where."""
     try:
         yield
     except (ShapeError, RangeError) as cause:
@@ -370,7 +370,7 @@ def _selected(commands: Mapping[str, Command], acting: Mapping[str, Any], n: int
 
 
 def _called(guard: Any) -> str:
-    """What a guard is called."""
+    """Name of a guard in messages."""
     inner = guard.guard if isinstance(guard, Lasting) else guard
     word = getattr(inner, "__name__", type(inner).__name__)
     word = "its guard" if word == "<lambda>" else word

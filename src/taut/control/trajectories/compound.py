@@ -86,7 +86,7 @@ class SampleTogether(Compound):
 
 
 def require_part_name(who: str, name: str) -> None:
-    """UsageError for a name that a sample cannot have as an attribute, beside those that every sample has."""
+    """UsageError for a name that cannot be an attribute of a sample."""
     if not name.isidentifier() or hasattr(SampleTogether, name):
         raise UsageError(f"{who}: a law is named by a word such as left, and not by one that samples have: {name!r}")
 

@@ -190,7 +190,7 @@ class Pressing(Motion[HybridMotion]):
 
     @property
     def presses(self) -> bool:
-        """Whether it asks for a press, if only later."""
+        """Whether it presses at any time."""
         return callable(self.press) or self.press != 0.0
 
     @property

@@ -58,7 +58,7 @@ class Sample(ABC):
 
     @classmethod
     def described(cls) -> str:
-        """What it is, for messages."""
+        """Its kind, for messages."""
         return cls.__name__
 
     @classmethod
@@ -69,7 +69,7 @@ class Sample(ABC):
     @classmethod
     @abstractmethod
     def at_rest(cls, x: Snapshot, tool: str | None) -> Self:
-        """The sample that asks to stay as in the snapshot; `tool` is the frame that the law controls."""
+        """The sample that keeps the arm where it is in the snapshot; `tool` is the frame that the law controls."""
 
 
 @dataclass(frozen=True, slots=True, init=False, eq=False)

@@ -20,7 +20,7 @@ from taut.trace.pose import Pose
 
 MIN_SAMPLE_GAP: Final = 1e-12  # [s]
 MAX_CSV_BYTES: Final = 32 * 2**20  # half a million samples of an arm
-MAX_QUOTED: Final = 300  # letters of what a message quotes
+MAX_QUOTED: Final = 300  # letters of a quotation in a message
 
 
 def sample_times(times: ArrayLike) -> Float64Array:
@@ -117,7 +117,7 @@ def _rates(times: Float64Array, values: Float64Array) -> Float64Array:
 
 
 def _joint_columns(header: Sequence[str]) -> list[str]:
-    """What the columns of a file with this header should be."""
+    """Expected columns of a file with this header."""
     letters = ["q", *(letter for letter in "va" if any(word.startswith(letter) for word in header[1:]))]
     n = max(1, sum(word.startswith("q") for word in header))
     return ["t", *(f"{letter}{i + 1}" for letter in letters for i in range(n))]
@@ -197,7 +197,7 @@ class TaskSamples(Sampled[TaskMotion]):
         return TaskMotion.of({"p": position(t), "R": R, "twist": twist, "acceleration": acceleration})
 
     def _eased(self, times: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """Time of the rotation spline, which starts and ends at a rate: eased in its first and last piece.
+        """Time of the rotation spline, which does not start and end at rest: eased in its first and last piece.
 
         The time runs evenly where the pieces meet, so that the angular acceleration stays continuous.
         """
@@ -217,7 +217,7 @@ class TaskSamples(Sampled[TaskMotion]):
 
 
 def _task_columns(header: Sequence[str]) -> list[str]:
-    """What the columns of a file with this header should be."""
+    """Expected columns of a file with this header."""
     orders = ROTATION_COLUMNS.values()
     return ["t", "x", "y", "z", *next((names for names in orders if names[:1] == tuple(header[4:5])), (*orders,)[0])]
 

@@ -16,10 +16,10 @@ from taut.control.trajectories.timing import Motion, ScalingKind, Size, Timing
 from taut.maths.spatial import exp_rows, rotation_log
 from taut.trace.pose import Pose
 
-HALF_TURN_TOLERANCE: Final = 1e-9  # [rad] a rotation this close to pi has two ways
+HALF_TURN_TOLERANCE: Final = 1e-9  # [rad] a rotation this close to pi has two directions
 NO_COMPONENT: Final = 1e-6  # a component of a unit vector this small counts as none
 DEGREES: Final = 30.0  # [rad] from which on a round number is one of degrees
-IN_PLANE: Final = 1e-6  # [m] how far from the circle's plane its centre may be
+IN_PLANE: Final = 1e-6  # [m] largest distance of the centre from the circle's plane
 
 
 class TaskPath(Motion[TaskMotion]):
@@ -213,7 +213,7 @@ class Steady(Motion[TaskMotion]):
 
 
 def _rotation_between(R0: Rotation, R1: Rotation) -> Vector3:
-    """(3,) the rotation vector from R0 to R1, in the axes of R0 [rad]; by pi the way that `Line` states."""
+    """(3,) the rotation vector from R0 to R1, in the axes of R0 [rad]; by pi in the direction that `Line` states."""
     w = np.asarray(rotation_log(R0.T @ R1), dtype=np.float64)
     angle = _norm(w)
     if np.pi - angle < HALF_TURN_TOLERANCE:

@@ -26,8 +26,8 @@ COEFFICIENTS: Final = {
     "quintic": np.polynomial.Polynomial((0.0, 0.0, 0.0, 10.0, -15.0, 6.0)),  # minimum jerk
     "cubic": np.polynomial.Polynomial((0.0, 0.0, 3.0, -2.0)),
 }
-GRID: Final = np.linspace(0.0, 1.0, 2001)  # where the largest acceleration of a polynomial is looked for
-GRID_ERROR: Final = 1e-6  # relative, more than what lies between two of its points
+GRID: Final = np.linspace(0.0, 1.0, 2001)  # where the largest acceleration of a polynomial is searched for
+GRID_ERROR: Final = 1e-6  # relative, more than the maximum can exceed that of the grid points
 MAX_ACROSS: Final = math.sqrt(0.5)  # of the acceleration that a trapezoid on a curve may take across its path
 
 
@@ -46,7 +46,7 @@ class Motion(Declared, Generic[S]):
 
 @dataclass(frozen=True, kw_only=True)
 class Size:
-    """What a path is, from s = 0 to 1, where all of it is constant."""
+    """Constants of a path from s = 0 to 1."""
 
     length: float  # [m] of the path of the tool's origin: its speed per unit of s'
     bend: float  # [m] its acceleration across the path per unit of s'^2
@@ -61,7 +61,7 @@ class Timing:
     duration: float  # [s]
     rate: float = math.inf  # [1/s] of a trapezoid
     acceleration: float = math.inf  # [1/s^2] of a trapezoid
-    distance: float = 1.0  # the farthest that anything goes
+    distance: float = 1.0  # [rad | m] largest displacement
 
     def __post_init__(self) -> None:
         shortest = math.sqrt(max(self.distance, 1.0) / MAX_OF_MOTION)

@@ -50,9 +50,8 @@ class AttachedPlant(PlantInMujoco):
         self._gear, self._gain = model.actuator_gear[self._out, 0], model.actuator_gainprm[numbers, 0]
         rows = [rig.joints[i] for i in motors]
         limited = np.asarray(model.jnt_actfrclimited)[rows][:, np.newaxis] != 0
-        self._range = np.where(
-            limited, model.jnt_actfrcrange[rows], (-np.inf, np.inf)
-        ).T  # what the joint lets through
+        between = np.where(limited, model.jnt_actfrcrange[rows], (-np.inf, np.inf))
+        self._range = between.T  # what the joint lets through
         self._free = np.setdiff1d(np.arange(rig.arm.n), self._joints)  # joints without a motor
         self._free_dofs = np.array(rig.dofs, dtype=np.intp)[self._free]
 
@@ -153,7 +152,7 @@ def _joint(model: mujoco.MjModel, arm: Arm, i: int, prefix: str) -> int:
 
 
 def _check_tree(model: mujoco.MjModel, arm: Arm, joints: list[int]) -> None:
-    """Nothing but joints of the arm moves its joints."""
+    """MatchError where a joint that the arm does not have moves the arm."""
     for name, j in zip(arm.joint_names, joints, strict=True):
         body = int(model.jnt_bodyid[j])
         while body:

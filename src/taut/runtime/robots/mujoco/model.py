@@ -71,7 +71,7 @@ class SpringTip(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class ToolShape:
-    """What touches the scene, at the tool; see MujocoPlant."""
+    """Shape at the tool that touches the scene; see MujocoPlant."""
 
     radius: float  # [m]
     length: float | None  # [m] of a cylinder; None for a sphere

@@ -264,13 +264,13 @@ class MujocoPlant(PlantInMujoco):
         return whole_steps(self.name, dt, self._timestep, "timestep")
 
     def measure(self) -> dict[str, Float64Array]:
-        """What the sensors give, by measurement; forces and torques are those of the last step."""
+        """Readings of the sensors, by measurement; forces and torques are those of the last step."""
         given = self._readings.read(self._true())
         self._saturated = {name: value for name, value in given.items() if name.startswith("saturated.")}
         return given
 
     def _true(self) -> dict[str, Float64Array]:
-        """What is true now, by name."""
+        """True values of all measured quantities, by name."""
         q, v = self.state()
         true = {"q": q, "v": v, "tau": self._tau, "tau_link": self._tau_link, "F_ext": self._F_ext}
         if self.sensors.needs_acceleration:
@@ -306,7 +306,7 @@ class MujocoPlant(PlantInMujoco):
         return self._contact if self._parts.environment is None else self._contact + self._forces.last("wrench")
 
     def trouble(self) -> tuple[str, int | None] | None:
-        """What went wrong in the last period, in words, and the joint; None if nothing did."""
+        """Fault in the last period, in words, and the joint; None without one."""
         if not self._forces.sane:
             return "its drives, or what touches its tool, gave numbers that are not finite", None
         return super().trouble()

@@ -78,7 +78,7 @@ def _nothing(_: str) -> None:
 
 
 class Guard:
-    """Within it MuJoCo writes no warnings, save to another's listener, and never resets a diverged simulation."""
+    """Context in which MuJoCo writes no warnings, save to a listener of the user, and never resets a simulation."""
 
     def __init__(self, option: mujoco.MjOption) -> None:
         import mujoco
@@ -129,7 +129,7 @@ class Health:
         self._seen = self._before.tobytes()
 
     def trouble(self) -> tuple[str, int | None] | None:
-        """What went wrong in the last step, and the joint of the arm; None if nothing did."""
+        """Fault in the last step, in words, and the joint of the arm; None without one."""
         # MuJoCo looks for NaN and for what is huge in every step, and counts what it finds.
         if self._counts.tobytes() == self._seen:
             return None
@@ -228,13 +228,13 @@ class PlantInMujoco(PlantBase):
         self._silence()
 
     def _silence(self) -> None:
-        """Nothing has acted yet."""
+        """Set all forces to zero, as before the first step."""
         n = self.arm.n
         self._tau, self._cut, self._F_ext, self._told = np.zeros(n), np.zeros(n), np.zeros(6), False
 
     @property
     def name(self) -> str:
-        """What messages call it."""
+        """Name of the plant in messages."""
         return self._name
 
     @property
@@ -257,7 +257,7 @@ class PlantInMujoco(PlantBase):
         self._silence()
 
     def trouble(self) -> tuple[str, int | None] | None:
-        """What went wrong in the last period, in words, and the joint; None if nothing did."""
+        """Fault in the last period, in words, and the joint; None without one."""
         return self._health.trouble()
 
     def _poses(self) -> dict[str, Float64Array]:
@@ -265,7 +265,7 @@ class PlantInMujoco(PlantBase):
         return {} if self._view is None or not self._view.moves else {POSES: self._view.poses(self._rig.data)}
 
     def around(self) -> Around:
-        """What stands around the arm, for films."""
+        """Objects around the arm, for films."""
         return Around() if self._view is None else self._view.around
 
     def _warn_of_cut(self, limits: str, instead: str) -> None:

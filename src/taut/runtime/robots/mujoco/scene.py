@@ -10,7 +10,7 @@ import re
 import warnings
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from taut.arm.loaders.xml import MAX_BYTES, Element, is_not_finite, parse_xml
 from taut.base.checks import readable_file
 from taut.base.errors import ModelError, Problem, UsageError, quoted_list
 from taut.base.types import Float64Array
-from taut.record.info import Around, Mesh, Shape, ShapeKind, Thing
+from taut.record.info import Around, Mesh, Shape, ShapeKind, Thing, numbers
 from taut.runtime.robots.mujoco.rig import Guard, Rig
 from taut.trace.pose import Pose
 
@@ -157,7 +157,7 @@ class _Reader:
                     element, "builtin", "a mesh that MuJoCo makes itself is not read; use a geom of that shape"
                 )
             for attribute, text in element.attributes.items():
-                self._check_numbers(element, attribute, text)
+                self._checknumbers(element, attribute, text)
             folder = folders["texture" if element.tag in ("texture", "layer") else "mesh"]
             self._take_files(element, folder)
 
@@ -165,7 +165,7 @@ class _Reader:
         name, message = element.get("name") or element.tag, f"{_called(element)}: {text}"
         self.problems.append(Problem(object=name, attribute=attribute, message=message, line=element.line))
 
-    def _check_numbers(self, element: Element, attribute: str, text: str) -> None:
+    def _checknumbers(self, element: Element, attribute: str, text: str) -> None:
         if _is_name(attribute):
             return
         words = text.split()
@@ -285,7 +285,7 @@ class SceneView:
                 row = len(moving)
                 moving.append(body)
             p, wxyz = (data.xpos[body], data.xquat[body]) if not on_tool else (np.zeros(3), [1.0, 0.0, 0.0, 0.0])
-            things.append(Thing(shapes=shapes, p=_numbers(p), wxyz=_numbers(wxyz), row=row, on_tool=on_tool))
+            things.append(Thing(shapes=shapes, p=numbers(p), wxyz=numbers(wxyz), row=row, on_tool=on_tool))
         missing = [f"{count} of its geoms, {kind}" for kind, count in self._missing.items()]
         missing += [f"{left_out} of its moving bodies, beyond {MOST_MOVING}"] if left_out else []
         meshes = tuple(_mesh(model, number) for number in self._meshes)
@@ -294,7 +294,7 @@ class SceneView:
 
     @property
     def moves(self) -> bool:
-        """Whether there is anything whose pose is to be recorded."""
+        """True where the scene has bodies whose poses are recorded."""
         return bool(len(self._moving))
 
     def poses(self, data: mujoco.MjData) -> Float64Array:
@@ -321,10 +321,10 @@ class SceneView:
             out.append(
                 Shape(
                     kind=KINDS[name],
-                    size=_numbers(model.geom_size[geom]),
-                    p=_numbers(model.geom_pos[geom]),
-                    wxyz=_numbers(model.geom_quat[geom]),
-                    rgba=_numbers(rgba),
+                    size=numbers(model.geom_size[geom]),
+                    p=numbers(model.geom_pos[geom]),
+                    wxyz=numbers(model.geom_quat[geom]),
+                    rgba=numbers(rgba),
                     mesh=mesh,
                 )
             )
@@ -340,7 +340,3 @@ def _mesh(model: mujoco.MjModel, number: int) -> Mesh:
     vertices = model.mesh_vert[vertex : vertex + int(model.mesh_vertnum[number])]
     faces = model.mesh_face[face : face + int(model.mesh_facenum[number])]
     return Mesh(vertices=np.round(vertices.astype(np.float64), 6), faces=np.array(faces, dtype=np.float64))
-
-
-def _numbers(values: Any) -> tuple[float, ...]:
-    return tuple(float(x) for x in values)

@@ -1,4 +1,4 @@
-"""What runs beside MuJoCo, in native code: the forces on its joints before each step, and sensors."""
+"""Native code that runs beside MuJoCo: the forces on its joints before each step, and sensors."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def _within(tau: Vector, effort: Float64Array) -> Vector:
 
 
 class ForceStage(Stage):
-    """What acts on MuJoCo's joints in each of its steps: drives, gears and friction, and an environment at the tool.
+    """Forces on MuJoCo's joints in each of its steps: drives, gears and friction, and an environment at the tool.
 
     MuJoCo knows a dry friction that is the same at rest and in motion. Its limit is given anew before each step, as
     the law says at that speed and load; where it differs with the direction, its middle goes with the motor's torque.
@@ -163,7 +163,7 @@ class ForceStage(Stage):
         train, dt = self._train, parameters["dt"]
         q, v, outside = inputs["q"], inputs["v"], inputs["F_ext"]
         q_m, v_m = memory.get("q_motor", q), memory.get("v_motor", v)
-        touched, J_T = self._touched(inputs, parameters, memory), dyn.jacobian(self._model, q).T
+        touched = self._touched(inputs, parameters, memory)
         if touched is not None:
             outside = outside + touched[0]
         payload = PayloadValues.of(subtree(parameters, "plant.payload"))
@@ -178,7 +178,7 @@ class ForceStage(Stage):
         tau = asked + added
         load: Any = np.zeros(self._rig.arm.n)
         if train.lossy or (isinstance(train.friction, Friction) and np.any(train.friction.load_external_static)):
-            load = J_T @ outside - dyn.bias(self._model, q, v, payload)
+            load = dyn.jacobian(self._model, q).T @ outside - dyn.bias(self._model, q, v, payload)
         spring = train.spring(q, v, memory, parameters) if train.compliant else tau
         values = train.values(parameters)
         onto, half, limits = tau, np.zeros(self._rig.arm.n), None
@@ -198,7 +198,7 @@ class ForceStage(Stage):
             half = train.merged(half, np.zeros(self._rig.arm.n))
         forces = {"tau": asked, "onto": onto, "half": half, "cut": cut}
         if touched is not None:
-            forces |= {"wrench": touched[0], "of_wrench": J_T @ touched[0]}
+            forces |= {"wrench": touched[0], "of_wrench": dyn.jacobian(self._model, q).T @ touched[0]}
             out |= {f"environment.{name}": value for name, value in touched[1].items()}
         return forces, out
 
@@ -252,7 +252,7 @@ class ForceStage(Stage):
         return given["onto"]
 
     def after(self, q: Float64Array, v: Float64Array) -> None:
-        """What MuJoCo's step did that the next one depends on: motion, and friction; and the environment's work."""
+        """Take over the motion and friction of MuJoCo's step, on which the next step depends, and add up the work."""
         rigid, f, model = self._rigid, self._friction(), self._rig.model
         if self._train.compliant:
             self.memory["q_motor"][rigid], self.memory["v_motor"][rigid] = q[rigid], v[rigid]
@@ -273,13 +273,13 @@ class ForceStage(Stage):
         return f
 
     def last(self, name: str) -> Float64Array:
-        """What acted in the last step: (n,) `tau` of the motors, (n,) `cut` off by their effort, (6,) `wrench`."""
+        """Copy of an output of the last step: (n,) `tau` of the motors, (n,) `cut` by their effort, (6,) `wrench`."""
         value: Float64Array = self._given[name].copy()
         return value
 
 
 class SensorStage(Stage):
-    """What the sensors of an arm give, from what is true."""
+    """Readings of an arm's sensors, from the true state."""
 
     def __init__(self, arm: Arm, sensors: Sensors) -> None:
         self._sensors, self._model = sensors, model_of(arm)
@@ -298,10 +298,10 @@ class SensorStage(Stage):
 
     @property
     def saturating(self) -> tuple[str, ...]:
-        """What `read` gives besides measurements: whether those that have a range are at it."""
+        """Outputs of `read` that report whether a sensor is at the end of its range."""
         return tuple(path for path in self._given if path.startswith("saturated."))
 
     def read(self, true: Values) -> dict[str, Float64Array]:
-        """What the sensors give in this tick, with fresh noise."""
+        """Readings in this tick, with fresh noise."""
         noise = {f"noise.{name}": rng.standard_normal(self._shapes[name]) for name, rng in self._noise.items()}
         return {name: np.array(value) for name, value in self._call({**true, **noise}).items()}
