@@ -149,8 +149,8 @@ def test_its_table_has_the_specified_impedance_beside_the_predicted(impedance: t
 planar = taut.load_arm("planar2")
 
 
-def tip_of(law: taut.Law, name: str = "planar2") -> taut.analysis.ToolImpedance:
-    return taut.analysis.tool_impedance(loop_of(law, taut.load_arm(name)), direction=Z_AXIS, within=2.0)
+def tip_of(law: taut.Law) -> taut.analysis.ToolImpedance:
+    return taut.analysis.tool_impedance(loop_of(law, taut.load_arm("planar2")), direction=Z_AXIS, within=2.0)
 
 
 def planar_tip(**gains: float) -> taut.analysis.ToolImpedance:
@@ -173,7 +173,7 @@ MISUSE: dict[str, tuple[Callable[[], object], str]] = {
         lambda: tip_of(laws.Stiffness(K=(800.0, 30.0), kd=5.0)).specified_Z(1.0), "specified"
     ),
     "another tool": (
-        lambda: tip_of(laws.Impedance(K=(800.0, 30.0), zeta=1.0, tool="panda_link8"), "panda").specified_Z(1.0),
+        lambda: tip_of(laws.Impedance(K=(800.0, 30.0), zeta=1.0, tool="link2")).specified_Z(1.0),
         "specified",
     ),
     "specified at rest": (lambda: tip_of(laws.Impedance(K=(800.0, 30.0), zeta=1.0)).specified_Z(0.0), "omega"),

@@ -318,8 +318,9 @@ def test_runs_of_an_arm_agree_with_the_named_maps_one_percent_to_either_side(
     name: str, share: Callable[[int], int], bar: Callable[[str, object], None]
 ) -> None:
     whole, x, y = WHOLE[name]
-    found = taut.analysis.stability_map(whole.linear, x, y)
-    assert len(found.boundary) >= 4
+    spacing = 1 if share(len(x)) == len(x) else 3
+    found = taut.analysis.stability_map(whole.linear, x[::spacing], y[::spacing])
+    assert len(found.boundary) >= 3
     assert 0.1 < found.stable.mean() < 0.9
     points = both_sides(found, max(share(len(found.boundary)), 2), 2)
     for point, stable in points:

@@ -79,7 +79,8 @@ class ToolImpedance(Result):
         rows = [*lin.rows("tip.p"), *lin.rows("tip.rotation")]
         columns = lin.columns("disturbance.wrench")
         B, C, D = lin.B[:, columns] @ d, d @ lin.C[rows], d @ lin.D[np.ix_(rows, columns)] @ d
-        return lin.response(omega, B[:, np.newaxis], C[np.newaxis], np.array([[D]]))[:, 0, 0]
+        along = LinearSystem(A=lin.A, B=B[:, np.newaxis], C=C[np.newaxis], D=[[float(D)]], dt=lin.dt)
+        return along.frequency_response(omega, input="u[0]", output="y[0]")
 
     def Z(self, omega: ArrayLike) -> Complex:
         """(k,) predicted impedance F / X [N/m | N m/rad]; infinite where the tool does not move, as of stiff drives.

@@ -273,8 +273,7 @@ def _smallest(function: Callable[[Float64Array], Float64Array], top: float, coun
 
 def _response(law: LinearSystem, theta: Float64Array, input: str) -> Complex:
     """(k, n, n) from an input to the command, at the angles theta = omega T."""
-    columns, rows = law.columns(input), law.rows("command")
-    return law.response(theta / law.period, law.B[:, columns], law.C[rows], law.D[np.ix_(rows, columns)])
+    return law.frequency_response(theta / law.period, input=input, output="command")
 
 
 def _matrices(numbers: ArrayLike) -> Complex:

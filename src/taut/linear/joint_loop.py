@@ -20,13 +20,14 @@ from taut.base.checks import (
     symmetric,
     symmetric_psd,
 )
-from taut.base.errors import RangeError, ShapeError, UsageError
+from taut.base.errors import ShapeError, UsageError
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.sensing import Difference, LowPass, check_filter
 from taut.linear.linear_system import LinearSystem, names
 
 VelocityKind = Literal["measured", "difference"] | LowPass | Difference
 MIN_DAMPING: Final = 1e-3  # [-] damping ratio of a joint that is to settle
+MAX_OVERSHOOT: Final = 99.0  # [%] of a step; without damping it is 100 %
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,10 +121,7 @@ def second_order(
             f"kp or omega_n; got {', '.join(given) if given else 'none'}",
             name=[*given][-1] if given else None,
         )
-    if given.get("overshoot", 0.0) >= 100.0:
-        raise RangeError(
-            f"overshoot must be below 100 %, that of no damping; got {overshoot:g}", name="overshoot", value=overshoot
-        )
+    require_range("overshoot", given.get("overshoot", 0.0), unit="%", maximum=MAX_OVERSHOOT)
     zeta = given.get("zeta", math.nan)
     if "overshoot" in given:
         decrement = math.log(100.0 / given["overshoot"]) if given["overshoot"] else math.inf
@@ -136,15 +134,9 @@ def second_order(
         frequency = settling_angle(zeta) / given["settling"]
     kp = given.get("kp", M * frequency**2)
     kd = given.get("kd", 2.0 * zeta * math.sqrt(kp * M) - b)
-    if kd < 0.0:
-        least = b / (2.0 * math.sqrt(kp * M)) if kp else math.inf
-        raise RangeError(
-            f"zeta must be at least {1.0005 * least:.4g}, which the friction b = {b:g} alone gives with kp = {kp:.4g}"
-            f"; got {zeta:.4g}; a larger kp or omega_n allows less",
-            name="zeta",
-            value=zeta,
-        )
-    return SecondOrder(M=M, b=b, kp=kp, kd=kd)
+    if kd < 0.0:  # the friction alone damps more
+        require_range("zeta", zeta, minimum=b / (2.0 * math.sqrt(kp * M)) if kp else math.inf)
+    return SecondOrder(M=M, b=b, kp=kp, kd=max(kd, 0.0))
 
 
 @cache

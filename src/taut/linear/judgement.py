@@ -1,7 +1,8 @@
 """Judgement of a sampled loop: stability, distance from its limit, least stable direction, and the gains to blame.
 
 The map of one period is the compiled loop that simulates it, differentiated by central differences, without limits,
-noise and dry friction: that has no slope in sliding, and stiction hides instability only until a joint breaks free.
+noise, quantisation and dry friction, which has no slope in sliding and hides instability only until a joint breaks
+free.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ from taut.control.combine import all_laws
 from taut.control.laws.joint import FrictionCompensation
 from taut.control.lawside import LawSide
 from taut.linear.linear_system import Complex, LinearSystem, Mode, balancing
-from taut.linear.linearise import NEWTON_STEPS, equilibrium, observed_states, standing_states
-from taut.linear.period import EMPTY, STEP, Derivative, Period, Point, Side, model_in_place_of
+from taut.linear.linearise import NEWTON_STEPS, acting_states, equilibrium, pose_at
+from taut.linear.period import EMPTY, STEP, Derivative, Period, Point, model_in_place_of
 from taut.loop import AnyPlant, HasLawSide, Loop
 from taut.maths.snapshot import snapshot
 
@@ -98,9 +99,9 @@ class Judgement(Result):
         if self.stable:
             return f"the sampled loop is stable {where}" + (f"; it relies on {friction}" if friction else "")
         hidden = f"; {friction} hides it at rest" if friction else ""
-        along = ("in " if self.direction.startswith("the") else "along ") + self.direction
-        growth = f"grow with {-self.decay_rate:.3g} 1/s (spectral radius {self.radius:.6g})"
-        return f"the sampled loop is unstable {where}: deviations {along} {growth}{hidden}; {self._remedy}"
+        growth = f"deviations of {self.direction} grow with {-self.decay_rate:.3g} 1/s"
+        radius = f"(spectral radius {self.radius:.6g})"
+        return f"the sampled loop is unstable {where}: {growth} {radius}{hidden}; {self._remedy}"
 
     @property
     def _remedy(self) -> str:
@@ -152,8 +153,7 @@ def judge(loop: Loop, *, at: ArrayLike | None = None, gains: Iterable[str] = ())
         >>> found.stable, [*found.largest]
         (False, ['law.kd'])
     """
-    q = loop.plant.arm.home if at is None else np.asarray(at, dtype=np.float64)
-    return _judged_at(loop, loop.plant, q, EMPTY, tuple(gains))
+    return _judged_at(loop, loop.plant, pose_at(loop, at), EMPTY, tuple(gains))
 
 
 def judge_start(ctrl: HasLawSide, plant: AnyPlant, q: Float64Array, changes: Changes = EMPTY) -> Judgement | str:
@@ -165,9 +165,7 @@ def judge_start(ctrl: HasLawSide, plant: AnyPlant, q: Float64Array, changes: Cha
         return "not judged: plain Python is for debugging, and the loop is judged where it is compiled"
     try:
         return _judged_at(ctrl, plant, q, changes)
-    except np.linalg.LinAlgError:
-        return "not judged: the derivative of a period is no matrix that has eigenvalues"
-    except TautError as error:
+    except (TautError, np.linalg.LinAlgError) as error:
         return f"not judged: {error}"
 
 
@@ -194,7 +192,7 @@ def _model_loop(ctrl: HasLawSide, plant: AnyPlant) -> Loop:
     except TypeError:  # a plant of the user's own that has no hash
         loop = None
     if loop is None or loop.side is not side:
-        loop = Loop(Side(side, side.parameters, ctrl.engine), model_in_place_of(plant, side.needs), duration=side.dt)
+        loop = Loop(ctrl, model_in_place_of(plant, side.needs), duration=side.dt)
         with contextlib.suppress(TypeError):
             _LOOPS[plant] = loop
     for path, value in {**plant.parameters, **ctrl.parameters}.items():
@@ -233,7 +231,7 @@ class _Model:
     def at(cls, period: Period, start: Point, steps: int = NEWTON_STEPS) -> _Model:
         """At the equilibrium next to a start, by central differences of two steps (Richardson)."""
         found, coordinates = equilibrium(period, start, steps=steps), period.state_coordinates
-        acting = observed_states(found.A, found.C) & ~standing_states(found, period.tolerance)
+        acting = acting_states(found, period.tolerance)
         for path in ("plant.q", "plant.v"):
             acting[coordinates.places[path]] = True
         states = np.flatnonzero(acting)

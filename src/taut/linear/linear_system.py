@@ -33,7 +33,6 @@ INSTANT: Final = 1e-6  # [-] modulus in z of a mode that is over within a period
 NEAR_POLE: Final = 1e-6  # [-] distance in z, or of the largest |s|, at which a response is taken from around a pole
 AROUND: Final = 32  # points of the circle about a pole from which it is taken
 GROWTH: Final = 1.5  # [-] of the response on half that circle over that on the circle: a pole that shows doubles it
-AT_REST: Final = 1e-8  # [rad | m] a smaller displacement is rounding
 TABLE_STATES: Final = 3  # states named for each mode in a table
 SIGNALS: Final = ("states", "inputs", "outputs")
 DISTURBANCE: Final = "disturbance."  # before the name of a law's output: the input that adds to it
@@ -82,15 +81,6 @@ class OperatingPoint:
     moved: Float64Array = field(default_factory=lambda: np.zeros(0))
     branches: tuple[str, ...] = ()
     left_out: Mapping[str, str] = field(default_factory=dict)
-
-    def sentences(self) -> list[str]:
-        """Where it is."""
-        if not self.joints:
-            return []
-        i, where = int(np.argmax(np.abs(self.moved))), [f"q = {np.round(self.q, 4).tolist()}"]
-        if abs(self.moved[i]) > AT_REST:
-            where.append(f"joint '{self.joints[i]}' moved {self.moved[i]:.4g} from at= until the loop rested")
-        return where
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -424,10 +414,7 @@ class LinearSystem(Result):
     def _response(self, omega: ArrayLike, input: str, output: str) -> Complex:
         """(k, outputs, inputs) of groups."""
         rows, columns = self.rows(output), self.columns(input)
-        return self.response(omega, self.B[:, columns], self.C[rows], self.D[np.ix_(rows, columns)])
-
-    def response(self, omega: ArrayLike, B: Float64Array, C: Float64Array, D: Float64Array) -> Complex:
-        """(k, p, m) C (z I - A)^-1 B + D of other inputs and outputs at the same states, at (k,) frequencies."""
+        B, C, D = self.B[:, columns], self.C[rows], self.D[np.ix_(rows, columns)]
         w = np.ravel(finite_array("omega", omega, unit="rad/s"))
         half_rate = np.pi / self.dt * (1.0 + WHOLE) if self.dt else np.inf
         require_range("omega", w, unit="rad/s", minimum=0.0, maximum=half_rate)
@@ -531,17 +518,18 @@ class LinearSystem(Result):
     def content(self) -> Content:
         """Modes, margins and step as tables, and the figure of `plot`."""
         kind = "in continuous time" if self.dt is None else f"sampled at {1.0 / self.dt:.6g} Hz"
-        title = f"linear system of {len(self.states)} states {kind}"
-        title += ", about an equilibrium" if self.point.joints else ""
-        stable = f"stable: the slowest mode decays with {self.decay_rate:.4g} 1/s"
+        summary = [f"stable: the slowest mode decays with {self.decay_rate:.4g} 1/s"] if self.stable else []
+        if self.point.joints:
+            q, moved = np.round(self.point.q, 4).tolist(), np.abs(self.point.moved).max()
+            summary.append(f"about the equilibrium q = {q}, at most {moved:.3g} rad or m from at=")
         tables = [self._mode_table()]
         if "command" in {name.partition("[")[0] for name in self.outputs} and self.stable:
             tables.append(self.margins().table())
         if {"ref.q[0]"} <= {*self.inputs} and {"q[0]"} <= {*self.outputs} and self.stable:
             tables.append(self.step().table())
         return Content(
-            title=title,
-            summary=[*([stable] if self.stable else []), *self.point.sentences()],
+            title=f"linear system of {len(self.states)} states {kind}",
+            summary=summary,
             faults=() if self.stable else (self.unstable_because,),
             tables=tables,
             notes=self.point.branches,

@@ -27,9 +27,9 @@ from taut.linear.period import (
     finite_derivative,
     loop_map,
     mean_of,
-    starting,
+    start_of,
 )
-from taut.loop import Loop
+from taut.loop import DT, Loop
 
 Flags = NDArray[np.bool_]
 
@@ -90,12 +90,12 @@ def linearise(loop: Loop, *, at: ArrayLike | None = None, within: float = WITHIN
         Derivatives (2008), chapter 3. Khalil, Nonlinear systems (2002), section 1.2.
     """
     map_ = loop_map(loop)
-    return _model(map_, rest_of(loop, map_, at, within), start=_pose(loop, at))
+    return _model(map_, rest_of(loop, map_, at, within), start=pose_at(loop, at))
 
 
 def rest_of(loop: Loop, map_: LoopMap, at: ArrayLike | None, within: float) -> Derivative:
     """The equilibrium of a loop near joint positions, its reference held."""
-    q = _pose(loop, at)
+    q = pose_at(loop, at)
     within = positive_scalar("within", within, unit="rad | m")
     if not isinstance(loop.ref, (Sample, Hold)):
         raise UsageError(
@@ -103,11 +103,12 @@ def rest_of(loop: Loop, map_: LoopMap, at: ArrayLike | None, within: float) -> D
             "make the loop with a sample or taut.hold()",
             name="loop",
         )
-    return equilibrium(map_, starting(loop, map_, q), within)
+    loop.side.check_start(q, {**loop.parameters, DT: loop.dt}, loop.ref)
+    return equilibrium(map_, start_of(loop, map_.inputs, map_.parameters, q, loop.ref)[1], within)
 
 
-def _pose(loop: Loop, at: ArrayLike | None) -> Float64Array:
-    """(n,) joint positions of the start: home if nothing is given."""
+def pose_at(loop: Loop, at: ArrayLike | None) -> Float64Array:
+    """(n,) joint positions of a start, checked: home by default."""
     arm = loop.plant.arm
     if at is None:
         return arm.home
@@ -199,15 +200,15 @@ def observed_states(A: Float64Array, C: Float64Array) -> Flags:
         observed = more
 
 
-def standing_states(found: Derivative, tolerance: float) -> Flags:
-    """(n,) states that nothing changes, such as the rest position of a spring."""
+def acting_states(found: Derivative, tolerance: float) -> Flags:
+    """(n,) states that have an effect, without those that nothing changes, such as the rest position of a spring."""
     eye = np.eye(len(found.A))
     still: Flags = (
         (np.abs(found.A - eye) <= tolerance * eye).all(axis=1)
         & (found.B == 0.0).all(axis=1)
         & (found.residual == 0.0)
     )
-    return still
+    return observed_states(found.A, found.C) & ~still
 
 
 def equilibrium(map_: PeriodMap, start: Point, within: float = WITHIN, steps: int = NEWTON_STEPS) -> Derivative:
@@ -220,7 +221,7 @@ def equilibrium(map_: PeriodMap, start: Point, within: float = WITHIN, steps: in
     step = np.full(len(coordinates), np.inf)
     found = finite_derivative(map_, start)
     for _ in range(steps):
-        solved = observed_states(found.A, found.C) & ~standing_states(found, map_.tolerance)
+        solved = acting_states(found, map_.tolerance)
         scale = 1.0 + np.abs(coordinates.numbers(memory))
         wrong = np.abs(found.residual) / scale
         settled = (np.abs(step) / scale)[solved].max(initial=0.0) < REST_CHANGE and _rests(found, solved, wrong)

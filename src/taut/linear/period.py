@@ -1,7 +1,7 @@
 """One control period of a loop as a map from memory to memory, with its derivative, in named coordinates.
 
-`Period` is the loop that simulates, compiled anyway, differentiated by central differences; `LoopMap` has the exact
-derivative of the same map, by automatic differentiation, and inputs. `equilibrium` searches with either.
+`Period` is the compiled loop that simulates, differentiated by central differences; `LoopMap` has inputs and an exact
+derivative, by automatic differentiation. `equilibrium` searches with either.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import dataclasses
 from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, Final, Literal, Protocol, cast, runtime_checkable
+from typing import Any, Final, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -26,18 +26,15 @@ from taut.codegen.engine import Steps
 from taut.codegen.loop import compiled_loop
 from taut.codegen.program import Block
 from taut.codegen.tangent import TANGENT, StepTangent
-from taut.control.lawside import LawSide
 from taut.control.tasks.feed import ReferenceFeed
 from taut.control.trajectories.reference import Hold, Reference
 from taut.loop import DT, AnyPlant, Loop, Values
 from taut.maths import dynamics as dyn
 from taut.maths.model import model_of
 from taut.maths.spatial import rotation_exp
-from taut.plant.actuation import Actuation
 from taut.plant.environments.environment import COMMAND, disturbance_shapes
 from taut.plant.environments.kinds import Push
 from taut.plant.rigid import RigidPlant
-from taut.plant.sensors import Sensors
 from taut.trace import math as tm
 
 ROTATION: Final = "R"  # the last name in the path of a rotation
@@ -74,7 +71,10 @@ class Derivative:
 
 
 class Period:
-    """One period of a loop as it is simulated, from rest at q, reference and clock held; central differences."""
+    """One period of a loop from rest at q, its reference and clock held, by central differences.
+
+    It is the compiled loop that simulates, without quantisation.
+    """
 
     tolerance: Final = 1e-6  # [-] of a derivative: smaller entries are rounding
     rest: Final = 1e-11  # [-] of a state's size per period: a residual of rounding, of which no step can be made
@@ -159,7 +159,7 @@ class LoopMap:
                 name="loop",
             )
         self.side, self.dt = side, loop.dt  # and not the loop, which may go
-        self._stepped = Loop(Side(side, side.parameters, loop.engine), plant, loop.ref, duration=loop.duration)
+        self._twin = copy.copy(loop)
         pushes = disturbance_shapes(side.arm.n)
         if not isinstance(plant, RigidPlant):
             pushes = {COMMAND: pushes[COMMAND]}  # what it does of the others is not known
@@ -169,15 +169,15 @@ class LoopMap:
         self.state_coordinates = BlockCoordinates(self.memory)
         self.input_coordinates = BlockCoordinates(self.inputs, [path for path in self.inputs.shapes if path != "t"])
         blocks = self.inputs, self.parameters, self.memory
-        self.period = Steps(self.step, *blocks, self._stepped.substep, plant.substeps - 1)
+        self.period = Steps(self.step, *blocks, self._twin.substep, plant.substeps - 1)
         self.tangent = StepTangent(self.period, directed=(), outputs=OUTPUTS, engine=loop.engine)
         self.outputs = Block.of({path: self.tangent.outputs.shapes[path] for path in OUTPUTS})
         self.output_coordinates = BlockCoordinates(self.outputs)
 
     def step(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:
         """A period, with where the tool is in its first instant."""
-        record, after = self._stepped.step(inputs, parameters, memory)
-        model, q, v = model_of(self._stepped.plant.arm), memory["plant.q"], memory["plant.v"]
+        record, after = self._twin.step(inputs, parameters, memory)
+        model, q, v = model_of(self._twin.plant.arm), memory["plant.q"], memory["plant.v"]
         T = dyn.pose(model, q)
         return {**record, "tip.p": T.p, "tip.R": T.R, "tip.twist": dyn.twist(model, q, v)}, after
 
@@ -218,12 +218,6 @@ def loop_map(loop: Loop) -> LoopMap:
     if loop not in _MAPS:
         _MAPS[loop] = LoopMap(loop)
     return _MAPS[loop]
-
-
-def starting(loop: Loop, map_: LoopMap, q: Float64Array) -> Point:
-    """The start of a loop at rest at joint positions (n,), in the sample of its reference there."""
-    loop.side.check_start(q, {**loop.parameters, DT: loop.dt}, loop.ref)
-    return start_of(loop, map_.inputs, map_.parameters, q, loop.ref)[1]
 
 
 def start_of(
@@ -278,41 +272,12 @@ def finite_derivative(map_: PeriodMap, at: Point) -> Derivative:
     return found
 
 
-@dataclass(frozen=True)
-class Side:
-    """A controller as a loop takes it."""
-
-    side: LawSide
-    parameters: Mapping[str, Float64Array]
-    engine: str
-
-
-@runtime_checkable
-class HasStages(Protocol):
-    """A plant with the drives, sensors and joint friction of `taut.plant`."""
-
-    @property
-    def friction(self) -> Literal["arm"] | None: ...
-
-    @property
-    def actuation(self) -> Actuation: ...
-
-    @property
-    def sensors(self) -> Sensors: ...
-
-
 def model_in_place_of(plant: AnyPlant, needs: Container[str]) -> RigidPlant:
-    """The same arm, with the drives and sensors where they are known, in place of an engine or a robot."""
-    stages = plant if isinstance(plant, HasStages) else RigidPlant(plant.arm)
-    return RigidPlant(
-        plant.arm,
-        stages.friction,
-        takes=cast(CommandKind, plant.takes),
-        actuation=stages.actuation,
-        sensors=stages.sensors,
-        adds=plant.adds,
-        environment=Push(peak=np.zeros(6)) if "F_ext" in needs or stages.sensors.wrench is not None else None,
-    )
+    """The same arm, with friction, drives and sensors where they are known, in place of an engine or a robot."""
+    ideal = RigidPlant(plant.arm, takes=cast(CommandKind, plant.takes), adds=plant.adds)
+    stages = {name: getattr(plant, name, getattr(ideal, name)) for name in ("friction", "actuation", "sensors")}
+    wrench = "F_ext" in needs or stages["sensors"].wrench is not None
+    return dataclasses.replace(ideal, **stages, environment=Push(peak=np.zeros(6)) if wrench else None)
 
 
 class BlockCoordinates:

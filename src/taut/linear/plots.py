@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 PLOT_POINTS: Final = 600  # of a continuous step response
 MARGIN: Final = 1.15  # [-] of the farthest pole: the size of its axes
 SETTLED: Final = 1.3  # [-] settling times that a step response shows
-MAX_SIGNALS: Final = 8  # in one picture
 NYQUIST_SIZE: Final = 2.5  # [-] of the Nyquist diagram about -1
 ROW_HEIGHT: Final = 1.35  # [inch] of a row of panels
 
@@ -85,8 +84,7 @@ def _draw_step(ax: Axes, system: LinearSystem) -> None:
     prepared(ax, "step response", "q / reference", "t [s]")
     ax.axhspan(1.0 - BAND, 1.0 + BAND, color=colour(2), alpha=0.25, linewidth=0.0)
     ax.axhline(1.0, color=INK, linewidth=0.6)
-    style = "." if system.dt and count < PLOT_POINTS else "-"
-    ax.plot(h * np.arange(count), y, style, color=colour(0), linewidth=1.5, markersize=4.0)
+    ax.plot(h * np.arange(count), y, color=colour(0), linewidth=1.5)
     if settles:
         label = f"settled, {found.settling_time:.3g} s"
         ax.axvline(found.settling_time, color=colour(1), linewidth=1.0, linestyle=DASHED, label=label)
@@ -96,7 +94,7 @@ def _draw_step(ax: Axes, system: LinearSystem) -> None:
 def _loops(system: LinearSystem) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
     """(k,) frequencies and (k, n) L at each command."""
     omega = frequency_grid(system.dt, system.omega_n[np.isfinite(system.omega_n)])
-    S = np.diagonal(system.sensitivity(omega), axis1=1, axis2=2)[:, :MAX_SIGNALS]
+    S = np.diagonal(system.sensitivity(omega), axis1=1, axis2=2)
     return omega, 1.0 / S - 1.0
 
 
@@ -104,7 +102,7 @@ def _draw_bode(size: Axes, phase: Axes, system: LinearSystem) -> None:
     omega, L = _loops(system)
     prepared(size, "Bode diagram of the open loop", "|L|", "")
     prepared(phase, "", "phase [deg]", "omega [rad/s]")
-    for i, name in enumerate(system.outputs[k] for k in system.rows("command")[:MAX_SIGNALS]):
+    for i, name in enumerate(system.outputs[k] for k in system.rows("command")):
         size.loglog(omega, np.abs(L[:, i]), color=colour(i), linewidth=1.3, label=name)
         angle = (np.degrees(np.angle(L[:, i])) + 270.0) % 360.0 - 270.0
         angle[1:][np.abs(np.diff(angle)) > 180.0] = np.nan  # no line where it wraps

@@ -73,7 +73,6 @@ class Finding:
         evidence: The numbers that it was found by.
         t: (k,) time of its figure [s].
         signals: (k,) by name with unit: what its figure shows.
-        marked: (k,) the ticks that are shaded in it.
         follows: The findings that bring it about; in a diagnosis, the one that it is a consequence of, or none.
         of: What `fraction` is a part of.
         name: The check.
@@ -89,7 +88,6 @@ class Finding:
     evidence: Mapping[str, Number]
     t: Float64Array
     signals: Mapping[str, Float64Array]
-    marked: Array | None = None
     follows: tuple[str, ...] = ()
     of: str = "the feedback effort"
     name: str = ""
@@ -105,14 +103,10 @@ class Finding:
         lines = textwrap.wrap(f"{self.name}: {self.cause}".replace("$", r"\$"), TITLE_LETTERS)
         figure = Figure(figsize=(WIDTH, 0.4 + 1.7 * len(self.signals)), dpi=150, layout="constrained")
         figure.suptitle("\n".join(lines), fontsize=9.0, color=INK, x=0.01, ha="left")
-        marked = np.zeros(len(self.t), bool) if self.marked is None else self.marked
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]]).astype(np.intp))).reshape(-1, 2)
         axes = figure.subplots(len(self.signals), 1, sharex=True, squeeze=False)[:, 0]
         for i, (name, y) in enumerate(self.signals.items()):
             ax = prepared(axes[i], "", name, "t [s]" if i == len(axes) - 1 else "")
             line(ax, self.t, y, colour(i))
-            for first, end in edges:
-                ax.axvspan(self.t[first], self.t[end - 1], color="#D9D9D9", alpha=0.5, linewidth=0.0)
             ax.margins(x=0.01)
         return figure
 
@@ -202,11 +196,6 @@ class ExaminedRun:
     model: ArmModel | None
     threshold: Mapping[str, float]
     ran_away: bool = False
-
-    def lacks(self, need: Need) -> str | None:
-        """Why a check with this need is left out; None where the run has it."""
-        why, there = NEEDS[need]
-        return None if there(self) else why
 
     @property
     def n(self) -> int:
@@ -414,7 +403,6 @@ class ExaminedRun:
         evidence: Mapping[str, tuple[float, str]],
         *,
         signals: Mapping[str, Float64Array] | None = None,
-        marked: Array | None = None,
         window: slice | None = None,
         of: str = "the feedback effort",
         remedy: str = "",
@@ -428,7 +416,6 @@ class ExaminedRun:
             fraction: As of `Finding`.
             evidence: Value and unit by name; "joint" and "torque" stand for the unit of the joint and of its torque.
             signals: (k,) by name with unit: its figure; error, feedback, term and command of the joint if left out.
-            marked: (k,) ticks that are shaded in it.
             window: The ticks that it shows; all if left out.
             of: What `fraction` is a part of.
             remedy: What to do about it, where the sentence of the check does not do.
@@ -450,7 +437,6 @@ class ExaminedRun:
             evidence={name: Number(float(value), units.get(unit, unit)) for name, (value, unit) in evidence.items()},
             t=run.t[shown],
             signals={name: y[shown] for name, y in signals.items()},
-            marked=None if marked is None else marked[shown],
             of=of,
             remedy=remedy,
             note=note,
@@ -471,14 +457,8 @@ class ExaminedRun:
 NEEDS: Final[Mapping[Need, tuple[str, Callable[[ExaminedRun], bool]]]] = {
     "length": ("the run is too short", lambda run: len(run.run) >= run.threshold["duration"] * run.run.rate),
     "torque": ("the law does not command torques", lambda run: run.of_torque),
-    "error": (
-        "the error of the joints is not known from this law and its reference",
-        lambda run: run.error is not None,
-    ),
+    "error": ("the error of the joints is not known", lambda run: run.error is not None),
     "effort": ("the effort limits of the arm are not known", lambda run: run.effort_limit is not None),
-    "model": (
-        "the model of the arm (arm= or --arm), or a contact force on it, is not known",
-        lambda run: run.fit is not None,
-    ),
+    "model": ("the arm (arm= or --arm), or a contact force on it, is not known", lambda run: run.fit is not None),
 }
 """What a check may need: why it was left out where a run does not have it, and whether it does."""

@@ -93,18 +93,17 @@ def load(run: ExaminedRun, name: str) -> Finding | None:
     if name != "wrong payload":
         evidence["gravity by the plant"] = (100.0 * fit.gravity, "%")
         return run.finding(term, i, run.fraction_of(torque), evidence)
-    beyond, at = fit.mass - run.model.payload[0], ""
-    error = np.sqrt(np.maximum(np.linalg.eigvalsh(fit.covariance[1:, 1:])[-1], 0.0))
+    beyond, mass = fit.mass - run.model.payload[0], "0"
     evidence |= {
         "beyond the declared": (beyond, "kg"),
         "standard error": (np.sqrt(max(fit.covariance[0, 0], 0.0)), "kg"),
     }
     if fit.mass > 0.01 * abs(beyond):
         evidence |= {f"centre {axis}": (x, "m") for axis, x in zip("xyz", fit.centre, strict=True)}
+        error = np.sqrt(np.maximum(np.linalg.eigvalsh(fit.covariance[1:, 1:])[-1], 0.0))
         evidence["standard error of the centre"] = (error, "m")
-        at = f", com=({', '.join(f'{x + 0.0:.3f}' for x in fit.centre.round(3))})"
-    known = f" (+- {error:.2g} m; rotate the tool to know more)" if at else ""
-    remedy = f"declare the payload: arm.with_payload({fit.mass if at else 0.0:.3g}{at}), com in the tool frame{known}"
+        mass = f"{fit.mass:.3g}, com=({', '.join(f'{x + 0.0:.3f}' for x in fit.centre.round(3))})"
+    remedy = f"declare the payload: arm.with_payload({mass}), com in the tool frame"
     return run.finding(term, i, run.fraction_of(torque), evidence, remedy=remedy)
 
 
@@ -163,7 +162,7 @@ def stiction(run: ExaminedRun) -> Finding | None:
     fraction = run.fraction_of(beyond * held)
     if fraction < run.threshold["effect"]:
         return None
-    return run.finding("friction", i, fraction, evidence, marked=rest)
+    return run.finding("friction", i, fraction, evidence)
 
 
 def steady_state_error(run: ExaminedRun) -> Finding | None:
@@ -211,7 +210,7 @@ def saturation(run: ExaminedRun) -> Finding | None:
         "time cut": (100.0 * acting.mean(), "% of the run"),
         "applied": (np.abs(applied).max(), record.command_units[i]),
     }
-    return run.finding(term, i, taken[term].sum() / run.effort, evidence, marked=acting)
+    return run.finding(term, i, taken[term].sum() / run.effort, evidence)
 
 
 def wind_up(run: ExaminedRun) -> Finding | None:
@@ -240,7 +239,7 @@ def wind_up(run: ExaminedRun) -> Finding | None:
     i, gained, overshoot = best
     evidence = {"gained while cut": (gained, "torque"), "overshoot": (overshoot, "joint")}
     fraction = run.energy(integral * (np.arange(run.n) == i)) / run.effort
-    return run.finding("I", i, fraction, evidence, marked=cut[:, i] != 0.0)
+    return run.finding("I", i, fraction, evidence)
 
 
 def effort_exceeded(run: ExaminedRun) -> Finding | None:
@@ -305,7 +304,7 @@ def singularity(run: ExaminedRun) -> Finding | None:
         "time": (record.t[k], "s"),
     }
     fraction = energy[near].sum() / run.effort
-    return run.finding(term, i, fraction, evidence, signals={"smallest singular value of J": sigma}, marked=near)
+    return run.finding(term, i, fraction, evidence, signals={"smallest singular value of J": sigma})
 
 
 def wrong_surface(run: ExaminedRun) -> Finding | None:
@@ -335,7 +334,7 @@ def wrong_surface(run: ExaminedRun) -> Finding | None:
         "RMS of phi": (rms[row], "m | rad"),
         **({"tilt along the path": (np.degrees(np.arcsin(slope)), "deg")} if straight else {}),
     }
-    return run.finding("constraint", None, fraction, evidence, signals={"phi [m | rad]": phi[:, row]}, marked=contact)
+    return run.finding("constraint", None, fraction, evidence, signals={"phi [m | rad]": phi[:, row]})
 
 
 def contact_bounce(run: ExaminedRun) -> Finding | None:
@@ -359,8 +358,10 @@ def contact_bounce(run: ExaminedRun) -> Finding | None:
         "mean force": (mean, "N"),
         "largest force": (force.max(), "N"),
     }
-    shown = {"signals": {"contact force [N]": force}, "marked": is_open, "window": window}
-    return run.finding("contact", None, is_open[window].mean(), evidence, of="the time in contact", **shown)
+    shown = {"contact force [N]": force}
+    return run.finding(
+        "contact", None, is_open[window].mean(), evidence, of="the time in contact", signals=shown, window=window
+    )
 
 
 def late_periods(run: ExaminedRun) -> Finding | None:
@@ -377,7 +378,7 @@ def late_periods(run: ExaminedRun) -> Finding | None:
         "sustainable rate": (rate / np.quantile(periods, 0.99), "Hz"),
     }
     signals = {"period [ms]": 1e3 * periods / rate}
-    return run.finding("period", None, late.mean(), evidence, of="the periods", signals=signals, marked=late)
+    return run.finding("period", None, late.mean(), evidence, of="the periods", signals=signals)
 
 
 SHARED: Final = (
@@ -389,12 +390,7 @@ SHARED: Final = (
     Threshold("part", 0.05, "of gravity, of the work on an oscillation, of time", "less is an error of the model"),
     Threshold("torque change", 0.01, "of the effort limit", "a torque that changes less does not move a joint"),
     Threshold("model accuracy", 0.01, "of the largest gravity torque", "of a well-known arm"),
-    Threshold(
-        "explained by the load",
-        0.995,
-        "of the squares",
-        "the four parameters of a payload come near to a heavier link too",
-    ),
+    Threshold("explained by the load", 0.995, "of the squares", "a payload comes near to a heavier link too"),
     Threshold("centre of mass", 0.25, "of the arm's length", "a load further from the tool is not at the tool"),
     Threshold("unexplained", 0.1, "of the squares", "a fit that leaves more says nothing of signs and friction"),
     Threshold("dry friction", 1.5, "of the fitted one", "static friction is larger than that of motion"),
@@ -408,12 +404,8 @@ CHECKS: Final = (
         test=wrong_sign,
         needs=("torque", "error"),
         thresholds=(
-            Threshold(
-                "growth of the error", 3.0, "of its start", "an error that is corrected does not grow threefold"
-            ),
-            Threshold(
-                "work against the error", 0.6, "of its size", "positive gains do positive work, but for a delay"
-            ),
+            Threshold("growth of the error", 3.0, "of its start", "a corrected error does not grow threefold"),
+            Threshold("work against the error", 0.6, "of its size", "positive gains do positive work unless late"),
         ),
         cause="{term} acts in the wrong direction at '{joint}', and the error grows",
         remedy={
@@ -427,13 +419,9 @@ CHECKS: Final = (
         test=partial(oscillation, kind="oscillation"),
         needs=("torque",),
         thresholds=(
-            Threshold(
-                "damping ratio", 0.1, "1", "below it an oscillation takes more than six periods to decay to 2 %"
-            ),
+            Threshold("damping ratio", 0.1, "1", "below it a decay to 2 % takes more than six periods"),
             Threshold("part of the variance", 0.5, "1", "of the feedback of a joint that is one sinusoid"),
-            Threshold(
-                "frequency", 0.3, "rad per period", "below it the sampling does not matter, and gains and joints do"
-            ),
+            Threshold("frequency", 0.3, "rad per period", "below it the sampling does not matter"),
         ),
         cause="the feedback of '{joint}' oscillates, and {term} is responsible",
         remedy={
@@ -477,7 +465,7 @@ CHECKS: Final = (
             Threshold("band", 0.05, "of the rate", "faster than any motion that a loop controls"),
             Threshold("torque rate", 10.0, "effort limits per second", "what Limits.of(arm, rate=True) allows"),
         ),
-        cause="the torque of '{joint}' has {total variation} of noise from {lowest frequency} to {highest frequency}",
+        cause="the torque of '{joint}' has {total variation} of noise above {lowest frequency}",
         remedy={
             "D": "low-pass the velocity, sensing=taut.Sensing(velocity=taut.sensors.Difference(cutoff=...)), take a "
             "finer encoder, or lower kd",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from taut.analysis.diagnosis.check import Check, ExaminedRun, Finding
+from taut.analysis.diagnosis.check import NEEDS, Check, ExaminedRun, Finding
 from taut.analysis.diagnosis.checks import CHECKS, SHARED
 from taut.analysis.diagnosis.model import ArmModel
 from taut.arm.description import Arm
@@ -174,7 +174,7 @@ def _examined(case: ExaminedRun, checks: Sequence[Check]) -> tuple[list[Finding]
     for check in checks:
         missing: str | None = "the run is too short"
         if len(case.run) >= case.threshold["ticks"] or (case.ran_away and check.name == "oscillation"):
-            missing = next((why for need in check.needs if (why := case.lacks(need)) is not None), None)
+            missing = next((why for why, has in map(NEEDS.__getitem__, check.needs) if not has(case)), None)
         if missing is not None:
             left_out.setdefault(missing, []).append(check.name)
         elif (found := check.examine(case)) is not None:

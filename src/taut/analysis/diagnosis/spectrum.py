@@ -289,13 +289,9 @@ def chatter(run: ExaminedRun) -> Finding | None:
     if line is not None and line.fraction > limit["part of the variance"]:
         return None  # an oscillation
     parts = {name: float(variation(fast(x))[i]) for name, x in record.terms.items() if name not in LIMIT_TERMS}
-    power = np.cumsum(np.abs(np.fft.rfft(noise[inside, i] * np.hanning(inside.stop - inside.start))) ** 2)
-    frequencies = np.fft.rfftfreq(inside.stop - inside.start, run.dt)
-    low, high = (float(frequencies[int(np.searchsorted(power / power[-1], x))]) for x in (0.1, 0.9))
     evidence = {
         "total variation": (rate[i], f"{record.effort_units[i]}/s"),
-        "lowest frequency": (low, "Hz"),
-        "highest frequency": (high, "Hz"),
+        "lowest frequency": (limit["band"] / run.dt, "Hz"),
     }
     fraction = run.energy(noise * (bad if bad.all() else np.arange(run.n) == i)) / run.effort
     return run.finding(max(parts, key=lambda name: parts[name]), i, fraction, evidence)
