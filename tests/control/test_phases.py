@@ -606,7 +606,7 @@ def test_what_is_no_task_is_refused_in_a_sentence() -> None:
         (lambda: [Move(PD, until=lambda x: taut.guards.settled(x, position=1.0))], taut.errors.UsageError, "a JointMotion is reached within q=; got position="),
         (lambda: [Move(PD, until=lambda x: taut.guards.settled(x))], taut.errors.UsageError, "a JointMotion is reached within q=; got none of them"),
         (lambda: [Move(PD, until=lambda x: taut.guards.reached(x, 1.0, q=1.0))], taut.errors.UsageError, "a guard compares with a taut.Pose, TaskMotion or JointMotion; got float"),  # type: ignore[arg-type]
-        (lambda: [Move(PD, until=lambda x: taut.guards.contact(x, 1.0, direction=[0, 0, 0]))], taut.errors.RangeError, "direction must have a length; got zeros"),
+        (lambda: [Move(PD, until=lambda x: taut.guards.contact(x, 1.0, direction=[0, 0, 0]))], taut.errors.RangeError, "direction must have a length, as [0, 0, 1]; got [0.0, 0.0, 0.0]"),
         (lambda: [Move(PD, until=lambda x: taut.guards.contact(x, -1.0))], taut.errors.RangeError, "force must be >= 0 [N]; got -1.0"),
         (lambda: [a, Move(taut.laws.PID(kp=np.ones(2)), name="b")], taut.errors.ShapeError, "b.kp must be a number, (3,) or (3, 3) [N m/rad | N/m] for 3 joints; got shape (2,)"),
         (lambda: [a, Move(Drive(), name="b")], taut.errors.MatchError, "the phases of a task give commands of one kind; these give 'a' a torque, 'b' a velocity"),

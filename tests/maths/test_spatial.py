@@ -26,6 +26,12 @@ def turned(axis: np.ndarray, angle: float) -> np.ndarray:
     return Rotation.from_rotvec(axis * angle).as_matrix()
 
 
+def pose_exp(xi: np.ndarray) -> taut.Pose:
+    """The pose after one second of a constant twist, by Pinocchio."""
+    T = pin.exp6(pin.Motion(xi))
+    return taut.Pose.of(T.rotation, T.translation)
+
+
 @pytest.mark.parametrize("angle", [*ANGLES, *NEAR_PI])
 def test_the_logarithm_is_the_rotation_vector(angle: float) -> None:
     for axis in axes():
@@ -49,9 +55,9 @@ def test_a_pose_is_the_exponential_of_its_logarithm(angle: float) -> None:
     for axis in axes():
         p = rng.normal(size=3)
         T = taut.Pose.of(turned(axis, angle), p)
-        back = spatial.pose_exp(spatial.pose_log(T))
-        assert np.abs(back.p - p).max() <= 1e-14
-        assert np.abs(back.R - T.R).max() <= 1e-14
+        back = pose_exp(spatial.pose_log(T))
+        assert np.abs(back.p - p).max() <= 1e-13
+        assert np.abs(back.R - T.R).max() <= 1e-13
 
 
 @pytest.mark.parametrize("angle", ANGLES)
@@ -72,7 +78,7 @@ def test_the_rate_of_the_logarithm_is_that_of_differences(angle: float) -> None:
         T = taut.Pose.of(turned(axis, angle), rng.normal(size=3))
         V = rng.normal(size=6)
         xi = spatial.pose_log(T)
-        after, before = (spatial.pose_log(spatial.pose_exp(sign * h * V) @ T) for sign in (1.0, -1.0))
+        after, before = (spatial.pose_log(pose_exp(sign * h * V) @ T) for sign in (1.0, -1.0))
         assert np.abs(spatial.pose_log_rate(xi) @ V - (after - before) / (2.0 * h)).max() <= DIFFERENCE
 
 
@@ -84,9 +90,9 @@ def test_the_rate_at_a_pure_translation_is_half_a_bracket() -> None:
 
 
 @pytest.mark.parametrize("angle", [*ANGLES, np.pi - 1e-3])
-def test_the_jacobians_of_a_rotation_are_inverse_to_each_other(angle: float) -> None:
+def test_the_inverse_jacobian_of_a_rotation_is_that_of_pinocchios(angle: float) -> None:
     for axis in axes():
-        J = spatial.left_jacobian(axis * angle)
+        J = pin.Jexp3(axis * angle).T
         assert np.abs(spatial.left_jacobian_inverse(axis * angle) @ J - np.eye(3)).max() <= 1e-13
 
 
@@ -94,13 +100,13 @@ def test_the_adjoint_moves_twists_as_poses_move_points() -> None:
     rng = np.random.default_rng(5)
     T = taut.Pose.of(turned(axes()[7], 1.1), rng.normal(size=3))
     xi = rng.normal(size=6)
-    left = spatial.pose_exp(spatial.adjoint(T) @ xi)
-    right = T @ spatial.pose_exp(xi) @ T.inverse()
+    left = pose_exp(spatial.adjoint(T) @ xi)
+    right = T @ pose_exp(xi) @ T.inverse()
     assert np.abs(left.matrix - right.matrix).max() <= 1e-14
 
 
 def test_derivatives_through_a_traced_logarithm_are_finite_at_the_identity() -> None:
-    J = tm.jacobian(lambda xi: spatial.pose_log(spatial.pose_exp(xi)), np.zeros(6))
+    J = tm.jacobian(lambda xi: spatial.pose_log(spatial.moved(taut.Pose(), xi)), np.zeros(6))
     assert np.abs(J - np.eye(6)).max() <= 1e-15
 
 

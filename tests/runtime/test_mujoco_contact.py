@@ -70,8 +70,10 @@ def test_a_tool_with_a_length_touches_with_its_side_and_with_the_edge_of_its_end
     # A ledge beside the tool, 30 mm above its end: only the side of a cylinder reaches it, after 2 mm.
     ledge = f'<geom type="box" size="0.05 1 0.01" pos="{x + 0.05 + radius + 0.002} 0 {z + 0.03}" friction="0"/>'
     pushing = arm.home + np.array([0.0, 0.05, 0.0, 0.1, 0.0, 0.0, 0.0])
-    cylinder = hold(taut.MujocoPlant(arm, scene=ledge, tool_radius=radius, tool_length=length), arm, pushing)
-    sphere = hold(taut.MujocoPlant(arm, scene=ledge, tool_radius=radius), arm, pushing)
+    cylinder = hold(
+        taut.MujocoPlant(arm, scene=ledge, tool_radius=radius, tool_length=length), arm, pushing, duration=0.5
+    )
+    sphere = hold(taut.MujocoPlant(arm, scene=ledge, tool_radius=radius), arm, pushing, duration=0.5)
     first = int(np.argmax(cylinder.extra["F_ext"].any(axis=1)))
     assert cylinder.extra["F_ext"][first, 0] < -5.0
     assert not sphere.extra["F_ext"][: first + 20].any()
@@ -83,13 +85,13 @@ def test_a_scene_stands_where_it_is_put() -> None:
     wall = '<geom type="box" size="0.05 1 1" pos="0.05 0 0" friction="0"/>'  # its face at the origin, along -x
     here = f'<geom type="box" size="0.05 1 1" pos="{x + 0.012 + 0.05} {y} {z}" friction="0"/>'
     pushing = arm.home + np.array([0.0, 0.05, 0.0, 0.1, 0.0, 0.0, 0.0])
-    put = hold(taut.MujocoPlant(arm, scene=wall, scene_at=taut.Pose([x + 0.012, y, z])), arm, pushing)
-    written = hold(taut.MujocoPlant(arm, scene=here), arm, pushing)
+    put = hold(taut.MujocoPlant(arm, scene=wall, scene_at=taut.Pose([x + 0.012, y, z])), arm, pushing, duration=0.5)
+    written = hold(taut.MujocoPlant(arm, scene=here), arm, pushing, duration=0.5)
     assert put.extra["F_ext"][-1, 0] < -5.0
     np.testing.assert_allclose(put.extra["F_ext"], written.extra["F_ext"], atol=1e-6)
     # Turned by half a turn about z it is behind its face, where the tool pushes away from it.
     turned = taut.Pose([x - 0.012, y, z], rpy=[0.0, 0.0, np.pi])
-    behind = hold(taut.MujocoPlant(arm, scene=wall, scene_at=turned), arm, pushing)
+    behind = hold(taut.MujocoPlant(arm, scene=wall, scene_at=turned), arm, pushing, duration=0.5)
     assert not behind.extra["F_ext"].any()
 
 

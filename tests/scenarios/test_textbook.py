@@ -1,4 +1,4 @@
-"""The textbook's functions, against its own library, its own figure 10.13, and its own numbers."""
+"""The textbook's function, against its own library and its own numbers."""
 
 from __future__ import annotations
 

@@ -16,6 +16,7 @@ from taut.base.types import ArrayLike, Float64Array
 T = TypeVar("T")
 
 SYMMETRY_TOLERANCE = 1e-9  # relative to the largest entry
+MIN_LENGTH = 1e-9  # of a direction
 
 
 def _unit(unit: str) -> str:
@@ -132,6 +133,15 @@ def finite_array(
     array = float_array(name, value, shape=shape, unit=unit, joints=joints)
     require_range(name, array, unit=unit, joints=joints, minimum=minimum, above=above, infinite=infinite)
     return array
+
+
+def unit_vector(name: str, direction: ArrayLike) -> Float64Array:
+    """(3,) a direction, of length 1. Raises RangeError for one without length."""
+    given = finite_array(name, direction, shape=(3,))
+    length = float(np.linalg.norm(given))
+    if length < MIN_LENGTH:
+        raise RangeError(f"{name} must have a length, as [0, 0, 1]; got {given.tolist()}", name=name)
+    return read_only(given / length)
 
 
 def vector(

@@ -55,7 +55,7 @@ def eq_10_15() -> Shown:
 
 @entry("eq-10.16", "feedforward control")
 def eq_10_16() -> Shown:
-    """The chapter's h has friction, so that FrictionCompensation stands beside the law."""
+    """The chapter's h includes friction, so FrictionCompensation is added to the law."""
     tau = total(ticked(FED_FORWARD, link(r=WRONG_R), [THETA], [V], STATE).terms)[0]
     yield row("torque at theta_d = 0.9, 0.5, -1.2 [N m]", tau, model_torque(0.9, 0.5, -1.2), BY_HAND)
 
@@ -98,7 +98,7 @@ def fed_forward(number: int, r: float = WRONG_R) -> Callable[..., float]:
 
 
 def of_run(name: str, run: Run, written: Solved, states: str = "") -> Iterator[Row]:
-    """Errors and effort of a run beside those by SciPy."""
+    """Rows of the errors and the effort of a run, beside those by SciPy."""
     assert run.error is not None
     e, wanted = run.error[:, 0], written.e
     yield row(f"{name}: RMS error [rad]", rms(e), rms(wanted), ODE, rel=SAMPLED, states=states)
@@ -108,7 +108,7 @@ def of_run(name: str, run: Run, written: Solved, states: str = "") -> Iterator[R
 
 @entry("fig-10.10", "feedforward control with a wrong model")
 def fig_10_10() -> Shown:
-    """Numbers of the chapter. The chapter's h has friction, so that FrictionCompensation stands beside the law."""
+    """Numbers of the chapter. The chapter's h includes friction, so FrictionCompensation is added to the law."""
     figure, axes = panels(*((f"Task {number}", "angle [rad]", "t [s]") for number in (1, 2)), height=2.6)
     peaks, wanted_peaks = [], []
     for number, ax in enumerate(axes, 1):
@@ -153,10 +153,10 @@ def controllers() -> dict[str, tuple[Law, Callable[..., float]]]:
 
 @entry("fig-10.12", "feedforward, feedback, and both")
 def fig_10_12() -> Shown:
-    """Gains of figure 10.6 are torques, and those of 10.19 accelerations.
+    """Gains of figure 10.6 multiply errors into torques, those of equation 10.19 into accelerations.
 
-    Both readings are here, the second with the gains over M. Both confirm the chapter: better tracking than either
-    alone, less effort than feedback alone. FrictionCompensation stands beside the law for the friction in h.
+    Both readings are computed, the second with the gains divided by M. Both confirm the chapter: better tracking than
+    either alone, less effort than feedback alone. FrictionCompensation is added to the law for the friction in h.
     """
     titles = (
         ("Task 2", "angle [rad]", "t [s]"), ("tracking error", "error [rad]", "t [s]"),
@@ -189,7 +189,7 @@ def fig_10_12() -> Shown:
 def eq_10_17() -> Shown:
     """Chosen: Kp = 100, Kd = 20, Ki = 150, 0.8 rad at 0.7 Hz.
 
-    The chapter's h has friction, so that FrictionCompensation stands beside the law.
+    The chapter's h includes friction, so FrictionCompensation is added to the law.
     """
     kp, kd, ki, at = 100.0, 20.0, 150.0, 0.3
     law, sine = LINEARISING + FrictionCompensation(at="meas"), Sine(center=[0.3], amplitude=0.8, frequency=0.7)

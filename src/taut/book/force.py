@@ -31,7 +31,7 @@ PRESS: Final = TaskForce(F_app=F)
 
 @entry("eq-10.32", "dynamics of an arm that touches")
 def eq_10_32() -> Shown:
-    """The tool of two links slides on a plane, which takes the force that the dynamics leave.
+    """The tool of two links slides on a plane, which bounds its motion by a contact force.
 
     Chosen: 3 N m at both joints, 0.4 m/s along a frictionless plane; negative presses.
     """
@@ -73,7 +73,7 @@ def eq_10_35() -> Shown:
 
 @cache
 def pressing_down(kfi: float) -> tuple[Run, Any]:
-    """A Panda that presses, and carries what its law does not know; (k,) the error of the vertical force [N]."""
+    """A run of a Panda that presses with an unmodelled load, and (k,) its error of the vertical force [N]."""
     held = Environments(
         spring=Spring(stiffness=[2e4, 2e4, 2e4, 500.0, 500.0, 5.0]),
         damper=Damper(damping=[400.0, 400.0, 400.0, 6.0, 6.0, 0.05]),
@@ -86,7 +86,7 @@ def pressing_down(kfi: float) -> tuple[Run, Any]:
 
 @entry("eq-10.36", "its error")
 def eq_10_36() -> Shown:
-    """Without its integral, (1 + Kfp) F_e is what the law does not know: its load's weight.
+    """Without the integral, (1 + Kfp) F_e equals the unmodelled weight of the load.
 
     The feedforward F_d was left out: (I + Kfp) F_e + Kfi int(F_e) is what g does not know. A Panda against
     springs, Kfp = 0.5, with half a kilogram that the law does not know.
@@ -109,7 +109,7 @@ def eq_10_37() -> Shown:
 
 @entry("eq-10.38", "force control with damping")
 def eq_10_38() -> Shown:
-    """With nothing to press on, the damping bounds the speed.
+    """Without contact, the damping bounds the speed.
 
     The damping is that at the end of the tick, (I + Kdamp Lambda^-1 dt)^-1 Kdamp V, which is the chapter's as dt
     falls. Chosen: Kdamp = (40, 2) and 0.1 about z; the gantry has 10 N and 50 N s/m.
@@ -156,7 +156,7 @@ def eraser() -> Constraint:
 
 
 def counted(name: str, found: ConstraintTable, motions: int, forces: int) -> Iterator[Row]:
-    """Rows of how many motions and forces may be chosen."""
+    """Rows of the numbers of motions and forces that may be specified."""
     states = f"{motions} + {forces}"
     yield row(f"{name}: motions that may be chosen", found.motions, motions, "the chapter", states=states)
     yield row(f"{name}: forces that may be chosen", found.forces, forces, "the chapter")

@@ -104,7 +104,7 @@ def dry() -> Arm:
 
 
 def pushed(push: float, law: Law | None, duration: float = LAST / FREQUENCY) -> Run:
-    """A run under a constant torque, and a law beside it."""
+    """A run under a constant torque plus the torque of a law."""
     constant = ConstantTorque(tau=push)
     ctrl = controller(constant if law is None else constant + law, dry())
     # four steps of the plant in a tick: each rest ends in one of them
@@ -158,7 +158,7 @@ SUMS: Final = "I_link / (I_link + G^2 I_motor)"
 
 
 def geared(ratio: float, *, load: float = 0.0, b: float = 0.0) -> Arm:
-    """The chapter's example in a horizontal plane, with what it carries [kg m^2]."""
+    """The chapter's example in a horizontal plane, with the inertia of a load [kg m^2]."""
     return one_joint(M=I_LINK + load, m=1.0, r=0.1, b=b).with_gravity([0.0, 0.0, 0.0]).with_gears(ratio, I_MOTOR)
 
 
@@ -206,7 +206,7 @@ def sec_10_2_1_5() -> Shown:
 
 @entry("sec-10.2.1.5", "where friction dominates")
 def first_order() -> Shown:
-    """A joint whose friction dominates is nearer to a viscous system of first order.
+    """A joint dominated by friction behaves more like a first-order viscous system.
 
     Chosen: b = 0.1 N m s/rad in direct drive, and 1000 with G = 100: the motor's friction, times G^2.
     """

@@ -54,7 +54,7 @@ def eq_10_39() -> Shown:
 
 @entry("eq-10.41", "the rate of the constraints")
 def eq_10_41() -> Shown:
-    """A-dot V on a ball: m v^2 / r without the mass, by the motion of a point on a sphere.
+    """A-dot V on a ball is the centripetal acceleration v^2 / r of a point on a sphere.
 
     The rows of phi are distances, so that A-dot V is an acceleration. Velocity as in equation 10.39.
     """
@@ -83,7 +83,7 @@ def pressed() -> tuple[Run, MujocoState]:
 
 @entry("eq-10.40", "constrained dynamics")
 def eq_10_40() -> Shown:
-    """A Panda that strokes a board, 0.1 m in 0.5 s, and presses with 10 N; negative presses."""
+    """A Panda wipes a board, 0.1 m in 0.5 s, and presses with 10 N; the multiplier of a push is negative."""
     out, m = pressed()
     A_q, bias = BOARD_A @ m.J, BOARD_A @ m.Jdot_v
     free = np.linalg.solve(m.M, out.tau[MIDDLE] - m.h)
@@ -94,7 +94,7 @@ def eq_10_40() -> Shown:
 
 @entry("eq-10.42", "the multipliers")
 def eq_10_42() -> Shown:
-    """A law's own estimate, beside equation 10.42 and what a rigid contact takes.
+    """The multiplier that a law estimates, beside equation 10.42 and the force of a rigid contact.
 
     On curved surfaces A^T (A Lambda^-1 A^T)^-1 A-dot V enters the force: 2.7 of 10 N for 3 kg at 0.3 m/s on a
     radius of 0.1 m. Equation 10.45 leaves it out; here it is the term `curvature`.
@@ -117,7 +117,7 @@ def eq_10_42() -> Shown:
 
 @entry("eq-10.43", "the equations of motion that are left")
 def eq_10_43() -> Shown:
-    """Only P F moves the tool: what is added in the range of A^T changes no acceleration.
+    """Only P F moves the tool: a force in the range of A^T changes no acceleration.
 
     The stroke of equation 10.40; accelerations are differences over a tick of 1 ms.
     """

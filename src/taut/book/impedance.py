@@ -78,12 +78,12 @@ class Pushed(Environment):
 
 @cache
 def slides() -> Arm:
-    """The gantry without friction: its three directions stand for one each."""
+    """The gantry without friction, whose three directions are decoupled."""
     return taut.load_arm("gantry3").with_joints(viscous=0.0)
 
 
 VIRTUAL: Final = Impedance(D=(D, ANGULAR[0]), B=(B, ANGULAR[1]), K=(K, ANGULAR[2]))
-"""A mass, a damper and a spring that an arm shows at its tool."""
+"""A mass, a damper and a spring that an arm renders at its tool."""
 
 
 def still(arm: Arm) -> TaskMotion:
@@ -146,7 +146,7 @@ def eq_10_47() -> Shown:
 
 
 def pushed_panda(law: Law) -> tuple[Any, Iterator[Row]]:
-    """(k, 3) how far the tool of a Panda moves that is pushed along y, at 1 kHz; rows of it."""
+    """(k, 3) displacement of the tool of a Panda that is pushed along y, at 1 kHz, and rows of it."""
     rest = still(panda())
     out = simulated(law, panda(), rest, duration=2.0, environment=Pushed(axis=1, force=8.0))
     moved = out.task.p - rest.p
@@ -157,7 +157,7 @@ def pushed_panda(law: Law) -> tuple[Any, Iterator[Row]]:
 
 @entry("eq-10.48", "the behaviour that is asked of an arm")
 def eq_10_48() -> Shown:
-    """D, B and K of equation 10.46 in all directions, (0.05, 0.5, 10) for turning; 1 kHz."""
+    """D, B and K of equation 10.46 in all directions, (0.05, 0.5, 10) for rotation; 1 kHz."""
     moved, shown = pushed_panda(VIRTUAL)
     yield from shown
     yield row("where it comes to rest [m]", moved[-1, 1], 8.0 / K, "K^-1 F_ext", rel=5e-3)
@@ -190,7 +190,7 @@ def eq_10_49() -> Shown:
 
 
 class MeasuredInertia(Law):
-    """Inertia by the acceleration of the tick before, as equation 10.49 has it, and nothing else.
+    """The inertia term of equation 10.49 alone, with the acceleration measured in the previous tick.
 
     Law:          tau = (M - D) a, with a differenced velocities
     Closed loop:  a_next = (1 - M^-1 D) a, tick by tick
@@ -208,14 +208,14 @@ class MeasuredInertia(Law):
 
 
 def echoed(factor: float) -> float:
-    """Ratio of the acceleration to that of the tick before, with D a multiple of M."""
+    """Ratio of the acceleration to that of the previous tick, with D a multiple of M."""
     arm = link(gravity=False, b=0.0)
     a = np.diff(simulated(MeasuredInertia(D=factor * M), arm, duration=0.02, q0=[0.0], v0=[1e-3]).v[:, 0])
     return float(a[10] / a[9])
 
 
 def accepted(factor: float) -> bool:
-    """A gantry's x axis may show a multiple of its inertia by its own measured acceleration."""
+    """The library accepts an apparent inertia that is a multiple of the gantry's, with measured acceleration."""
     arm = slides().subset(["x"])
     mass = float(snapshot(arm, [0.0]).M[0, 0])
     law = Impedance(D=(factor * mass, 1.0), B=(10.0, 1.0), K=(10.0, 1.0), feedback="acceleration")
@@ -252,7 +252,7 @@ PLACE: Final = taut.Coordinates.position()
 
 @entry("sec-10.5", "high and low impedance")
 def kinds() -> Shown:
-    """Motion control is high impedance, force control low; and what the first does to a disturbance.
+    """Motion control has a high impedance, force control a low one.
 
     A gantry of 21 kg along x at 10 kHz, by taut.analysis.tool_impedance. Chosen: motion control with kp = 400, kd
     = 40; impedance control with K and B of equation 10.46 and the gantry's own inertia; force control of no force
@@ -282,7 +282,7 @@ def kinds() -> Shown:
 
 @entry("sec-10.5", "what impedance and admittance control are good at")
 def sides() -> Shown:
-    """A hand holds the tool by a handle: which of the two laws stands a low impedance, and which a stiff one.
+    """A hand holds the tool: impedance control is stable with low impedances, admittance control with stiff ones.
 
     A hand of 1 kg, 5 N s/m and 300 N/m on the gantry's tool, 1 kHz, by taut.linearise. Chosen: m = 0.1 kg, b = 2
     N s/m, k = 20 N/m as a low impedance, 20 kg, 200 N s/m, 1e6 N/m as a stiff one; impedance control leaves the
@@ -318,7 +318,7 @@ def radius(stiffness: float, rate: float) -> float:
 
 @entry("fig-10.17", "a virtual mass, spring and damper")
 def fig_10_17() -> Shown:
-    """Chosen: a display of 0.2 kg with 1 N s/m that shows a spring and 0.5 N s/m, with differenced positions.
+    """Chosen: a display of 0.2 kg with 1 N s/m that renders a spring and 0.5 N s/m, with differenced positions.
 
     More of it is on the page about haptics.
     """
@@ -377,7 +377,7 @@ def _display(ax: Any) -> None:
 
 @entry("sec-10.6", "a flexible transmission")
 def soft_joint() -> Shown:
-    """The link, free, with a spring and a damper between it and its motor. By taut.linearise.
+    """The free link with a spring and a damper between it and its motor, by taut.linearise.
 
     Chosen: a gear of 100, a rotor of 1e-4 kg m^2, 2000 N m/rad and 5 N m s/rad between motor and link; no law, no
     friction, no gravity.

@@ -51,7 +51,7 @@ def figure_10_6(ki: float, kp: float = KP) -> Run:
 
 
 def written_10_6(ki: float, times: Float64Array) -> Float64Array:
-    """(k,) the error of the same by SciPy."""
+    """(k,) error of the same loop by SciPy."""
 
     def tau(_: float, theta: float, v: float, e_int: float) -> float:
         return -KP * theta + ki * e_int - KD * v
@@ -73,7 +73,7 @@ def eq_10_11() -> Shown:
 
 @cache
 def constant_disturbance(ki: float) -> Run:
-    """The weight of a slide of 3 kg, which is the same everywhere; critically damped."""
+    """A run of a slide of 3 kg under its weight, a constant disturbance; critically damped."""
     slide = taut.load_arm("gantry3").subset(["z"]).with_joints(viscous=0.0)
     return on_link(PID(kp=300.0, kd=60.0, ki=ki), JointMotion(q=[0.1]), plant=slide, duration=10.0)
 
@@ -92,7 +92,7 @@ def eq_10_12() -> Shown:
 
 @entry("eq-10.13", "third-order error dynamics")
 def eq_10_13() -> Shown:
-    """An integral removes what a constant disturbance leaves. Numbers of equation 10.12."""
+    """An integral removes the steady-state error of a constant disturbance. Numbers of equation 10.12."""
     with_i, without = (0.1 - constant_disturbance(ki).q[-1, 0] for ki in (400.0, 0.0))
     yield row("error in the end, Ki = 0 [m]", without, 3.0 * 9.81 / 300.0, "tau_dist / Kp", rel=1e-6)
     yield row("error in the end, Ki > 0 [m]", with_i, 0.0, "equation 10.13", near=1e-6)
@@ -245,7 +245,7 @@ def delayed() -> Shown:
 
 @entry("sec-10.2.1.1", "practical bounds on gains")
 def bounded() -> Shown:
-    """Critically damped designs at 100 Hz with differenced positions: in the book any of them is stable.
+    """Critically damped designs at 100 Hz with differenced positions; in continuous time all are stable.
 
     According to the simple model Kp and Kd could grow without bound. With a servo of 100 Hz and differenced
     positions as in figure 10.8 they cannot, even with a torque that has no limits. In a horizontal plane.

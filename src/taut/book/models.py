@@ -1,4 +1,4 @@
-"""The arms of the book: runs of them, and the same by SciPy, by hand and by MuJoCo."""
+"""The arms of the book: runs of them, and the same by SciPy and MuJoCo."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def looped(
     duration: float = 1.0,
     **options: Any,
 ) -> Loop:
-    """A law for an arm on a rigid plant of the same arm or another, without friction if no more is said."""
+    """A law for an arm on a rigid plant of the same arm or another, without friction by default."""
     ctrl = law if isinstance(law, Controller) else taut.compile(law, arm, rate=rate)
     return Loop(ctrl, RigidPlant(plant or arm, **{"friction": None, **options}), ref, duration=duration)
 
@@ -67,7 +67,7 @@ def simulated(
     v0: ArrayLike | None = None,
     **options: Any,
 ) -> Run:
-    """A run of such a loop, which begins at home and at rest if no more is said."""
+    """A run of such a loop, which begins at home and at rest by default."""
     return taut.run(looped(law, arm, ref, duration=duration, **options), q0=q0, v0=v0, progress=False)
 
 
@@ -92,14 +92,14 @@ def on_link(
 
 
 def ticked(law: Law, arm: Arm, q: ArrayLike, v: ArrayLike, ref: Sample, **measured: ArrayLike) -> Controller:
-    """A controller after one tick at 1 kHz, not compiled: `terms` has what it asked for, `memory` what it keeps."""
+    """A controller after one tick at 1 kHz, on floats, with its `terms` and its `memory`."""
     ctrl = taut.compile(law, arm, rate=1000.0, engine="float")
     ctrl.step(q, v, ref, **measured)
     return ctrl
 
 
 def total(terms: Mapping[str, Float64Array]) -> Float64Array:
-    """(n,) what the terms of a law add up to [N m | N]."""
+    """(n,) sum of the terms of a law [N m | N]."""
     added: Float64Array = np.sum(list(terms.values()), axis=0)
     return added
 
@@ -137,7 +137,7 @@ def solved(
 
 
 def one_pole(t: Float64Array, y: Float64Array) -> float:
-    """The rate at which something dies away, by a straight line through its logarithm [1/s]."""
+    """Decay rate by a straight line through the logarithm [1/s]."""
     return float(np.polyfit(t, np.log(np.abs(y)), 1)[0])
 
 

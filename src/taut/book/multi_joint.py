@@ -67,7 +67,7 @@ SOLVED: Final = "SciPy's DOP853 of 10.23, with MuJoCo's M and h"
 
 @cache
 def falling() -> tuple[Run, Lyapunov]:
-    """Two links under PD control with gravity compensation, from afar; V along that run and its rate."""
+    """A run of two links under PD control with gravity compensation; V along that run and its rate."""
     law, goal = GravityPID(kp=KP, kd=KD), JointMotion(q=GOAL)
     run = simulated(law, two_links(), goal, rate=FAST_RATE, duration=LYAPUNOV_DURATION, q0=START, integrator="rk4")
     return run, lyapunov(run)

@@ -24,7 +24,7 @@ SIZE, PACE, LONG = 0.8, 4.0, math.pi  # [rad], [rad/s], [s] of the sine that is 
 
 @entry("fig-10.1", "a robot control system")
 def fig_10_1() -> Shown:
-    """In the controller stand the terms of taut.laws.ComputedTorque."""
+    """The controller lists the terms of taut.laws.ComputedTorque."""
     terms = ticked(ComputedTorque(kp=KP, kd=KD, ki=1.0), link(), [0.1], [0.2], JointMotion(q=[0.3])).terms
     a = KP * 0.2 - KD * 0.2 + 0.2 * 1e-3
     name = "torque of the controller drawn, all terms together [N m]"
@@ -89,7 +89,7 @@ def written(rate: float) -> float:
 
 @entry("sec-10.1", "higher servo rates stop paying")
 def sec_10_1() -> Shown:
-    """The chapter: higher update rates are of limited benefit. What is left at high rates is the error of the model.
+    """The chapter: higher update rates are of limited benefit. At high rates the error of the model remains.
 
     Chosen: feedback linearisation and FrictionCompensation, Kp = 400, Kd = 40, differenced positions, r = 0.08 m
     in the model, 0.8 rad at 4 rad/s.
@@ -117,7 +117,7 @@ STEP, PACE_SLOW, CUTOFF, TICKS = 1e-3, 0.05, 20.0, 2000  # [rad] of an encoder, 
 
 @entry("sec-10.1", "jitter of differenced positions")
 def jitter() -> Shown:
-    """A joint that turns slowly, seen by a coarse encoder, differenced with and without a low-pass.
+    """A joint that rotates slowly, measured by a coarse encoder, differenced with and without a low-pass filter.
 
     Chosen: 0.05 rad/s, an encoder of 1 mrad, 1 kHz, a low-pass of 20 Hz.
     """

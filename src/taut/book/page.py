@@ -1,4 +1,4 @@
-"""Numbers beside what they should be, and pictures, under the chapter's own numbers."""
+"""Entries of the book: computed numbers beside expected ones, and pictures."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ EXPECTED_ZERO: Final = 1e-9  # expected number to which a difference is not rela
 
 @dataclass(frozen=True)
 class Row:
-    """One number that this library computed, beside what it should be."""
+    """One number that this library computed, beside the expected one."""
 
     quantity: str
     unit: str  # empty for a pure number
@@ -50,7 +50,7 @@ class Row:
 
     @property
     def ok(self) -> bool:
-        """The two are as near as they should be."""
+        """The difference is within the tolerance."""
         return abs(self.difference) <= self.within
 
     def json(self, name: str) -> dict[str, Any]:
@@ -80,7 +80,7 @@ def row(
     near: float = 0.0,  # absolute tolerance added to it
     states: str = "",
 ) -> Row:
-    """A row of anything that is a number."""
+    """A row of a computed and an expected number."""
     name, _, unit = quantity.removesuffix("]").partition(" [")
     wanted = float(expected)
     return Row(name, unit, float(computed), wanted, source, rel * abs(wanted) + near, states)
@@ -223,7 +223,7 @@ def legend(ax: Axes, **options: Any) -> None:
 
 
 def words(ax: Axes, at: ArrayLike, text: str, *, size: float = SMALL, **options: Any) -> None:
-    """Letters in the middle of a point."""
+    """Letters centred at a point."""
     x, y = np.asarray(at).tolist()
     ax.text(x, y, text, **{"fontsize": size, "color": INK, "ha": "center", "va": "center", **options})
 

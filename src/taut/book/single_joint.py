@@ -63,7 +63,7 @@ STATE: Final = f"Chosen: theta = {THETA} rad, theta-dot = {V} rad/s, theta-ddot 
 
 
 class ConstantTorque(Law):
-    """A torque that nothing changes.
+    """A constant torque.
 
     Law:          tau = tau_0
     Closed loop:  M a + h = tau_0
@@ -102,7 +102,7 @@ def eq_10_3() -> Shown:
 
 @entry("eq-10.4", "the same in two terms")
 def eq_10_4() -> Shown:
-    """Here x.h is C v + g, and friction a term of its own; the two are the chapter's h.
+    """Here x.h is C v + g, and friction is a separate term; their sum is the chapter's h.
 
     Chosen: theta = 0.7 rad, theta-dot = 1.3 rad/s, theta-ddot = -0.4 rad/s^2.
     """
@@ -119,7 +119,7 @@ def eq_10_5() -> Shown:
 
 
 def angles(count: int) -> Float64Array:
-    """(count,) what senseAngle gives in the pseudocode at 100 Hz: some motion that is not the desired one."""
+    """(count,) what senseAngle gives in the pseudocode at 100 Hz: a motion other than the desired one."""
     t = 0.01 * np.arange(count)
     made: Float64Array = 0.4 * np.sin(2.0 * t) + 0.02 * np.cos(11.0 * t)
     return made
@@ -308,7 +308,7 @@ def eq_10_10() -> Shown:
 
 @entry("sec-10.2.1.1", "stability, settling and overshoot")
 def sec_10_2_1_1() -> Shown:
-    """4 tau is a rule for the envelope.
+    """4 tau is a rule of thumb for the envelope.
 
     The exact settling time is 5.83 / omega_n at zeta = 1 and 3.60 / omega_n at 0.78, where 4 tau would be 4 and
     5.1.
@@ -334,7 +334,7 @@ def sec_10_2_1_1() -> Shown:
 
 @entry("fig-10.4", "the response to a step")
 def fig_10_4() -> Shown:
-    """A slide under a constant force stands for the link: its steady-state error is exact, its response linear.
+    """A slide under its weight replaces the link: its response is linear, its steady-state error exact.
 
     Chosen: a slide of 3 kg that its weight pulls down, zeta = 0.25, omega_n = 20 rad/s, a step of 0.2 m.
     """

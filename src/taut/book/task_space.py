@@ -32,7 +32,7 @@ CENTRE, RADIUS = np.array([0.55, 0.1]), 0.1  # [m] x and z
 
 
 def around(t: float) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """(2,) place, velocity and acceleration on the circle."""
+    """(2,) position, velocity and acceleration on the circle."""
     s, c = math.sin(W * t), math.cos(W * t)
     return CENTRE + RADIUS * np.array([c, s]), RADIUS * W * np.array([-s, c]), -RADIUS * W**2 * np.array([c, s])
 
@@ -56,7 +56,7 @@ def joints(t: float) -> tuple[Float64Array, Float64Array, Float64Array]:
 
 @cache
 def followed() -> tuple[Controller, tuple[Float64Array, Float64Array, Float64Array]]:
-    """A law that goes by way of the joints, after 0.4 s on the circle, and q, v and a written out."""
+    """A joint-space law after 0.4 s on the circle, and q, v and a with MuJoCo's Jacobian."""
     ctrl = taut.compile(taut.via_joint_space(ComputedTorque(kp=100.0, kd=20.0), directions="position"), two_links())
     for k in range(401):
         p, v, a = (np.array([each[0], 0.0, each[1]]) for each in around(1e-3 * k))
@@ -127,7 +127,7 @@ def eq_10_31() -> Shown:
 
 @dataclass(frozen=True)
 class Spinning:
-    """A target that turns on the spot."""
+    """A target that rotates in place."""
 
     T: Pose
     w: Float64Array  # [rad/s]
@@ -138,7 +138,7 @@ class Spinning:
 
 
 class AsWritten(Law):
-    """Equation 10.31 with the chapter's body error and the desired acceleration fed as it is.
+    """Equation 10.31 with the chapter's body error and the desired acceleration fed forward untransported.
 
     Law:          tau = J^T Lambda (V-dot_d + kp X_e + kd V_e - J-dot v) + h, X_e = log(T^-1 T_des)
     Closed loop:  X_e-ddot + (kd + ad V_d) X_e-dot + kp X_e = 0 to first order, about a target that turns
@@ -213,7 +213,7 @@ def screw(T0: Pose, T1: Pose) -> Float64Array:
 
 
 def aside(way: Float64Array) -> Float64Array:
-    """(k,) how far a way is from the straight line along SHIFT [m]."""
+    """(k,) distance of a path from the straight line along SHIFT [m]."""
     ahead = SHIFT / np.linalg.norm(SHIFT)
     moved = way - way[0]
     return np.asarray(np.linalg.norm(moved - np.outer(moved @ ahead, ahead), axis=1))

@@ -90,13 +90,6 @@ def rotation_exp(w: Vector3) -> Rotation:
     return tm.eye(3) + a * W + b * (W @ W)  # type: ignore[no-any-return]
 
 
-def left_jacobian(w: Vector3) -> Matrix:
-    """(3, 3) J with: exp(w + dw) = exp(J dw) exp(w) to first order. The right one is its transpose."""
-    _, b, c = _sines(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
-    W = tm.skew(w)
-    return tm.eye(3) + b * W + c * (W @ W)  # type: ignore[no-any-return]
-
-
 def _curve(angle2: Any, defect: Any) -> Any:
     """(1 - (a/2) / tan(a/2)) / a^2, from a^2 and its numerator."""
     small = angle2 < SERIES_BELOW
@@ -112,7 +105,7 @@ def curve(w: Vector3) -> Any:
 
 
 def left_jacobian_inverse(w: Vector3) -> Matrix:
-    """(3, 3) inverse of `left_jacobian`, for |w| up to pi: the rate of w of a rotation that turns at J dw."""
+    """(3, 3) inverse left Jacobian, |w| up to pi: the rate of w of a rotation exp(w) per angular velocity."""
     W = tm.skew(w)
     c = curve(w)
     return tm.eye(3) - 0.5 * W + c * (W @ W)  # type: ignore[no-any-return]
@@ -130,15 +123,6 @@ def pose_log(T: Pose) -> Twist:
     """(6,) the constant twist that leads from the identity to T in one second [m, rad]."""
     w, c = rotation_log_and_curve(T.R)
     return tm.array([*turned_back(w, c, T.p), *w])
-
-
-def pose_exp(xi: Twist) -> Pose:
-    """The pose after one second of the constant twist xi [m, rad]."""
-    v, w = xi[:3], xi[3:]
-    a, b, c = _sines(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
-    W = tm.skew(w)
-    square = W @ W
-    return Pose.of(tm.eye(3) + a * W + b * square, v + b * (W @ v) + c * (square @ v))
 
 
 def moved(T: Pose, step: Twist) -> Pose:

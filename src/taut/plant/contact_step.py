@@ -47,14 +47,12 @@ class _Here:
     A: Mapping[int, Any]  # (6,) of the rows that act at the tool's body, about its origin
     scale: Sequence[Any]  # of each contact with friction: force per multiplier
     tangents: Sequence[Matrix]  # of each, (2, 3)
-    arms: Mapping[int, Array]  # of each that acts at the tool's body, the way from the tool's origin to it
 
     @classmethod
     def at(cls, contacts: Contacts, x: Snapshot) -> _Here:
         k, m = contacts.count, contacts.size
         phi, B, moves, bias = tm.zeros(k), tm.zeros((m, x.n)), tm.zeros(m), tm.zeros(m)
         A: dict[int, Any] = {}
-        arms: dict[int, Array] = {}
         scale: list[Any] = []
         tangents: list[Matrix] = []
         for place in contacts.places:
@@ -77,11 +75,11 @@ class _Here:
                 J, falling = x.J(frame), x.Jdot_v(frame)
                 for e, i in zip(across, touch.tangents, strict=True):
                     B[i], bias[i] = e @ J[:3], e @ falling[:3]
-                if measured:
-                    arms[len(scale)] = np.zeros(3) if away is None else away
+                    if measured:
+                        A[i] = _about_tool(tm.array([*e, 0.0, 0.0, 0.0]), away)
                 scale.append(size)
                 tangents.append(across)
-        return cls(phi=phi, B=B, moves=moves, bias=bias, A=A, scale=scale, tangents=tangents, arms=arms)
+        return cls(phi=phi, B=B, moves=moves, bias=bias, A=A, scale=scale, tangents=tangents)
 
 
 def contact_start(contacts: Contacts, x: Snapshot, *, load: bool) -> dict[str, Any]:
@@ -187,7 +185,7 @@ def contact_step(
         q=q_new,
         v=v_new,
         impulse=here.B.T @ so_far + there.B.T @ (total - so_far),
-        wrench=_wrench(contacts, here, shown),
+        wrench=_wrench(here, shown),
         memory={f"contact.{name}": value for name, value in after.items()},
     )
 
@@ -256,15 +254,11 @@ def _impulses(
     return contact_impulses(W, r, touches, mu, there, guess)
 
 
-def _wrench(contacts: Contacts, here: _Here, force: Vector) -> Array:
+def _wrench(here: _Here, force: Vector) -> Array:
     """(6,) of the forces of the rows that act on the tool's body, about its origin."""
     F: Any = np.zeros(6)
     for i, row in here.A.items():
         F = F + row * force[i]
-    for n, (_, touch) in enumerate(contacts.rubbing):
-        if n in here.arms:
-            f = here.tangents[n].T @ tm.array([force[i] for i in touch.tangents])
-            F = F + tm.array([*f, *tm.cross(here.arms[n], f)])
     return F  # type: ignore[no-any-return]
 
 

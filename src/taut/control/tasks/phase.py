@@ -9,8 +9,8 @@ from typing import Any, Final, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
-from taut.base.checks import finite_scalar, one_of, positive_scalar, vector, whole_number
-from taut.base.errors import RangeError, ShapeError, UsageError, unknown_name
+from taut.base.checks import finite_scalar, one_of, positive_scalar, unit_vector, whole_number
+from taut.base.errors import ShapeError, UsageError, unknown_name
 from taut.base.types import ArrayLike
 from taut.control.combine import all_laws
 from taut.control.law import Law
@@ -81,11 +81,8 @@ def contact(x: Seen, force: float, direction: ArrayLike | None = None, frame: Ax
     F = x.F_ext[:3]
     if direction is None:
         return tm.norm(F) > force
-    along = vector("direction", direction, 3)
-    length = float(np.linalg.norm(along))
-    if length == 0.0:
-        raise RangeError("direction must have a length; got zeros", name="direction", rule="not zero")
-    axes = along / length if frame == "world" else x.T().R @ (along / length)
+    along = unit_vector("direction", direction)
+    axes = along if frame == "world" else x.T().R @ along
     return axes @ F > force
 
 

@@ -9,8 +9,8 @@ from typing import Any, Final, Self
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.base.checks import finite_array, instance_of, positive_scalar, read_only
-from taut.base.errors import RangeError, ShapeError, UsageError
+from taut.base.checks import finite_array, instance_of, positive_scalar, unit_vector
+from taut.base.errors import ShapeError, UsageError
 from taut.base.types import Array, ArrayLike, Float64Array
 from taut.maths.constraints.rows import ConstraintRows, Piece, Surface, joined, of_joints, of_poses
 from taut.maths.snapshot import Snapshot
@@ -18,7 +18,6 @@ from taut.maths.spatial import rotation_log
 from taut.trace import math as tm
 from taut.trace.pose import Pose
 
-NO_LENGTH: Final = 1e-9  # of a direction
 MIN_SQUARE: Final = 1e-24  # [m^2] keeps a root from zero, where it has no slope
 
 
@@ -201,7 +200,7 @@ class Constraint:
             sideways: (3,) the wheel's axle, or the normal of the blade, in the tool's axes.
             frame: The frame; the arm's tool if left out.
         """
-        side = _unit("sideways", sideways)
+        side = unit_vector("sideways", sideways)
         return cls.pfaffian(lambda T: tm.array([*(T.R @ side), 0.0, 0.0, 0.0]), frame=frame)
 
     @classmethod
@@ -229,10 +228,10 @@ class Constraint:
             period: Of that oscillation [s].
             frame: The frame; the arm's tool if left out.
         """
-        p, n = _three("point", point, "m"), _unit("normal", normal)
+        p, n = _three("point", point, "m"), unit_vector("normal", normal)
         speed, half = float(n @ _three("velocity", velocity, "m/s")), 0.5 * float(n @ _three("sway", sway, "m"))
         omega = 2.0 * np.pi / positive_scalar("period", period, unit="s")
-        flat = None if face is None else _unit("face", face)
+        flat = None if face is None else unit_vector("face", face)
         e1, e2 = _across(n)
 
         def displacement(t: Any) -> Any:
@@ -270,7 +269,7 @@ class Constraint:
             one_sided: Whether the surface only pushes.
             frame: The frame; the arm's tool if left out.
         """
-        c, n = _three("point", point, "m"), _unit("normal", normal)
+        c, n = _three("point", point, "m"), unit_vector("normal", normal)
         axes, surface = np.array([n, *_across(n)]), Surface(kind="plane", point=c, axis=n)
         sides = (one_sided, False, False)
         return cls.of([of_poses(lambda T: tm.array(list(axes @ (T.p - c))), (frame,), sides, surface=surface)])
@@ -302,7 +301,7 @@ class Constraint:
         frame: str | None = None,
     ) -> Self:
         """The tool's origin on a cylinder about an axis through a point: outside of it, or in its hollow."""
-        c, u, r = _three("point", point, "m"), _unit("axis", axis), positive_scalar("radius", radius, unit="m")
+        c, u, r = _three("point", point, "m"), unit_vector("axis", axis), positive_scalar("radius", radius, unit="m")
         sign, surface = -1.0 if inside else 1.0, Surface(kind="cylinder", point=c, axis=u, radius=r, inside=inside)
 
         def phi(T: Pose) -> Any:
@@ -314,7 +313,7 @@ class Constraint:
     @classmethod
     def line(cls, *, point: ArrayLike, axis: ArrayLike, frame: str | None = None) -> Self:
         """The tool's origin on a straight line through a point, along an axis, its rotation free: two rows."""
-        c, (e1, e2) = _three("point", point, "m"), _across(_unit("axis", axis))
+        c, (e1, e2) = _three("point", point, "m"), _across(unit_vector("axis", axis))
         return cls.of([of_poses(lambda T: tm.array([e1 @ (T.p - c), e2 @ (T.p - c)]), (frame,))])
 
     @classmethod
@@ -328,7 +327,7 @@ class Constraint:
             frame: The frame; the arm's tool if left out.
         """
         instance_of("T", T, Pose, "a taut.Pose, one that the hinge allows")
-        c, u = _three("point", point, "m"), _unit("axis", axis)
+        c, u = _three("point", point, "m"), unit_vector("axis", axis)
         own, (e1, e2) = T.inverse(), _across(u)
         c_E, u_E = own.R @ c + own.p, own.R @ u
 
@@ -381,15 +380,6 @@ class Constraint:
 
 def _three(name: str, value: ArrayLike, unit: str = "") -> Float64Array:
     return finite_array(name, value, shape=(3,), unit=unit)
-
-
-def _unit(name: str, value: ArrayLike) -> Float64Array:
-    """(3,) a direction, of length 1. Raises RangeError."""
-    vector = _three(name, value)
-    length = float(np.linalg.norm(vector))
-    if length < NO_LENGTH:
-        raise RangeError(f"{name} must have a length, as [0, 0, 1]; got {vector.tolist()}", name=name)
-    return read_only(vector / length)
 
 
 def _size(d: Array) -> Any:

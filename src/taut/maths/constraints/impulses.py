@@ -9,7 +9,7 @@ from typing import Any, Final
 from taut.base.types import Matrix, Vector
 from taut.trace import math as tm
 
-CONTACT_SWEEPS: Final = 12  # of projections of each contact in its turn
+CONTACT_SWEEPS: Final = 16  # of projections of each contact in its turn
 CONTACT_NEWTON_STEPS: Final = 4  # of Newton's method for all contacts at once
 SLACK: Final = 1e-11  # of the diagonal, so that contacts that share a load need not be independent
 MIN_SLIDING: Final = 1e-30  # of squares of velocities: keeps quotients finite at rest
@@ -45,23 +45,23 @@ def contact_impulses(
         u_n = 0, or of a one-sided one   u_n >= 0,  p_n >= 0,  u_n p_n = 0
         u_t = 0 and |p_t| <= mu |p_n|,   or   p_t = -mu |p_n| u_t / |u_t|
 
-    the last with a round cone. Both are projections: p_n of p_n - u_n / W_nn, p_t of p_t - u_t / W_tt on the cone.
-    The contacts take turns in a fixed number of such projections, so that it is straight-line code. Newton's method
-    then solves for all of them together, as they touch, stick and slide: of its steps one that does not help is not
-    taken.
+    the last with a round cone. Both are projections: p_n of p_n - u_n / W_nn, then p_t of p_t - u_t / W_tt on the
+    cone. The contacts take turns in a fixed number of such projections, so that it is straight-line code. Newton's
+    method then solves for all of them together, as they touch, stick and slide: of its steps one that does not help
+    is not taken.
 
     References:
         Alart and Curnier, A mixed formulation for frictional contact problems prone to Newton like solution methods,
         Computer Methods in Applied Mechanics and Engineering 92 (1991).
     """
-    p = list(guess)
-    if len(touches) > 1 or touches[0].tangents:
+    p, alone = list(guess), len(touches) == 1 and not touches[0].tangents
+    if not alone:
         W = W + SLACK * sum(W[i, i] for i in range(len(p))) / len(p) * tm.eye(len(p))
-    for _ in range(CONTACT_SWEEPS):
+    for _ in range(1 if alone else CONTACT_SWEEPS):
         for touch, friction, may in zip(touches, mu, there, strict=True):
             for i, value in _Projected.of(W, r, touch, friction, may, p).impulses.items():
                 p[i] = value
-    if len(p) == 1:
+    if alone:
         return tm.array(p)
 
     def projected(p: Sequence[Any]) -> tuple[list[_Projected], Any]:
@@ -111,13 +111,17 @@ class _Projected:
         def u(i: int) -> Any:
             return _sum(r[i], ((W[i, j], p[j]) for j in range(len(r))))
 
-        push = {i: p[i] - u(i) / W[i, i] for i in touch.held}
+        held = touch.held
+        stop = tm.solve_spd(tm.array([[W[i, j] for j in held] for i in held]), tm.array([u(i) for i in held]))
+        push = {i: p[i] - part for i, part in zip(held, stop, strict=True)}
         on = both(there, push[touch.normal] > 0.0) if touch.one_sided else there
         impulses = {i: choose(on, value, 0.0) for i, value in push.items()}
         if not touch.tangents:
             return cls(touch=touch, impulses=impulses, on=on)
         signed = mu if touch.one_sided else choose(p[touch.normal] < 0.0, -mu, mu)
         step = 2.0 / sum(W[i, i] for i in touch.tangents)
+        # Friction is of the new normal impulse: that converges where both are strongly coupled.
+        p = [impulses.get(i, value) for i, value in enumerate(p)]
         z = [p[i] - step * u(i) for i in touch.tangents]
         size = tm.sqrt(z[0] * z[0] + z[1] * z[1] + MIN_SLIDING)
         fraction = tm.maximum(signed * p[touch.normal], 0.0) / size

@@ -85,15 +85,7 @@ class Piece:
 
     def value(self, place: Sequence[Any], t: Any) -> Array:
         """Phi (k,), or A of a Pfaffian one, at the poses of its frames, or at the joints. Raises ShapeError."""
-        given = self.function(*place, t) if self.timed else self.function(*place)
-        try:
-            if given is None or isinstance(given, (str, dict, set)):
-                raise TypeError
-            out: Array = tm.array(list(given)) if np.ndim(given) else tm.array([given])
-        except (TypeError, ValueError):
-            raise ShapeError(
-                f"the function of a constraint must give numbers; got {type(given).__name__}", name="function"
-            ) from None
+        out = _numbers(self.function(*place, t) if self.timed else self.function(*place))
         shape: tuple[int, ...] = (self.count,)
         if self.pfaffian:
             shape, out = (self.count, 6 if self.frames else len(place[0])), out if out.ndim == 2 else tm.array([out])
@@ -192,7 +184,7 @@ def of_poses(
     places = [[SOMEWHERE[(k + i) % len(SOMEWHERE)] for i in range(m)] for k in range(len(SOMEWHERE))]
     shape, *_ = [_shape(function, (*place, TRIED_AT) if timed else place) for place in places]
     row: tuple[int, ...] = (6,) if pfaffian else ()
-    count = 1 if shape == row or not shape else shape[0]
+    count = 1 if shape == row else shape[0]
     if shape not in (row, (count, *row)) or not 1 <= count <= MAX_ROWS:
         what = "A, (6,) or (k, 6) per twist" if pfaffian else f"a number or up to {MAX_ROWS} of them, (k,)"
         raise ShapeError(f"a constraint function must give {what}; got shape {shape}", name="function")
@@ -240,22 +232,28 @@ def _shape(function: Callable[..., Any], arguments: Sequence[Any]) -> tuple[int,
             f"{raised_location(cause)}",
             name="function",
         ) from cause
-    try:
-        given = np.asarray(value)
-        if value is None:
-            raise TypeError
-        np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ShapeError(
-            f"a constraint function must give a number or (k,) numbers; got {type(value).__name__}", name="function"
-        ) from None
-    if given.dtype == np.bool_:
+    shape = _numbers(value).shape
+    if np.asarray(value).dtype == np.bool_:
         raise UsageError(
             "a constraint function must give phi, a number that is zero on the constraint, and this one is a "
             "condition, True or False: for T.p[2] > 0.4 write lambda T: T.p[2] - 0.4, and one_sided=True",
             name="function",
         )
-    return given.shape
+    return shape
+
+
+def _numbers(given: Any) -> Array:
+    """(k,) or (k, m) what the function of a constraint gives. Raises ShapeError."""
+    try:
+        if given is None or isinstance(given, (str, dict, set)):
+            raise TypeError
+        out: Array = tm.array(list(given)) if np.ndim(given) else tm.array([given])
+    except (TypeError, ValueError):
+        raise ShapeError(
+            f"the function of a constraint must give a number or (k,) numbers; got {type(given).__name__}",
+            name="function",
+        ) from None
+    return out
 
 
 def _is_timed(function: object, places: int, *, may_be: bool) -> bool:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
 
-from taut.base.checks import finite_array
-from taut.base.errors import RangeError, UsageError
+from taut.base.checks import finite_array, unit_vector
+from taut.base.errors import UsageError
 from taut.base.fields import Choice, Declared, Field, Part
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array, Twist, Wrench
@@ -28,16 +29,6 @@ def pose_or_point(place: Pose | ArrayLike) -> Pose:
     if isinstance(place, str):
         raise UsageError(f"at must be a taut.Pose or a point (3,) [m]; got {place!r}", name="at")
     return place if isinstance(place, Pose) else Pose(finite_array("at", place, shape=(3,), unit="m"))
-
-
-def unit_vector(direction: ArrayLike) -> Float64Array:
-    """(3,) a direction of unit length."""
-    normal = finite_array("normal", direction, shape=(3,))
-    length = float(np.linalg.norm(normal))
-    if length < 1e-9:
-        raise RangeError(f"normal must have a length, as [0, 0, 1] for a floor; got {normal.tolist()}", name="normal")
-    out: Float64Array = normal / length
-    return out
 
 
 class Spring(Environment):
@@ -176,7 +167,7 @@ class StiffWall(Environment):
     """
 
     point: Field = Field(unit="m", shape=3)
-    normal: Field = Field(unit="1", shape=3, convert=unit_vector)
+    normal: Field = Field(unit="1", shape=3, convert=functools.partial(unit_vector, "normal"))
     stiffness: Field = Field(unit="N/m", above=0.0, hint="for free space leave the wall out")
     damping: Field = Field(0.0, unit="N s/m", minimum=0.0)
     onset: Field = Field(1e-4, unit="m", above=0.0, hint="1e-6 is nearly none")

@@ -163,7 +163,7 @@ class ForceStage(Stage):
         train, dt = self._train, parameters["dt"]
         q, v, outside = inputs["q"], inputs["v"], inputs["F_ext"]
         q_m, v_m = memory.get("q_motor", q), memory.get("v_motor", v)
-        touched, J_T = self._touched(inputs, parameters, memory), dyn.jacobian(self._model, q).T
+        touched = self._touched(inputs, parameters, memory)
         if touched is not None:
             outside = outside + touched[0]
         payload = PayloadValues.of(subtree(parameters, "plant.payload"))
@@ -178,7 +178,7 @@ class ForceStage(Stage):
         tau = asked + added
         load: Any = np.zeros(self._rig.arm.n)
         if train.lossy or (isinstance(train.friction, Friction) and np.any(train.friction.load_external_static)):
-            load = J_T @ outside - dyn.bias(self._model, q, v, payload)
+            load = dyn.jacobian(self._model, q).T @ outside - dyn.bias(self._model, q, v, payload)
         spring = train.spring(q, v, memory, parameters) if train.compliant else tau
         values = train.values(parameters)
         onto, half, limits = tau, np.zeros(self._rig.arm.n), None
@@ -198,7 +198,7 @@ class ForceStage(Stage):
             half = train.merged(half, np.zeros(self._rig.arm.n))
         forces = {"tau": asked, "onto": onto, "half": half, "cut": cut}
         if touched is not None:
-            forces |= {"wrench": touched[0], "of_wrench": J_T @ touched[0]}
+            forces |= {"wrench": touched[0], "of_wrench": dyn.jacobian(self._model, q).T @ touched[0]}
             out |= {f"environment.{name}": value for name, value in touched[1].items()}
         return forces, out
 
