@@ -64,7 +64,10 @@ def differences(made: LoopMap, point: Point, step: float, states: list[int]) -> 
     values = coordinates.read(point.memory, point.memory[np.newaxis])[0]
     steps = step * (1.0 + np.abs(values[states]))
     ways = coordinates.basis(point.memory)[states] * steps[:, np.newaxis]
-    after = made.after(point, point.memory + np.concatenate([ways, -ways]))
+    kernel = StepLoop(made.period, (point.inputs, point.parameters, point.memory), engine="native")
+    after, record = point.memory + np.concatenate([ways, -ways]), np.zeros((1, kernel.outputs.size))
+    for memory in after:
+        assert kernel.run(point.inputs[np.newaxis], point.parameters, memory, record) == 1
     up, down = np.split(coordinates.read(point.memory, after)[:, states], 2)
     return ((up - down) / (2.0 * steps[:, np.newaxis])).T
 

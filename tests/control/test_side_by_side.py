@@ -115,7 +115,7 @@ def test_references_side_by_side_must_be_references() -> None:
 def test_parts_of_two_kinds_of_command_are_refused(baxter: taut.Arm) -> None:
     right = tuple(name for name in baxter.joint_names if name.startswith("right"))
     law = taut.SideBySide(left=held("left"), right=(taut.laws.VelocityPI(kp=1.0), right))
-    with pytest.raises(taut.errors.MatchError, match="left a torque, right a velocity"):
+    with pytest.raises(taut.errors.MatchError, match="'left' a torque, 'right' a velocity"):
         taut.compile(law, baxter).needs  # noqa: B018
 
 

@@ -178,7 +178,9 @@ def test_two_laws_that_both_compensate_gravity_do_not_add() -> None:
 
 def test_commands_of_two_kinds_do_not_add() -> None:
     arm = taut.load_arm("planar2")
-    with pytest.raises(taut.errors.MatchError, match="of one kind; these give PID a torque, VelocityPI a velocity"):
+    with pytest.raises(
+        taut.errors.MatchError, match="of one kind; these give 'PID' a torque, 'VelocityPI' a velocity"
+    ):
         taut.compile(taut.laws.PID(kp=1.0) + taut.laws.VelocityPI(kp=1.0), arm)
 
 

@@ -39,7 +39,7 @@ BALANCED: Final = 1e-4  # [-] change of the scaling at which they end
 
 @dataclass(frozen=True, kw_only=True)
 class StepInfo:
-    """Step response of one output to one input, as in figure 10.4 of the chapter; NaN if it does not settle."""
+    """Step response of one output to one input, as in figure 10.4; NaN if it does not settle."""
 
     final: float  # after a unit step
     overshoot: float  # [%] of the final value

@@ -35,7 +35,7 @@ def numbers(values: Any) -> Numbers:
 
 @dataclass(frozen=True, kw_only=True)
 class Shape:
-    """A shape on a thing."""
+    """A geometric shape of a thing."""
 
     kind: ShapeKind
     size: Numbers  # (3,) [m] halves, as MuJoCo has them: of a cylinder radius and half its length
@@ -47,7 +47,7 @@ class Shape:
 
 @dataclass(frozen=True, kw_only=True)
 class Thing:
-    """What has one pose: at rest in the world, on the tool, or moving."""
+    """Shapes with one common pose: at rest in the world, fixed to the tool, or moving."""
 
     shapes: tuple[Shape, ...]
     p: Numbers = (0.0, 0.0, 0.0)  # [m] in the world, where it rests or begins
@@ -59,13 +59,13 @@ class Thing:
 
     @property
     def moves(self) -> bool:
-        """Whether it does by itself."""
+        """Whether it moves by itself."""
         return self.row is not None or bool(self.times)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mesh:
-    """Triangles."""
+    """A triangle mesh."""
 
     vertices: Float64Array  # (m, 3) [m]
     faces: Float64Array  # (f, 3) whole numbers
@@ -73,7 +73,7 @@ class Mesh:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Around:
-    """All of it."""
+    """Everything that stands around the arm, to be drawn."""
 
     things: tuple[Thing, ...] = ()
     meshes: tuple[Mesh, ...] = ()

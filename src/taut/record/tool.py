@@ -1,4 +1,4 @@
-"""What the tool did in a run: where it was and should have been, what touched it, and how it gave way."""
+"""The tool in a run: its pose and reference, the contact forces on it, and its deviation under them."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def wanted_press(reference: HybridMotion, n: Float64Array) -> Float64Array | Non
 
 
 def estimated_normal(run: Run) -> Float64Array | None:
-    """(k, 3) what the law took for the normal, where it estimates one; NaN where no phase that does acts."""
+    """(k, 3) the normal that the law estimates, where it estimates one; NaN while no such phase acts."""
     taken = [np.asarray(column) for name, column in run.extra.items() if name.endswith(ESTIMATE)]
     return functools.reduce(lambda a, b: np.where(np.isnan(a), b, a), taken) if taken else None
 

@@ -82,7 +82,7 @@ def _load(run: ExaminedRun) -> tuple[str, Float64Array]:
 
 
 def load(run: ExaminedRun, name: str) -> Finding | None:
-    """Gravity that nobody or two compensate, or a payload that was not declared: what the feedback then holds."""
+    """Gravity that is compensated twice or not at all, or an undeclared payload, which the feedback then holds."""
     found, torque = _load(run)
     fit = run.fit
     if found != name or fit is None or run.model is None:

@@ -56,7 +56,7 @@ def stretched_length(tool: Chain) -> float:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ArmModel:
-    """The arm that the controller believed in, with the payload that was declared to it, along a run."""
+    """The arm that the controller assumed, with the payload that was declared to it, along a run."""
 
     run: Run
     arm: Arm

@@ -45,7 +45,7 @@ def step_response(t: Float64Array, error: Float64Array) -> tuple[float, float, f
     e = error / error[0]
     tail = max(1, round(TAIL_FRACTION * len(e)))
     e_ss = float(np.mean(e[-tail:]))
-    if abs(1.0 - e_ss) < SETTLING_BAND:  # it never left: there is no way that it could have gone too far
+    if abs(1.0 - e_ss) < SETTLING_BAND:  # the joint never moved, so that it has no overshoot
         return np.nan, np.nan, 100.0 * e_ss
     y = (e - e_ss) / (1.0 - e_ss)
     before = min(round(0.9 * len(y)), len(y) - 1)

@@ -1,4 +1,4 @@
-"""The metrics of the tool: where it went, what touched it, and how it gave way."""
+"""The metrics of the tool: its motion and errors, the forces on it, and its deviation under them."""
 
 from __future__ import annotations
 
