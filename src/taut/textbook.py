@@ -1,4 +1,4 @@
-"""The control function of the textbook's library, by its name, signature and order of six-vectors.
+"""The control functions of the textbook's library, by its names, signatures and order of six-vectors.
 
 For code that uses the library `modern_robotics`: change the import to `taut.textbook`. The integral is that of
 equation 10.21, where the library's has no time step.
@@ -9,16 +9,25 @@ References:
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.base.checks import finite_array, finite_scalar
-from taut.base.types import ArrayLike, Float64Array
+from taut.base.checks import finite_array, finite_scalar, positive_scalar, whole_number
+from taut.base.errors import NumericalError, TautError
+from taut.base.types import ArrayLike, Float64Array, Vector
+from taut.codegen.kernel import native
 from taut.control.laws.joint import ComputedTorque as ComputedTorqueLaw
 from taut.control.trajectories.reference import JointMotion
 from taut.controller import compile
+from taut.maths import dynamics as dyn
+from taut.maths.model import model_of
 
-__all__ = ["ComputedTorque"]
+__all__ = ["ComputedTorque", "SimulateControl"]
+
+MAX_INTEGRATION_STEPS: Final = 100_000  # of intRes
+FAR: Final = 1e9  # [rad | m] where no arm is
 
 
 def ComputedTorque(
@@ -86,12 +95,112 @@ def ComputedTorque(
         length * finite_array(name, value, shape=(n,))
         for name, value in (("thetalist", thetalist), ("dthetalist", dthetalist), ("eint", eint))
     )
-    desired = (("thetalistd", thetalistd), ("dthetalistd", dthetalistd), ("ddthetalistd", ddthetalistd))
-    q_des, v_des, a_des = (length * finite_array(name, value, shape=(n,)) for name, value in desired)
+    wanted = (("thetalistd", thetalistd), ("dthetalistd", dthetalistd), ("ddthetalistd", ddthetalistd))
+    q_des, v_des, a_des = (length * finite_array(name, value, shape=(n,)) for name, value in wanted)
     Ki = finite_scalar("Ki", Ki, minimum=0.0)
     ctrl = compile(ComputedTorqueLaw(kp=Kp, kd=Kd), arm, engine="float")  # the integral is given
     tau: Float64Array = length * ctrl.step(q, v, JointMotion(q=q_des, v=v_des, a=a_des + Ki * e_int))
     return tau
+
+
+def SimulateControl(
+    thetalist: ArrayLike,
+    dthetalist: ArrayLike,
+    g: ArrayLike,
+    Ftipmat: ArrayLike,
+    Mlist: ArrayLike,
+    Glist: ArrayLike,
+    Slist: ArrayLike,
+    thetamatd: ArrayLike,
+    dthetamatd: ArrayLike,
+    ddthetamatd: ArrayLike,
+    gtilde: ArrayLike,
+    Mtildelist: ArrayLike,
+    Gtildelist: ArrayLike,
+    Kp: float,
+    Ki: float,
+    Kd: float,
+    dt: float,
+    intRes: int,
+) -> tuple[Float64Array, Float64Array]:
+    """A run of feedback linearisation along a trajectory, in the textbook's notation.
+
+    Law:          figure 10.13: e_int = e_int + e dt, then equation 10.21 with the model that has a tilde
+    Closed loop:  e-ddot + Kd e-dot + Kp e + Ki int(e) = 0 as dt falls, with an exact model
+
+    The arm is stepped as the library does it, by Euler: theta + h theta-dot, theta-dot + h theta-ddot with h = dt /
+    intRes. So with Ki = 0 the numbers are the library's. No picture is drawn. `taut.run` does the same with sensors,
+    friction, drives and contacts.
+
+    Frames:
+        The angular part comes first, in Ftipmat too, which is in the frame of the end-effector.
+
+    Args:
+        thetalist: (n,) joint variables at the start [rad | m].
+        dthetalist: (n,) their rates.
+        g: (3,) true gravity [m/s^2].
+        Ftipmat: (N, 6) wrench of the end-effector on its environment, moment first [N m, N].
+        Mlist: (n + 1, 4, 4) true link frames.
+        Glist: (n, 6, 6) true spatial inertias.
+        Slist: (6, n) screw axes, of the true arm and of the model.
+        thetamatd: (N, n) desired joint variables, a row for each time.
+        dthetamatd: (N, n) their rates.
+        ddthetamatd: (N, n) their accelerations.
+        gtilde: (3,) the model's gravity.
+        Mtildelist: (n + 1, 4, 4) its link frames.
+        Gtildelist: (n, 6, 6) its spatial inertias.
+        Kp: [1/s^2].
+        Ki: [1/s^3].
+        Kd: [1/s].
+        dt: From one row to the next [s].
+        intRes: Steps of the integration in dt.
+
+    Returns:
+        (N, n) torques, and (N, n) joint variables dt after each of them.
+
+    Raises:
+        ShapeError: Lists and matrices that do not fit together.
+        RangeError: Numbers that are not finite, gains below zero, a dt or intRes that is not above.
+        ModelError: An inertia or a screw axis that no rigid body or joint has.
+        NumericalError: A run that leaves all numbers.
+
+    References:
+        Chapter, equation 10.21 and figure 10.13.
+    """
+    arm, length = _arm(Mlist, Glist, Slist, g)
+    try:
+        model, _ = _arm(Mtildelist, Gtildelist, Slist, gtilde)
+    except TautError as wrong:
+        raise wrong.about("", "the model (with a tilde): ") from wrong
+    n = arm.n
+    q = length * finite_array("thetalist", thetalist, shape=(n,))
+    v = length * finite_array("dthetalist", dthetalist, shape=(n,))
+    N = len(np.atleast_1d(thetamatd))
+    desired = (("thetamatd", thetamatd), ("dthetamatd", dthetamatd), ("ddthetamatd", ddthetamatd))
+    wanted = [length * finite_array(name, value, shape=(N, n)) for name, value in desired]
+    F_tip = finite_array("Ftipmat", Ftipmat, shape=(N, 6))
+    intRes = whole_number("intRes", intRes, minimum=1, maximum=MAX_INTEGRATION_STEPS)
+    h = positive_scalar("dt", dt, unit="s") / intRes
+    ctrl = compile(ComputedTorqueLaw(kp=Kp, ki=Ki, kd=Kd), model, rate=1.0 / dt)
+    dynamics = model_of(arm)
+
+    def accelerations(q: Vector, v: Vector, tau: Vector, F_app: Vector) -> Vector:
+        return dyn.forward_dynamics(dynamics, q, v, tau - dyn.jacobian(dynamics, q, None, "E").T @ F_app)
+
+    accelerate = native(accelerations, q=n, v=n, tau=n, F_app=6)
+    torques, angles = np.empty_like(wanted[0]), np.empty_like(wanted[0])
+    for i, (q_des, v_des, a_des) in enumerate(zip(*wanted, strict=True)):
+        tau = ctrl.step(q, v, JointMotion(q=q_des, v=v_des, a=a_des))
+        for _ in range(intRes):
+            a = accelerate(q, v, tau, np.roll(F_tip[i], 3))
+            q, v = q + h * v, v + h * a
+        if not (np.abs(q) < FAR).all():
+            raise NumericalError(
+                f"the arm is gone in row {i} of {len(torques)}: steps of {h:.3g} s are too long for these gains; "
+                "make intRes larger, or dt or the gains smaller"
+            )
+        torques[i], angles[i] = length * tau, q / length
+    return torques, angles
 
 
 def _arm(Mlist: ArrayLike, Glist: ArrayLike, Slist: ArrayLike, g: ArrayLike) -> tuple[Arm, Float64Array]:

@@ -76,7 +76,7 @@ class TestWhatIsRefused:
     def test_a_ratio_is_above_zero(self, ratio: float) -> None:
         with pytest.raises(RangeError, match=rf"^ratio must be > 0; got {ratio}"):
             reflected_inertia(ratio, ROTOR)
-        with pytest.raises(RangeError, match=rf"^gear\[1\] \(joint 'joint2'\) must be > 0; got {ratio}"):
+        with pytest.raises(RangeError, match=rf"^ratio\[1\] \(joint 'joint2'\) must be > 0; got {ratio}"):
             taut.load_arm("planar2").with_gears({"joint2": ratio}, ROTOR)
 
     def test_an_inertia_is_not_negative(self) -> None:

@@ -95,7 +95,17 @@ def test_the_report_of_a_run_has_its_figures_picture_settings_versions(run: taut
     assert "Integral of tau^2, as in figure 10.12; for all joints the sum" in words
     assert len(pictures(text)) == 1
     assert pictures(text)[0].std() > 0.05  # something is drawn
-    assert "not recorded: the objects of law, plant and reference" in words
+
+
+def test_the_report_of_a_run_from_python_lists_what_a_repeat_needs(tmp_path: Path) -> None:
+    arm = taut.load_arm("planar2")
+    ctrl = taut.compile(taut.laws.PID(kp=80.0, kd=8.0), arm)
+    heavy = taut.RigidPlant(arm.with_gears(50.0, 1e-4).with_payload(1.0), friction=None)
+    made = taut.run(ctrl, heavy, taut.hold(), duration=0.05)
+    words = words_of(taut.report(made, tmp_path / "run.html").read_text(encoding="utf-8"))
+    assert "the plant RigidPlant(planar2), with its friction, drives, sensors, contacts and scene" in words
+    assert "the arm of the plant, which is in the log and differs in joints, payload" in words
+    assert "taut run" not in words
 
 
 def test_a_title_ends_with_a_clause_and_not_within_a_word() -> None:

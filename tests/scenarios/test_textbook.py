@@ -1,4 +1,4 @@
-"""The textbook's function, against its own library and its own numbers."""
+"""The textbook's functions, against its own library, its own figure 10.13, and its own numbers."""
 
 from __future__ import annotations
 
@@ -74,6 +74,71 @@ class TestComputedTorque:
         assert mine[0] == pytest.approx(4.0 * 3.0 * (0.7 + 2.0 * 0.3 + 3.0 * 0.3 - 4.0 * 0.1) + 2.0 * 3.0 * 9.8)
 
 
+ROWS = 12
+
+
+def motion(N: int = ROWS) -> tuple[Float64Array, Float64Array, Float64Array, float]:
+    path = mr.JointTrajectory(np.full(3, 0.1), np.array([0.4, 0.5, 0.6]), 0.2, N, 5)
+    dt = 0.2 / (N - 1.0)
+    q = np.array(path)
+    v = np.vstack([np.zeros(3), np.diff(q, axis=0) / dt])
+    return q, v, np.vstack([np.zeros(3), np.diff(v, axis=0) / dt]), dt
+
+
+MODEL = MLIST.copy()
+MODEL[:, :3, 3] *= 1.05
+HEAVY = 1.1 * GLIST
+TIP = np.tile([0.3, -0.2, 0.1, 1.0, 2.0, -1.5], (ROWS, 1))
+
+
+def arguments(S: Float64Array, Ki: float) -> tuple[object, ...]:
+    q, v, a, dt = motion()
+    wrong = np.array([0.8, 0.2, -8.8])
+    return (*STATE, G, TIP, MLIST, GLIST, S, q, v, a, wrong, MODEL, HEAVY, 20.0, Ki, 18.0, dt, 3)
+
+
+class TestSimulateControl:
+    @pytest.fixture
+    def no_picture(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        silent = types.ModuleType("matplotlib.pyplot")
+        for name in ("plot", "legend", "xlabel", "ylabel", "title", "show"):
+            setattr(silent, name, lambda *args, **kwargs: None)
+        monkeypatch.setitem(sys.modules, "matplotlib.pyplot", silent)
+
+    @pytest.mark.usefixtures("no_picture")
+    @pytest.mark.parametrize("S", [SLIST, UNIT], ids=["as in the docs", "of unit length"])
+    def test_without_an_integral_is_the_librarys(self, S: Float64Array) -> None:
+        tau, theta = taut.textbook.SimulateControl(*arguments(S, 0.0))
+        tau_theirs, theta_theirs = mr.SimulateControl(*arguments(S, 0.0))
+        assert theta == pytest.approx(theta_theirs, abs=1e-9)
+        assert tau == pytest.approx(tau_theirs, abs=1e-7)
+
+    def test_with_an_integral_is_figure_10_13(self) -> None:
+        """The figure's lines, with the library's dynamics."""
+        args = arguments(UNIT, 50.0)
+        q, v, a, dt = motion()
+        _, _, _, _, _, _, S, _, _, _, gtilde, Mt, Gt, Kp, Ki, Kd, _, steps = args
+        theta, rate, eint = np.array(STATE[0]), np.array(STATE[1]), np.zeros(3)
+        torques = []
+        for i in range(len(q)):
+            e, edot = q[i] - theta, v[i] - rate
+            eint = eint + e * dt
+            h = mr.InverseDynamics(theta, rate, np.zeros(3), gtilde, np.zeros(6), Mt, Gt, S)
+            tau = mr.MassMatrix(theta, Mt, Gt, S) @ (a[i] + Kp * e + Kd * edot + Ki * eint) + h
+            for _ in range(steps):
+                acceleration = mr.ForwardDynamics(theta, rate, tau, G, TIP[i], MLIST, GLIST, S)
+                theta, rate = theta + dt / steps * rate, rate + dt / steps * acceleration
+            torques.append(tau)
+        tau, angles = taut.textbook.SimulateControl(*args)
+        assert tau == pytest.approx(np.array(torques), abs=1e-7)
+        assert angles[-1] == pytest.approx(theta, abs=1e-9)
+
+    def test_takes_lists(self) -> None:
+        lists = [value.tolist() if isinstance(value, np.ndarray) else value for value in arguments(UNIT, 0.0)]
+        tau, _ = taut.textbook.SimulateControl(*lists)
+        assert tau == pytest.approx(taut.textbook.SimulateControl(*arguments(UNIT, 0.0))[0])
+
+
 class TestWhatIsRefused:
     def test_in_one_sentence(self) -> None:
         cases = [
@@ -84,4 +149,21 @@ class TestWhatIsRefused:
         for given, text in cases:
             with pytest.raises(taut.TautError) as told:
                 torque(**given)
+            assert text in str(told.value)
+        changes = [
+            (3, TIP[:5], "Ftipmat must have shape (12, 6); got shape (5, 6)"),
+            (7, np.zeros((ROWS, 2)), "thetamatd must have shape (12, 3); got shape (12, 2)"),
+            (16, 0.0, "dt must be > 0 [s]; got 0.0"),
+            (17, 0, "intRes must be a whole number from 1 to 100000; got 0"),
+            (17, 2.5, "intRes must be a whole number from 1 to 100000; got 2.5"),
+            (10, [1.0, 2.0], "the model (with a tilde): g must have shape (3,) [m/s^2]; got shape (2,)"),
+            (11, MLIST[:2], "Mlist must have shape (4, 4, 4); got shape (2, 4, 4)"),
+            (12, -GLIST, "link 'link1': mass must be finite and >= 0 [kg]; got -3.7"),
+            (13, 1e9, "the arm is gone in row 2 of 12: steps of 0.00606 s are too long for these gains; make intRes"),
+        ]
+        for place, value, text in changes:
+            args = list(arguments(UNIT, 0.0))
+            args[place] = value
+            with pytest.raises(taut.TautError) as told:
+                taut.textbook.SimulateControl(*args)
             assert text in str(told.value)

@@ -149,7 +149,9 @@ def _given(value: ArrayLike | Mapping[str, float], joint: str) -> bool:
 def geared(arm: Arm, ratio: ArrayLike | Mapping[str, float], motor_inertia: ArrayLike) -> Arm:
     """The arm with geared motors, whose rotors act with their reflected inertia."""
     chosen = [not isinstance(ratio, Mapping) or name in ratio for name in arm.joint_names]
-    G, rotor = _column(arm, "gear", ratio), _per_joint(arm, "motor_inertia", motor_inertia)
+    G = _column(arm, "gear", ratio) if isinstance(ratio, Mapping) else _per_joint(arm, "ratio", ratio)
+    rotor = _per_joint(arm, "motor_inertia", motor_inertia)
+    require_range("ratio", G, above=0.0, joints=arm.joint_names)
     require_range("motor_inertia", rotor, minimum=0.0, unit="kg m^2", joints=arm.joint_names)
     return joints_replaced(arm, {"gear": G, "rotor_inertia": np.where(chosen, G**2 * rotor, arm.rotor_inertia)})
 

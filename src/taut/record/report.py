@@ -164,10 +164,23 @@ def _settings(run: Run) -> dict[str, str]:
 
 
 def _missing(run: Run) -> str:
-    """What a run that was made in Python does not record, and a repeat needs."""
-    known = {"the seed": run.info.seed, "the arms": run.info.controller_arm}
-    missing = [*(name for name, value in known.items() if value is None), "the objects of law, plant and reference"]
-    return f"not recorded: {', '.join(missing)} with your own functions; settings and log have their numbers"
+    """What a run that was made in Python does not record and a repeat needs, a line each."""
+    info = run.info
+    arm, other = info.controller_arm, info.plant_arm
+    own = () if other is None else tuple(field.name for field in dataclasses.fields(other))
+    differs = [name for name in own if plain(getattr(arm, name, None)) != plain(getattr(other, name))]
+    lines = [
+        "The report alone does not repeat this run. Make again:",
+        f"the law{f' {info.law}' if info.law else ''}, with its gains, sensing and limits: see the settings",
+        f"the plant{f' {info.plant}' if info.plant else ''}, with its friction, drives, sensors, contacts and scene",
+        "the reference, whose samples are in the log",
+        f"the arm of the controller{', which is in the log' if arm else ''}",
+        f"the arm of the plant{', which is in the log' if other else ''}",
+        "your own functions and events",
+    ]
+    if differs and arm is not None:
+        lines[-2] += f" and differs in {', '.join(differs)}"
+    return "\n  ".join([*lines, *(["the seed"] if info.seed is None else [])])
 
 
 def _command(scenario: ScenarioInfo) -> str:
