@@ -468,7 +468,7 @@ COMPILES: list[tuple[str, Callable[[], Any], type[TautError], str]] = [
     ("adds of nothing known", lambda: taut.compile(L.PID(kp=1.0), ARM, adds=("gravit",)), UnknownNameError,
      "what a plant adds has no component 'gravit'; did you mean 'gravity'?"),
     ("a torque and a velocity", lambda: taut.compile(L.PID(kp=1.0) + L.VelocityPI(kp=1.0), ARM), MatchError,
-     "the laws of PID + VelocityPI give commands of one kind; these give PID a torque, VelocityPI a velocity"),
+     "the laws of PID + VelocityPI give commands of one kind; these give 'PID' a torque, 'VelocityPI' a velocity"),
 ]  # fmt: skip
 
 

@@ -294,7 +294,6 @@ class TestMessages:
             (lambda: taut.RigidPlant(GEARED, integrator="rk4", actuation=taut.drives.Actuation(transmission=taut.drives.Transmission(efficiency=0.9))), taut.errors.UsageError, "integrator"),
             (lambda: taut.RigidPlant(GEARED, integrator="rk4", energy=True), taut.errors.UsageError, "energy"),
             (lambda: taut.RigidPlant(GEARED, energy=1), taut.errors.UsageError, "energy"),  # type: ignore[arg-type]
-            (lambda: taut.RigidPlant(GEARED, sweeps=0), taut.errors.RangeError, "sweeps"),
             (lambda: taut.RigidPlant(GEARED, takes="velocity", actuation=taut.drives.Actuation(bandwidth=50.0, transmission=taut.drives.Transmission())), taut.errors.UsageError, "actuation.transmission"),
             (lambda: taut.drives.Actuation(transmission=0.8), taut.errors.UsageError, "transmission"),  # type: ignore[arg-type]
             (lambda: FREE.with_gears(ratio=0.0, motor_inertia=1e-4), taut.errors.RangeError, "ratio"),

@@ -110,7 +110,7 @@ class LawSide:
     @cached_property
     def parameters(self) -> dict[str, Float64Array]:
         """Every run-time parameter, by path, with the values it was made with."""
-        limits = {} if self.limits is None else self.limits.completed(self.rate, self.probe.kind).parameters()
+        limits = {} if self._limits is None else self._limits.parameters()
         own = self._own_parameters
         law = {path: own[path] for path in own if path.startswith("law.")}
         return law | {f"limits.{name}": values for name, values in limits.items()} | own
@@ -122,10 +122,14 @@ class LawSide:
         out |= {f"sensing.{path}": values for path, values in self.sensing.parameters().items()}
         return out | {f"model.payload.{name}": np.asarray(getattr(self.arm.payload, name)) for name in PAYLOAD_UNITS}
 
+    @cached_property
+    def _limits(self) -> Limits | None:
+        return None if self.limits is None else self.limits.completed(self.rate, self.probe.kind)
+
     @property
     def units(self) -> dict[str, str]:
         """Unit of each run-time parameter by path."""
-        parts: dict[str, Any] = {"law": self.law, "sensing": self.sensing, "limits": self.limits}
+        parts: dict[str, Any] = {"law": self.law, "sensing": self.sensing, "limits": self._limits}
         out = {f"{head}.{path}": unit for head, part in parts.items() if part for path, unit in part.units().items()}
         return out | {f"model.payload.{name}": unit for name, unit in PAYLOAD_UNITS.items()}
 
@@ -144,7 +148,7 @@ class LawSide:
             new = in_compiled_shape(path, changed.parameters()[rest], self.parameters[path].shape)
             changed.check_rates(self.rate)
         elif head in ("limits", "sensing"):
-            part: Any = getattr(self, head)
+            part: Any = self._limits if head == "limits" else self.sensing
             joints = 6 if rest.startswith("F_ext.") else self.arm.joint_names
             new = part.checked_parameter(rest, value, name=path, joints=joints)
             part.changed(rest, new, name=path).check_fit(self.arm, self.rate)
