@@ -145,9 +145,9 @@ def test_the_core_declares_what_it_imports() -> None:
 
 
 LIMITS = {  # the house as it is; a change that needs more says why in the commit that raises a number
-    "lines": (52_800, house.lines),
-    "lines of code": (36_800, house.code_lines),
-    "modules": (226, lambda: len(house.modules())),
+    "lines": (50_000, house.lines),
+    "lines of code": (34_400, house.code_lines),
+    "modules": (223, lambda: len(house.modules())),
     "modules in one folder": (14, house.largest_folder),
     "modules with one importer": (26, lambda: len(house.slices())),
     "names in taut": (75, lambda: len(taut.__all__)),
