@@ -232,9 +232,9 @@ class StabilityMap(Result):
         nodes = np.stack(np.meshgrid(self.x, self.y, indexing="ij"), axis=-1).reshape(-1, 2)
         points = np.concatenate([nodes, self.boundary])
         sign = np.concatenate([np.where(self.stable, 1.0, -1.0).ravel(), np.zeros(len(self.boundary))])
-        steps = [np.interp(points[:, k], grid, np.arange(len(grid))) for k, grid in enumerate((self.x, self.y))]
-        triangles = Triangulation(*steps).triangles  # in steps of the grid, whose two scales differ
-        ax.tricontourf(Triangulation(*points.T, triangles), sign, levels=[0.0, 2.0], colors=[STABLE])
+        i, j = (np.interp(points[:, k], grid, np.arange(len(grid))) for k, grid in enumerate((self.x, self.y)))
+        triangles = Triangulation(i, j).triangles  # in steps of the grid, whose two scales differ
+        ax.tricontourf(Triangulation(points[:, 0], points[:, 1], triangles), sign, levels=[0.0, 2.0], colors=[STABLE])
         ax.plot(*self.boundary.T, ".", color=INK, markersize=3.0, label="boundary")
         ax.fill(np.nan, np.nan, color=STABLE, label="stable")
         ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK, loc="best")

@@ -36,7 +36,7 @@ TASK_BARS: Final = ("task_rms", "task_rms_rotation", "effort", "chatter")
 FORCE_BARS: Final = ("force_error_rms", "moment_error_rms", "effort", "chatter")
 MAX_RUNS: Final = 8  # in one figure
 BARS_IN_ROW: Final = 4
-TITLE_LETTERS: Final = 96  # of all titles of bars in a row
+BAR_TITLE_LETTERS: Final = 96  # of all titles of bars in a row
 NAME: Final = 18  # letters of a run's name beside its bars, on each of two lines
 
 
@@ -80,7 +80,7 @@ def compare(
         bars = dict(_bars(within, measures or _usual_bars(each), joint))
     rows, bar_rows = max(map(len, columns)), max(-(-len(bars) // BARS_IN_ROW), 1)
     across = max(-(-len(bars) // bar_rows), 1)
-    titles = {words: wrapped(words, TITLE_LETTERS // across) for words in bars}
+    titles = {words: wrapped(words, BAR_TITLE_LETTERS // across) for words in bars}
     labels = [wrapped(name, NAME) for name in names]
     bar = 0.36 if any("\n" in label for label in labels) else 0.22  # [inch]
     head = 0.45 if any("\n" in words for words in titles.values()) else 0.3  # [inch]
