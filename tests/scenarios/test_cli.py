@@ -70,6 +70,8 @@ def test_the_laws_are_listed_with_equation_closed_loop_and_needs(capsys: pytest.
     assert {"kfp", "kfi", "kdamp", "e_int_max"} <= set(rows["ForceControl"]["gains"])  # some need a feedback
     whole = next(row for row in rows["ForceControl"]["law"] if row.startswith("the damping is implicit"))
     assert whole.endswith("the strongest damper that a torque held over a tick can be")  # continued on three lines
+    assert rows["EnergyTank"]["reference"] == "that of the law that it holds"
+    assert {"NormalEstimate", "LossOfContact", "SideBySide", "Sum"} <= set(rows)
     assert all(row["law"] and row["closed_loop"] for row in rows.values())
 
 
@@ -430,6 +432,39 @@ sys.exit(main(["check", "planar2"]))
     assert done.returncode in (1, -signal.SIGINT)
     assert done.stderr in ("", "taut: interrupted\n")
     assert done.stdout == ""
+
+
+def test_an_interrupted_run_names_the_log_of_what_it_did(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(self: object, ctrl: object, log: Path) -> None:
+        log.touch()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("taut.analysis.comparison.Experiment.run", interrupted)
+    assert main(["run", "panda_payload", "--out", str(tmp_path)]) == 1
+    (log,) = tmp_path.glob("*.partial.mcap")
+    assert capsys.readouterr().err.splitlines()[-1] == f"taut: interrupted; the run until then is in {log}"
+
+
+def test_without_a_command_the_help_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 2
+    assert "commands:" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "place"),
+    [
+        (["run", "one_joint_pid", "--set", "law.kp=-2"], "--set: law.kp must be >= 0"),
+        (["run", "one_joint_pid", "--set", "run.q0=[30]"], "q0[0] (joint 'joint1') must be an angle in radians"),
+        (["design", "PID", "planar2", "--at", "30,45"], "at[0] (joint 'joint1') must be an angle in radians"),
+    ],
+)
+def test_a_wrong_value_is_named_by_what_the_user_wrote(
+    words: list[str], place: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == 2
+    assert place in capsys.readouterr().err
 
 
 def test_the_command_line_leaves_ctrl_c_to_python() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from taut.analysis.design_achieved import Achieved, Limit, Requirement, Steps, closed_loop_of
 from taut.analysis.design_specification import Specification, place_poles, square
 from taut.arm.description import Arm
-from taut.arm.parts import require_radians
+from taut.arm.parts import require_few_turns, require_radians
 from taut.base.checks import finite_array, instance_of, rate_in_hertz
 from taut.base.declarations import REQUIRED
 from taut.base.errors import RangeError, TautError, UsageError
@@ -130,6 +130,7 @@ class Design(Result):
         return Content(
             title=f"{type(self.law).__name__} on {self.arm} at {self.rate:g} Hz, for {words}",
             faults=faults,
+            summary=[f"pose {np.round(self.q, 4).tolist()}"],
             tables=[gains, asked, *([limits] if self.limits else [])],
             figures={} if self.steps is None else {"steps": self._steps},
             settings={"pose": str(np.round(self.q, 4).tolist()), "rate [Hz]": f"{self.rate:g}"},
@@ -281,6 +282,7 @@ def pose_of(arm: Arm, at: ArrayLike | None) -> Float64Array:
     instance_of("arm", arm, Arm, "an Arm from taut.load_arm")
     q = arm.home if at is None else finite_array("at", at, shape=(arm.n,), joints=arm.joint_names, unit="rad | m")
     require_radians("at", q, arm)
+    require_few_turns("at", q, arm.joints)
     outside = np.flatnonzero((q < arm.lower) | (q > arm.upper))
     if outside.size:
         i = int(outside[0])
