@@ -98,3 +98,17 @@ def test_every_page_is_in_the_index_and_every_front_door_in_the_api() -> None:
 def test_every_scenario_has_its_picture_in_the_gallery() -> None:
     for file in (REPOSITORY / "src" / "taut" / "scenarios" / "files").glob("*.toml"):
         assert (REPOSITORY / "docs" / "images" / f"{file.stem}.png").is_file(), file.stem
+
+
+def test_what_took_the_place_of_a_renamed_name_is_there() -> None:
+    page = (REPOSITORY / "docs" / "renamed.md").read_text(encoding="utf-8")
+    now = "\n".join(line.partition(" | ")[2] for line in page.splitlines() if line.startswith("| "))
+    doors = [taut, *(getattr(taut, name) for name in ROOMS)]
+    public = {name: getattr(door, name) for door in doors for name in door.__all__}
+    paths = [(taut, path[1:]) for path in re.findall(r"\btaut((?:\.\w+)+)", now)]
+    paths += [(public.get(name), path) for name, path in re.findall(r"`([A-Z]\w+)\.(\w+)", now)]
+    assert len(paths) > 100
+    for thing, path in paths:
+        for name in path.split("."):
+            assert name in {*dir(thing), *getattr(thing, "__dataclass_fields__", {})}, path
+            thing = getattr(thing, name, None)

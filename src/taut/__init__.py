@@ -58,8 +58,8 @@ if TYPE_CHECKING:
     from taut.control.trajectories.reference import stream as stream
     from taut.control.trajectories.samples import chunk as chunk
     from taut.control.trajectories.task_reference import TaskMotion as TaskMotion
+    from taut.controller.compile import compile as compile
     from taut.controller.controller import Controller as Controller
-    from taut.controller.controller import compile as compile
     from taut.linear.joint_loop import error_dynamics as error_dynamics
     from taut.linear.linear_system import LinearSystem as LinearSystem
     from taut.linear.linearise import linearise as linearise

@@ -154,7 +154,8 @@ def test_the_page_prints_the_table_of_thresholds() -> None:
         (check.name, each) for check in CHECKS for each in check.thresholds
     ]
     for name, each in of:
-        assert f"| {name} | {each.name} | {each.value:g} {each.unit} | {each.reason} |" in page
+        unit = "" if each.unit == "1" else " " + each.unit.replace("|", "\\|")
+        assert f"| {name} | {each.name} | {each.value:g}{unit} | {each.reason} |" in page
     assert len(of) <= 25
     assert len({each.name for _, each in of}) == len(of)
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
+import shlex
 from pathlib import Path
 
 import pytest
 
 import taut
+from taut.base.errors import TautError
+from taut.cli.analysis import DESIGN
 from taut.cli.main import main
 
 HYBRID = (
@@ -70,6 +75,23 @@ def test_a_plant_in_a_file_is_the_one_that_the_loop_is_judged_with(
     found = json.loads(capsys.readouterr().out)
     assert "500 Hz" in found["title"]
     assert all(row["got"] < 0.2 for row in found["tables"]["asked and got"] if row["number"] == "zeta")
+
+
+def test_the_examples_of_the_help_succeed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    examples = DESIGN.more.partition("\n\n")[0].replace("\\\n", "").splitlines()[1:]
+    for line in examples:
+        command, _, file = line.partition(" > ")
+        with contextlib.redirect_stdout(io.StringIO()) as printed:
+            assert main(shlex.split(command)[1:]) == 0, line
+        if file:
+            Path(file).write_text(printed.getvalue())
+
+
+def test_a_plant_that_dry_friction_holds_is_refused() -> None:
+    arm = taut.load_arm("one_joint").with_joints(coulomb=0.5)
+    with pytest.raises(TautError, match="dry friction"):
+        taut.design(taut.laws.PID, arm, zeta=1.0, omega_n=10.0, plant=taut.RigidPlant(arm))
 
 
 @pytest.mark.parametrize(

@@ -122,6 +122,12 @@ class Achieved:
         command = list(lin.rows("command"))
         end = lin.C[command] @ start + lin.D[np.ix_(command, columns)] @ moved
         final = np.diag(rows @ start)
+        if not final.all():
+            raise UsageError(
+                "a small step does not move the plant from rest, as where dry friction holds it; design for one "
+                "without: taut.RigidPlant(..., friction=None), or friction = 'none' in [plant]",
+                name="plant",
+            )
         return start / final, rows, end / final
 
     def _seen(self, output: str) -> Float64Array:

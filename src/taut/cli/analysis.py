@@ -198,12 +198,13 @@ DESIGN: Final = Command(
     more="""examples:
   taut design PID one_joint --zeta 1 --omega_n 10
   taut design Impedance panda --K 800,30 --zeta 0.7 --rate 1000
-  taut design PID planar2 --zeta 1 --omega_n 10 --at -0.3,0.8
+  taut design ComputedTorque planar2 --zeta 1 --omega_n 10 --at -0.3,0.8
   taut design GravityPID ur10 --overshoot 5 --settling 0.5 --coupled --json
-  taut design ForceControl panda --force 5 --zeta 0.7 --contact 10000,200
-  taut design PID --plant backlash_cycle.toml --zeta 1 --omega_n 10
-  taut design "HybridMotionForce(constraint={'kind': 'plane', 'point': [0.3, 0.0, 0.5], 'normal': [0, 0, 1]}, \\
-      motion=TaskComputedTorque(kp=1, kd=1))" panda --zeta 1 --omega_n 10 --force 5
+  taut design ForceControl panda --force 1 --zeta 0.7 --contact 10000,200 --rate 4000
+  taut scenarios gain_bounds > plant.toml
+  taut design PID --plant plant.toml --zeta 1 --omega_n 10
+  taut design "HybridMotionForce(constraint={'kind': 'plane', 'point': [0, 0, -0.2], 'normal': [0, 0, 1]}, \\
+      motion=TaskComputedTorque(kp=1, kd=1))" gantry3 --zeta 1 --omega_n 10 --force 5
 
 exit status:
   0  done, and all that was asked for is met

@@ -100,6 +100,8 @@ class ScenarioResult(Result):
             if not one.outcome.ok or one.info.phases or "; " in one.outcome.message
         ]
         reached = f"passed: {len(verdicts) - len(missed)} of {len(verdicts)} pass criteria"
+        spans = dict.fromkeys("{:g} to {:g} s".format(*x.span) for x in self.scenario.figures if x.span)
+        reached += f" (windows: {', '.join(spans)})" if spans else ""
         return Content(
             title=self.scenario.title,
             faults=[

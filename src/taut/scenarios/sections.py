@@ -18,7 +18,7 @@ from taut.arm.description import Arm
 from taut.arm.friction import Friction
 from taut.arm.load import load_arm, open_model
 from taut.base.checks import rate_in_hertz
-from taut.base.errors import UsageError, unknown_name
+from taut.base.errors import ScenarioError, UsageError, unknown_name
 from taut.base.fields import Declared, Field, Part, Whole
 from taut.base.plot_style import short
 from taut.base.types import Float64Array
@@ -82,7 +82,12 @@ def _one_law(gains: Table, table: Table, name: str) -> Law:
     while "wrapped_by" in gains:
         gains = gains.table("wrapped_by")
         gains.need("law")
-        law = read(wrappers[gains.choice("law", wrappers)], gains, others=["law", "wrapped_by"], law=law)
+        wrapper = gains.choice("law", wrappers)
+        try:
+            law = read(wrappers[wrapper], gains, others=["law", "wrapped_by"], law=law)
+        except ScenarioError as cause:
+            text = str(cause).replace("] law must ", f"] the law that '{wrapper}' wraps must ")
+            raise ScenarioError(text, name=cause.name) from cause
     return law
 
 
@@ -257,6 +262,9 @@ def _changed(table: Table, arm: Arm) -> Arm:
         arm = read(arm.with_body, bodies.table(joint), joint=joint)
     if isinstance(table.get("friction"), dict):
         below = table.table("friction")
+        for key, value in below.values.items():
+            if isinstance(value, dict):
+                raise below.error("must be one number or one per joint; by joint name it stands in joint_values", key)
         friction = read(Friction, below)
         with below.blamed():
             arm = arm.with_friction(friction)
