@@ -111,7 +111,7 @@ def test_check_exits_with_two_when_something_is_refused(tmp_path: Path, capsys: 
         (["run", __file__], f"taut: scenario '{__file__}' is no valid TOML: "),
         (["check", "planer2"], "taut: taut has no arm 'planer2'; did you mean 'planar2'"),
         (["check", "no/such.urdf"], "taut: model 'no/such.urdf' does not exist"),
-        (["check", __file__], f"taut: model '{__file__}' is no .urdf and no MJCF .xml file"),
+        (["check", __file__], f"taut: model '{__file__}' is neither a .urdf nor an MJCF .xml file"),
         (["run", "one_joint_pid", "--law", ""], "taut: --law takes FILE.py:CLASS; got ''"),
     ],
 )
