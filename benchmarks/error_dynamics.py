@@ -76,7 +76,7 @@ def maps() -> Figure:
         labels=("rate [Hz]", "kd [N m s/rad]"),
     )
     found.draw(left)
-    left.set(xscale="log", yscale="log")
+    log_axes(left, [20, 50, 100, 200, 500, 1000])
     rate = np.array([20.0, 1000.0])
     left.plot(rate, rate, color=COLOURS[1], linewidth=1.0, linestyle=DASHED, label="2 M / dt, measured velocity")
     left.set_title("differenced velocity, zeta = 1", fontsize=SMALL, loc="left", color=INK)
@@ -88,9 +88,16 @@ def maps() -> Figure:
         labels=("delay [ms]", "kd [N m s/rad]"),
     )
     found.draw(right)
-    right.set(xscale="log", yscale="log")
+    log_axes(right, [1, 2, 5, 10, 20])
     right.set_title("1 kHz, delayed, zeta = 1", fontsize=SMALL, loc="left", color=INK)
     return figure
+
+
+def log_axes(ax: Axes, ticks: list[int]) -> None:
+    """Logarithmic scales, and the ticks of the first."""
+    ax.set(xscale="log", yscale="log")
+    ax.set_xticks(ticks, [str(tick) for tick in ticks])
+    ax.set_xticks([], minor=True)
 
 
 def delay_limit(rate: float) -> float:

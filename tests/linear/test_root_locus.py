@@ -136,6 +136,8 @@ def test_its_picture_fills_what_is_stable() -> None:
     (ax,) = found.plot().axes
     (area,) = ax.collections[0].get_paths()
     assert _area(area.vertices) == pytest.approx(math.pi, rel=0.05)
+    assert area.contains_points(0.97 * found.boundary).all()
+    assert not area.contains_points(1.01 * found.boundary).any()
     (table,) = found.content().tables
     assert len(table.rows) == len(found.boundary)
 

@@ -83,15 +83,15 @@ def test_errors_of_force_alone_are_called_what_they_are(run: taut.Run) -> None:
     assert wanted is not None
     F = np.column_stack([run.extra["F_ext"][:, :3], -wanted[:, 3:]])  # no error of the moment
     shown = texts(compare({"a": dataclasses.replace(run, extra={"F_ext": F})}, measures=["force_error_rms"]))
-    assert "norm of the force's error" in shown
+    assert "norm of the force error" in shown
     assert "force error RMS [N]" in shown
 
 
 def test_plots_show_what_was_wanted_and_comparisons_the_errors_of_force(run: taut.Run) -> None:
     assert "| wanted |" in texts(run.plot())
     figure = texts(compare({"a": run, "b": run}, window=(1.0, 1.5)))
-    assert "norm of the force's error" in figure
-    assert "norm of the moment's error" in figure
+    assert "norm of the force error" in figure
+    assert "norm of the moment error" in figure
     assert "from 1 to 1.5 s" in figure
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import subprocess
 import sys
 from io import BytesIO
@@ -240,6 +241,8 @@ def test_a_plot_of_phases_has_their_names_and_what_each_asked_for(pressing_task:
     assert figure.get_suptitle().startswith("approach, press  on  MujocoPlant(ur5)")
     tool, normal = axes_titled(figure, "tool and reference"), axes_titled(figure, "force along the normal")
     assert [text.get_text() for text in tool.texts] == ["approach", "press"]
+    highest = tool.transData.transform((0.0, max(np.max(line.get_ydata()) for line in tool.lines[:3])))[1]
+    assert all(text.get_window_extent().y0 > highest for text in tool.texts)  # no name over a curve
     seen = np.column_stack(curves(axes_titled(figure, "position error"), "-")[:3])
     np.testing.assert_array_equal(seen, run.phase("approach").task.position_error)
     np.testing.assert_array_equal(curves(normal, "-")[0], np.linalg.norm(run.extra["contact.normal_force"], axis=1))
@@ -327,11 +330,23 @@ def test_the_error_of_one_joint_keeps_its_sign(make_run: Any) -> None:
 
 def test_metrics_without_a_number_are_marked(make_run: Any) -> None:
     t = np.arange(100) * 0.01
-    run = make_run(t, t[:, np.newaxis], q_ref=1.0)
-    figure = compare({"a": run}, measures=["settling_time", "saturation_time", "overshoot"])
+    q = t[:, np.newaxis]
+    runs = {"a set-point": make_run(t, q, q_ref=1.0), "a path": make_run(t, q, q_ref=q)}
+    figure = compare(runs, measures=["settling_time", "saturation_time", "overshoot", "final_z"])
     words = {text.get_text() for text in figure.findobj(Text)}
     assert {"inf", "-"} <= words
+    assert not any("final" in word for word in words)  # no run has it
     figure.savefig(BytesIO(), format="png")
+
+
+def test_five_metrics_stand_in_two_even_rows_with_titles_that_do_not_touch(many: Any) -> None:
+    measures = ["steady_state_error", "rms_error", "peak_error", "effort", "settling_time"]
+    figure = compare({"a": many(1), "b": many(1)}, measures=measures)
+    assert_legible(figure)
+    bars = [ax for ax in figure.axes if ax.get_visible()][1:]
+    assert sorted(round(ax.get_position().y0, 3) for ax in bars).count(round(bars[0].get_position().y0, 3)) == 3
+    boxes = [ax._left_title.get_window_extent() for ax in bars[:3]]  # type: ignore[attr-defined]
+    assert all(one.x1 < other.x0 for one, other in itertools.pairwise(boxes))
 
 
 def test_a_figure_without_runs_is_refused() -> None:
@@ -345,6 +360,7 @@ def test_one_joint_of_several_runs_is_compared_by_its_motion_error_and_numbers(m
     figure = compare(runs, measures=["rms_error"], joint=name)
     above, below = axes_titled(figure, f"position of {name}"), axes_titled(figure, "tracking error")
     np.testing.assert_array_equal(above.lines[0].get_ydata(), runs["a"].q[:, 1])
+    assert len(above.lines) == 4  # the motions and references, without a line at zero
     error = runs["b"].error
     assert error is not None
     np.testing.assert_array_equal(below.lines[1].get_ydata(), error[:, 1])

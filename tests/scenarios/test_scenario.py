@@ -75,11 +75,11 @@ def test_a_missed_pass_figure_exits_with_one_and_says_which(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "case.toml"
-    file.write_text(changed("max = 3.0", "max = 1e-6"))
+    file.write_text(changed("max = 3.0", "max = 1e-6\nwindow = [0.01, 0.02]"))
     assert main(["run", str(file), "--out", str(tmp_path / "out")]) == 1
     said = capsys.readouterr().out
     assert "missed: PD: peak_error must be <= 1e-06; got " in said
-    assert "passed: 0 of 1 pass criteria" in said
+    assert "passed: 0 of 1 pass criteria (windows: 0.01 to 0.02 s)" in said
 
 
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")

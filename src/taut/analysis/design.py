@@ -154,7 +154,8 @@ class Design(Result):
         figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
         left, right = figure.subplots(1, 2)
         prepared(left, f"{type(self.law).__name__} on {self.arm}: error after a step", "e / e(0)", "t [s]")
-        prepared(right, "command of a unit step, largest joint", "[N m | N], of drives [rad/s | m/s]", "t [s]")
+        units = " | ".join(dict.fromkeys(steps.units))
+        prepared(right, "command of a unit step, largest joint", f"[{units}]", "t [s]")
         for i, name in enumerate(self.directions):
             left.plot(steps.t, steps.e[:, i], color=colour(i), linewidth=1.3, label=name)
             command = np.abs(steps.command[:, :, i]).max(axis=1)

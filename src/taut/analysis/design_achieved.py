@@ -81,6 +81,7 @@ class Steps:
     t: Float64Array  # (m,) [s]
     e: Float64Array  # (m, r) error along each direction, as a fraction of the step
     command: Float64Array  # (m, n, r) change of the command of each joint
+    units: tuple[str, ...]  # (n,) of the commands
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -146,7 +147,9 @@ class Achieved:
         for k in range(count):
             e[k], commands[k] = np.diag(rows @ x), end - command @ x
             x = lin.A @ x
-        return Steps(t=np.asarray(lin.period * np.arange(count)), e=e, command=commands)
+        arm, kind = self.stated.x.arm, self.loop.side.probe.kind
+        units = tuple(joint.effort_unit if kind == "torque" else f"{joint.unit}/s" for joint in arm.joints)
+        return Steps(t=np.asarray(lin.period * np.arange(count)), e=e, command=commands, units=units)
 
     @cached_property
     def _modes(self) -> tuple[NDArray[np.complex128], Float64Array]:

@@ -225,13 +225,18 @@ class StabilityMap(Result):
         )
 
     def draw(self, ax: Axes) -> None:
-        """Draw the map: the stable region filled, the boundary as a line."""
+        """Draw the map: the stable region filled up to the points of its boundary."""
+        from matplotlib.tri import Triangulation
+
         prepared(ax, "", self.labels[1], self.labels[0])
-        finite = self.decay_rate[np.isfinite(self.decay_rate)]
-        rate = np.clip(self.decay_rate, finite.min(initial=0.0), finite.max(initial=0.0)).T
-        ax.contourf(self.x, self.y, rate, levels=[0.0, np.inf], colors=[STABLE])
+        nodes = np.stack(np.meshgrid(self.x, self.y, indexing="ij"), axis=-1).reshape(-1, 2)
+        points = np.concatenate([nodes, self.boundary])
+        sign = np.concatenate([np.where(self.stable, 1.0, -1.0).ravel(), np.zeros(len(self.boundary))])
+        i, j = (np.interp(points[:, k], grid, np.arange(len(grid))) for k, grid in enumerate((self.x, self.y)))
+        triangles = Triangulation(i, j).triangles  # in steps of the grid, whose two scales differ
+        ax.tricontourf(Triangulation(points[:, 0], points[:, 1], triangles), sign, levels=[0.0, 2.0], colors=[STABLE])
         ax.plot(*self.boundary.T, ".", color=INK, markersize=3.0, label="boundary")
-        ax.fill_between([], [], color=STABLE, label="stable")
+        ax.fill(np.nan, np.nan, color=STABLE, label="stable")
         ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK, loc="best")
 
 

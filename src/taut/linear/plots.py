@@ -81,14 +81,13 @@ def _draw_step(ax: Axes, system: LinearSystem) -> None:
     start = sampled.B[:, column]  # a step adds up the impulse response
     later = np.cumsum(powers(sampled.C[row], sampled.A, count - 1) @ start)
     y = sampled.D[row, column] + np.concatenate([[0.0], later])
-    prepared(ax, "step response", "q / reference", "t [s]")
+    title = f", settled after {settled:.3g} s (dashed)" if settles else ""
+    prepared(ax, f"step response{title}", "q / reference", "t [s]")
     ax.axhspan(1.0 - BAND, 1.0 + BAND, color=colour(2), alpha=0.25, linewidth=0.0)
     ax.axhline(1.0, color=INK, linewidth=0.6)
     ax.plot(h * np.arange(count), y, color=colour(0), linewidth=1.5)
     if settles:
-        label = f"settled, {found.settling_time:.3g} s"
-        ax.axvline(found.settling_time, color=colour(1), linewidth=1.0, linestyle=DASHED, label=label)
-        ax.legend(fontsize=SMALL, frameon=False, labelcolor=INK, loc="lower right")
+        ax.axvline(settled, color=colour(1), linewidth=1.0, linestyle=DASHED)
 
 
 def _loops(system: LinearSystem) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:

@@ -36,6 +36,7 @@ TASK_BARS: Final = ("task_rms", "task_rms_rotation", "effort", "chatter")
 FORCE_BARS: Final = ("force_error_rms", "moment_error_rms", "effort", "chatter")
 MAX_RUNS: Final = 8  # in one figure
 BARS_IN_ROW: Final = 4
+BAR_TITLE_LETTERS: Final = 96  # of all titles of bars in a row
 NAME: Final = 18  # letters of a run's name beside its bars, on each of two lines
 
 
@@ -46,6 +47,7 @@ class Panel(NamedTuple):
     unit: str
     curves: dict[int, Float64Array]
     references: dict[int, Float64Array] = {}  # noqa: RUF012  (nothing changes it)
+    from_zero: bool = True  # show zero: errors, not positions
 
 
 def compare(
@@ -76,10 +78,13 @@ def compare(
     if bars is None:
         within = [run if window is None else run.between(*window) for run in each]
         bars = dict(_bars(within, measures or _usual_bars(each), joint))
-    rows, bar_rows = max(map(len, columns)), -(-len(bars) // BARS_IN_ROW)
+    rows, bar_rows = max(map(len, columns)), max(-(-len(bars) // BARS_IN_ROW), 1)
+    across = max(-(-len(bars) // bar_rows), 1)
+    titles = {words: wrapped(words, BAR_TITLE_LETTERS // across) for words in bars}
     labels = [wrapped(name, NAME) for name in names]
     bar = 0.36 if any("\n" in label for label in labels) else 0.22  # [inch]
-    heights = [0.5 + (2.1 if rows == 1 else 1.7 * rows), bar_rows * (0.3 + bar * len(runs))]
+    head = 0.45 if any("\n" in words for words in titles.values()) else 0.3  # [inch]
+    heights = [0.5 + (2.1 if rows == 1 else 1.7 * rows), bar_rows * (head + bar * len(runs))]
     figure = Figure(figsize=(WIDTH, 0.3 + sum(heights)), dpi=150, layout="constrained")
     if title:
         figure.suptitle(short_name(title, 110), fontsize=9.5, color=INK, x=0.01, ha="left")
@@ -101,11 +106,11 @@ def compare(
     legend_above(top, handles)
     if window is not None:
         bottom.suptitle(f"from {window[0]:g} to {window[1]:g} s", fontsize=SMALL, color=INK, x=0.01, ha="left")
-    below = bottom.subplots(max(bar_rows, 1), min(max(len(bars), 1), BARS_IN_ROW), squeeze=False)
+    below = bottom.subplots(bar_rows, across, squeeze=False)
     for ax in below.flat[len(bars) :]:
         ax.set_visible(False)
     for ax, (words, numbers) in zip(below.flat, bars.items(), strict=False):
-        _draw_bars(prepared(ax, words), numbers)
+        _draw_bars(prepared(ax, titles[words]), numbers)
     for row in below:
         row[0].set_yticks(row[0].get_yticks(), labels)
     return figure
@@ -137,9 +142,9 @@ def _errors(run: Run) -> Curves:
 def _errors_of_one(run: Run) -> Curves:
     wrench = force_error(run) if len(run) else None
     if wrench is not None:
-        out = {("norm of the force's error", "N"): np.linalg.norm(wrench[:, :3], axis=1)}
+        out = {("norm of the force error", "N"): np.linalg.norm(wrench[:, :3], axis=1)}
         if np.any(wrench[:, 3:]):
-            out["norm of the moment's error", "N m"] = np.linalg.norm(wrench[:, 3:], axis=1)
+            out["norm of the moment error", "N m"] = np.linalg.norm(wrench[:, 3:], axis=1)
         return out
     if run.error is not None:
         return _norms(run.error, run.units, "tracking error", "of the joints")
@@ -176,7 +181,7 @@ def _of_joint(runs: Sequence[Run], joint: str) -> Iterator[Panel]:
     positions = {i: run.q[:, place] for i, (run, place) in enumerate(zip(runs, places, strict=True))}
     errors = {i: run.error[:, places[i]] for i, run in enumerate(runs) if run.error is not None}
     references = {i: positions[i] + error for i, error in errors.items()}
-    yield Panel(f"position of {short_name(joint, 40)}", unit, positions, references)
+    yield Panel(f"position of {short_name(joint, 40)}", unit, positions, references, from_zero=False)
     if errors:
         yield Panel("tracking error", unit, errors)
 
@@ -188,10 +193,10 @@ def _draw(ax: Axes, panel: Panel, runs: Sequence[Run]) -> None:
         line(ax, runs[i].t, curve, colour(i))
     for i, curve in panel.references.items():
         line(ax, runs[i].t, curve, INK, reference=True)
-    if any(curve.min() < 0.0 for curve in panel.curves.values()):
+    if panel.from_zero:
         ax.axhline(0.0, color=INK, linewidth=0.6)
-    else:
-        ax.set_ylim(bottom=0.0)
+        if not any(curve.min() < 0.0 for curve in panel.curves.values()):
+            ax.set_ylim(bottom=0.0)
     ax.margins(x=0.01)
 
 
@@ -206,7 +211,9 @@ def _bars(runs: Sequence[Run], measures: Sequence[str], joint: str | None) -> It
     for measure in measures:
         found = [run.metrics.by_unit(measure, joint) for run in runs]
         for unit in dict.fromkeys(unit for numbers in found for unit in numbers):
-            yield f"{METRICS[measure].title} [{unit}]", [numbers.get(unit, math.nan) for numbers in found]
+            values = [numbers.get(unit, math.nan) for numbers in found]
+            if not np.isnan(values).all():
+                yield f"{METRICS[measure].title} [{unit}]", values
 
 
 def _draw_bars(ax: Axes, values: Sequence[float]) -> None:

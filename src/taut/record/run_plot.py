@@ -46,8 +46,9 @@ LEGEND_LINE: Final = 0.19  # [in]
 LETTERS: Final = 96  # in one line of the title
 MAX_LINES: Final = 4  # of how the run ended, with how to fix it
 PHASE_LETTERS: Final = 10  # of a name
+PHASE_ROOM: Final = 0.6  # of the first picture's height, added above its curves for the names
 PHASE_SIZE: Final = 7.5  # [pt] of the letters
-MIN_PHASE: Final = 0.03  # of the run: a shorter phase has no room for its name
+MIN_PHASE: Final = 0.09  # of the run: a shorter phase has no room for its name
 TIME: Final = "t [s]"
 AXES: Final = ("x", "y", "z")
 _NUMBER: Final = re.compile(r"\b\d+\.\d+(e[+-]?\d+)?\b")
@@ -273,10 +274,13 @@ def _tool(run: Run, figure: SubFigure) -> None:
 def _mark_phases(run: Run, figure: Figure) -> None:
     """Draw where each phase of a task begins into every picture, with its name in the first."""
     axes = [ax for ax in figure.axes if ax.get_visible()]
+    low, high = axes[0].get_ylim()
+    axes[0].set_ylim(low, high + PHASE_ROOM * (high - low))
     for window in run.phases:
         for ax in axes if window.first else ():
             ax.axvline(window.start, color=INK, linewidth=0.7, linestyle=DOTTED, zorder=0.5)
         if window.end - window.start >= MIN_PHASE * float(run.t[-1] - run.t[0]):
             letters: Any = {"fontsize": PHASE_SIZE, "color": INK, "va": "top", "rotation": 90}
             label, place = short_name(window.name, PHASE_LETTERS), axes[0].get_xaxis_transform()
-            axes[0].text(window.start, 0.98, label, transform=place, **letters)
+            beside: Any = {"xytext": (1.5, 0.0), "textcoords": "offset points"}  # the line
+            axes[0].annotate(label, (window.start, 0.98), xycoords=place, **beside, **letters)
