@@ -231,3 +231,30 @@ def test_a_plant_of_ones_own_runs_with_events_and_columns() -> None:
     assert run.outcome.ok, run.outcome
     assert run.v[-1, 0] == pytest.approx(0.1 / 2.0 + 0.1 / 4.0, abs=1e-12)
     assert run.extra["kinetic"][-1] == pytest.approx(2.0 * run.v[-1, 0] ** 2, rel=0.02)
+
+
+class Resting(taut.PlantBase):
+    def reset(self, q: Any, v: Any, dt: float, seed: int) -> None:
+        self.now = q.copy(), v.copy()
+
+    def state(self) -> Any:
+        return self.now
+
+    def advance(self, command: Any) -> Any:
+        return command
+
+
+@pytest.mark.parametrize(
+    ("method", "gives", "words"),
+    [
+        ("advance", None, r"advance\(\) must return the torques that acted with shape \(2,\); got none"),
+        ("advance", np.zeros(3), r"got shape \(3,\)"),
+        ("measure", {"q": np.zeros(2)}, r"measure\(\) must return v with shape \(2,\); got none"),
+        ("measure", None, r"measure\(\) must return q"),
+    ],
+)
+def test_a_plant_that_gives_something_else_is_refused_by_its_method(method: str, gives: Any, words: str) -> None:
+    arm = taut.load_arm("planar2")
+    plant = type("Wrong", (Resting,), {method: lambda *_: gives})(arm)
+    with pytest.raises(taut.errors.ShapeError, match=words):
+        taut.run(taut.compile(taut.laws.PID(kp=1.0, kd=1.0), arm), plant, duration=0.01)

@@ -9,7 +9,7 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from taut.base.errors import NumericalError, RangeError, TautError
+from taut.base.errors import NumericalError, RangeError, ShapeError, TautError
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.loop import compiled_loop
@@ -298,6 +298,8 @@ class HostedRun(OngoingRun):
         out = tape.outputs
         out["q"][k], out["v"][k] = plant.state()
         measured = plant.measure()
+        if k == 0:
+            self._require("measure", measured, {path: view.shape for path, view in self._measured})
         self._reference(k, measured)
         for path, view in self._measured:
             view[...] = measured[path]
@@ -316,7 +318,12 @@ class HostedRun(OngoingRun):
             return Outcome(kind="diverged", message=f"{outcome.message}; {error}", tick=k - 1, joint=outcome.joint)
         for view, rows in self._given:
             rows[k] = view
-        out["tau"][k] = plant.advance(self._command)
+        acted = plant.advance(self._command)
+        if k == 0:
+            self._require(
+                "advance", {"the torques that acted": acted}, {"the torques that acted": out["tau"][k].shape}
+            )
+        out["tau"][k] = acted
         for name, value in plant.extra().items():
             out[name][k] = value
         trouble = plant.trouble()
@@ -327,6 +334,15 @@ class HostedRun(OngoingRun):
         where = f" at t = {tape.inputs['t'][k]:.6g} s (tick {k})" + (f", joint '{who}'" if who else "")
         message = f"the simulation diverged{where}: {words}{self.tape.out_of_reach(k + 1)}"
         return Outcome(kind="diverged", message=message, tick=k, joint=who)
+
+    def _require(self, method: str, given: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:
+        """Refuse what a method of a plant of the user's gives in the first tick if it is not what a run needs."""
+        for name, shape in shapes.items():
+            value = given.get(name) if isinstance(given, Mapping) else None
+            if value is None or np.shape(value) != shape:
+                got = "none" if value is None else f"shape {np.shape(value)}"
+                who = f"plant '{self._plant.name}': {method}()"
+                raise ShapeError(f"{who} must return {name} with shape {shape}; got {got}", name=name)
 
     def _apply(self, values: Mapping[str, ArrayLike]) -> Float64Array | None:
         """New values of parameters; those of the controller before, where a blend takes up the change."""
