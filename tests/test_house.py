@@ -114,6 +114,11 @@ def test_an_unknown_name_gets_the_nearest_one() -> None:
         taut.load_amr  # noqa: B018
 
 
+def test_a_name_of_another_front_door_is_pointed_to() -> None:
+    with pytest.raises(AttributeError, match=r"taut has no public name 'Quintic'; it is taut.trajectories.Quintic$"):
+        getattr(taut, "Quintic")  # noqa: B009
+
+
 def test_importing_taut_loads_nothing_heavy() -> None:
     code = "import sys, taut; print(sorted(m for m in ('numpy', 'llvmlite', 'mujoco', 'matplotlib', 'scipy', 'rich') if m in sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

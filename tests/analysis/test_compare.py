@@ -81,7 +81,7 @@ def test_wrong_models_are_the_arms_of_the_stated_seeds(table: taut.analysis.Comp
     numbers = table.entries["exact"].numbers
     assert numbers["model_median"]["rad"] == sorted(errors)[1]
     assert numbers["model_worst"]["rad"] == max(errors)
-    assert "WrongModel(mass=0.3, payload=1.0, trials=3, seed=7)" in str(table)
+    assert "3 true arms, spread mass 30 %, payload 1 kg, seed 7" in str(table)
 
 
 def test_noise_of_positions_makes_the_chatter_that_white_noise_makes() -> None:

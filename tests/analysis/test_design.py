@@ -349,7 +349,9 @@ def test_the_largest_step_is_the_one_that_takes_all_the_torque() -> None:
             saturated = []
             for i in range(2):
                 ref = q.copy()
-                ref[i] += share * next(each.value for each in d.limits if each.where.startswith(f"joint{i + 1} "))
+                ref[i] += share * next(
+                    each.value for each in d.limits if f"{each.where} ".startswith(f"joint{i + 1} ")
+                )
                 run = taut.run(ctrl, plant, taut.JointMotion(q=ref), q0=rest, duration=0.3, progress=False)
                 saturated.append(float(np.nanmax(run.metrics.saturation_time)) > 0.0)
             assert all(saturated) if cut else not any(saturated)

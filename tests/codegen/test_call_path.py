@@ -497,3 +497,12 @@ def test_keywords_leave_nothing_behind() -> None:
     for _ in range(1000):
         ctrl.step(Q, REF, F_ext=F, tau_meas=tau)
     assert [sys.getrefcount(x) for x in (F, tau, REF)] == before
+
+
+def test_a_law_without_a_reference_is_stepped_without_one() -> None:
+    arm = taut.load_arm("planar2")
+    ctrl = taut.compile(taut.laws.GravityCompensation(), arm)
+    for _ in range(2):
+        assert ctrl.step(arm.home, [0.0, 0.0]) == pytest.approx(
+            ctrl.step(arm.home, [0.0, 0.0], taut.JointMotion(q=arm.home))
+        )

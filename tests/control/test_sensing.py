@@ -217,7 +217,7 @@ def test_its_numbers_are_parameters_that_act_without_a_compile(
 REFUSED: list[tuple[taut.Sensing, str, Any, type[taut.TautError], str]] = [
     (SENSINGS["difference and low-pass"], "velocity.cutoff", 0.0, taut.errors.RangeError, "sensing.velocity.cutoff must be > 0 [Hz]; got 0.0; leave it out for no low-pass"),
     (SENSINGS["difference and low-pass"], "velocity.cutoff", 500.0, taut.errors.RangeError, "sensing.velocity.cutoff must be < 500 [Hz], half the controller's rate of 1000 Hz; got 500.0; make it lower, or the rate higher"),
-    (SENSINGS["difference and low-pass"], "velocity.cutoff", [1.0, 2.0], taut.errors.ShapeError, "sensing.velocity.cutoff has shape (); got shape (2,); compile the law, or make the plant, with a value of the new shape"),
+    (SENSINGS["difference and low-pass"], "velocity.cutoff", [1.0, 2.0], taut.errors.ShapeError, "sensing.velocity.cutoff was compiled with shape (); got shape (2,); for another shape, compile the law or make the plant again"),
     (SENSINGS["low-pass"], "velocity.cutoff", [30.0, 700.0], taut.errors.RangeError, "sensing.velocity.cutoff[1] (joint 'joint2') must be < 500 [Hz], half the controller's rate of 1000 Hz; got 700.0; make it lower, or the rate higher"),
     (SENSINGS["low-pass"], "velocity.cutoff", [1.0, 2.0, 3.0], taut.errors.ShapeError, "sensing.velocity.cutoff must be a number or (2,) [Hz] for 2 joints; got shape (3,)"),
     (SENSINGS["low-pass"], "velocity.cutoff", np.nan, taut.errors.RangeError, "sensing.velocity.cutoff must be finite [Hz]; got nan"),

@@ -151,7 +151,7 @@ class TestALawOfOnesOwn:
         ctrl.parameters["law.k"] = 4.0
         ctrl.reset()
         np.testing.assert_allclose(ctrl.step(np.zeros(2), np.zeros(2), ref), 2.0 * first)
-        with pytest.raises(taut.errors.ShapeError, match=r"law\.k has shape \(\); got shape \(2,\)"):
+        with pytest.raises(taut.errors.ShapeError, match=r"law\.k was compiled with shape \(\); got shape \(2,\)"):
             ctrl.parameters["law.k"] = [1.0, 2.0]
         ctrl.parameters["law.rest"] = 0.5
         np.testing.assert_array_equal(ctrl.parameters["law.rest"], [0.5, 0.5])

@@ -389,3 +389,21 @@ def test_a_five_bar_stays_closed_and_keeps_its_energy() -> None:
         whole = np.block([[x.M, A.T], [A, np.zeros((2, 2))]])
         lam = np.linalg.solve(whole, np.concatenate([-np.asarray(x.h), -np.asarray(rows.bias)]))[4:]
         np.testing.assert_allclose(found.extra["contact.lam"][k], lam, rtol=1e-8, atol=1e-8)
+
+
+def test_an_impact_whose_normal_and_friction_are_strongly_coupled_ends_in_its_step() -> None:
+    """A UR10 once went on into this wall for 14 ticks: full steps of Newton's method alone do not converge here."""
+    arm = taut.load_arm("ur10")
+    q = np.array([0.792, -2.056, 2.363, -2.258, -1.032, -0.491])
+    v = np.array([1.476, -0.265, -0.668, -3.021, -0.845, -0.604])
+    n = np.array([-0.249, -0.915, -0.318]) / np.linalg.norm([-0.249, -0.915, -0.318])
+    point = taut.snapshot(arm, q).T().p - 1e-4 * n
+    wall = taut.RigidContact(constraint=taut.Constraint.plane(point=point, normal=n), friction=0.8)
+    ctrl = taut.compile(taut.laws.GravityCompensation(), arm)
+    run = taut.run(ctrl, taut.RigidPlant(arm, friction=None, contact=wall), taut.hold(), duration=0.03, q0=q, v0=v)
+    x = [taut.snapshot(arm, *state) for state in zip(run.q, run.v, strict=True)]
+    gaps = np.array([n @ (state.T().p - point) for state in x])
+    rates = np.array([n @ (state.J()[:3] @ state.v) for state in x])
+    assert rates[0] < -0.4
+    assert (rates[gaps < 1e-9][1:] > -1e-4).all()
+    assert (gaps > -1e-9).all()

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 import taut
+from taut.analysis.comparison import Experiment
 from taut.cli.command import Answer
 from taut.cli.main import COMMANDS as ALL
 from taut.cli.main import _parser, main
@@ -70,6 +71,8 @@ def test_the_laws_are_listed_with_equation_closed_loop_and_needs(capsys: pytest.
     assert {"kfp", "kfi", "kdamp", "e_int_max"} <= set(rows["ForceControl"]["gains"])  # some need a feedback
     whole = next(row for row in rows["ForceControl"]["law"] if row.startswith("the damping is implicit"))
     assert whole.endswith("the strongest damper that a torque held over a tick can be")  # continued on three lines
+    assert rows["EnergyTank"]["reference"] == "that of the law that it holds"
+    assert {"NormalEstimate", "LossOfContact", "SideBySide", "Sum"} <= set(rows)
     assert all(row["law"] and row["closed_loop"] for row in rows.values())
 
 
@@ -87,7 +90,6 @@ def test_check_exits_with_two_when_something_is_refused(tmp_path: Path, capsys: 
     ("arguments", "message"),
     [
         (["rnu"], "taut: argument COMMAND: invalid choice: 'rnu'"),
-        ([], "taut: the following arguments are required: COMMAND; taut --help lists what it takes\n"),
         (["run"], "taut: the following arguments are required: SCENARIO; taut run --help lists what it takes\n"),
         (
             ["run", "panda_paylod"],
@@ -109,7 +111,7 @@ def test_check_exits_with_two_when_something_is_refused(tmp_path: Path, capsys: 
         (["run", __file__], f"taut: scenario '{__file__}' is no valid TOML: "),
         (["check", "planer2"], "taut: taut has no arm 'planer2'; did you mean 'planar2'"),
         (["check", "no/such.urdf"], "taut: model 'no/such.urdf' does not exist"),
-        (["check", __file__], f"taut: model '{__file__}' is no .urdf and no MJCF .xml file"),
+        (["check", __file__], f"taut: model '{__file__}' is neither a .urdf nor an MJCF .xml file"),
         (["run", "one_joint_pid", "--law", ""], "taut: --law takes FILE.py:CLASS; got ''"),
     ],
 )
@@ -430,6 +432,43 @@ sys.exit(main(["check", "planar2"]))
     assert done.returncode in (1, -signal.SIGINT)
     assert done.stderr in ("", "taut: interrupted\n")
     assert done.stdout == ""
+
+
+def test_an_interrupted_run_names_the_log_of_what_it_did(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = Experiment.run
+
+    def interrupted(self: Experiment, ctrl: taut.Controller, log: Path | None) -> taut.Run:
+        if log is None:
+            return run(self, ctrl)
+        log.touch()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Experiment, "run", interrupted)
+    assert main(["run", "panda_payload", "--out", str(tmp_path), "--set", "run.duration=0.1"]) == 1
+    (log,) = tmp_path.glob("*.partial.mcap")
+    assert capsys.readouterr().err.splitlines()[-1] == f"taut: interrupted; the run until then is in {log}"
+
+
+def test_without_a_command_the_help_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 2
+    assert "commands:" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "place"),
+    [
+        (["run", "one_joint_pid", "--set", "law.kp=-2"], "--set: law.kp must be >= 0"),
+        (["run", "one_joint_pid", "--set", "run.q0=[30]"], "q0[0] (joint 'joint1') must be an angle in radians"),
+        (["design", "PID", "planar2", "--at", "30,45"], "at[0] (joint 'joint1') must be an angle in radians"),
+    ],
+)
+def test_a_wrong_value_is_named_by_what_the_user_wrote(
+    words: list[str], place: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == 2
+    assert place in capsys.readouterr().err
 
 
 def test_the_command_line_leaves_ctrl_c_to_python() -> None:

@@ -69,14 +69,15 @@ def test_the_laws_of_a_scenario_are_compared_as_text_json_and_picture(
     assert main([*words, "--report", "compared.html"]) == 0
     told = capsys.readouterr().out
     assert "ranked by effort: " in told
-    assert "WrongModel(friction=0.2, trials=1)" in told
+    assert "1 true arm, spread friction 20 %, seed 0" in told
     assert "<svg" in (here / "compared.html").read_text() or "<img" in (here / "compared.html").read_text()
     assert main([*words, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     rows = {row["figure"]: row for row in found["tables"]["figures"]}
     effort = {name: value for name, value in rows["effort"].items() if name not in ("figure", "unit")}
     assert list(effort) == sorted(effort, key=lambda name: effort[name])
-    assert rows["model_worst"]["PD"] > 0.0
+    assert rows["model worst"]["PD"] > 0.0
+    assert found["numbers"]["PD"]["model_worst"]["rad"] == rows["model worst"]["PD"]
 
 
 def test_a_students_law_is_graded(here: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,14 +9,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 
 from taut.arm.description import Arm
 from taut.base.errors import TautError, UsageError, count_of, unknown_name
 from taut.base.fields import Declared, Field, Whole
-from taut.base.result import Cell, Content, Result, Table
+from taut.base.result import Cell, Content, Result, Table, plain
 from taut.base.types import ArrayLike
 from taut.codegen.engine import EngineChoice
 from taut.control.law import Law
@@ -57,11 +57,11 @@ ERRORS: Final = {
 """RMS and peak of each error that a run may have; the first that it has is its main error."""
 SPENT: Final = ("effort", "peak_torque", "saturation_time", "chatter")
 DERIVED: Final = {
-    "steady_error": "the first RMS error, over the last fifth of the run",
-    "noise_error": "the first RMS error with noise of the sensors, less that without",
-    "noise_chatter": "chatter with noise of the sensors, less that without",
-    "model_median": "the first RMS error with true arms that differ from the model: the median",
-    "model_worst": "the first RMS error with true arms that differ from the model: the largest; infinite where a "
+    "steady_error": "RMS of the main error (of joints, else of the tool, else of its force) over the last fifth",
+    "noise_error": "increase of the RMS of the main error by the noise of the sensors",
+    "noise_chatter": "increase of the chatter by the noise of the sensors",
+    "model_median": "RMS of the main error with true arms that differ from the model: the median",
+    "model_worst": "RMS of the main error with true arms that differ from the model: the largest; infinite where a "
     "run with one of them failed",
 }
 FIGURES: Final = (*(name for pair in ERRORS.items() for name in pair), *SPENT, *DERIVED)
@@ -89,6 +89,15 @@ class WrongModel(Declared):
         """At least one spread is above zero."""
         if not any((self.mass, self.com, self.inertia, self.friction, self.payload)):
             self.refuse("", "needs one of mass, com, inertia, friction and payload above zero")
+
+    def described(self) -> str:
+        """The spreads in words."""
+        spreads = {name: float(getattr(self, name)) for name in self.declared if name not in ("trials", "seed")}
+        units = {"com": "m", "payload": "kg"}
+        sizes = (f"{x:g} {units[name]}" if name in units else f"{100.0 * x:g} %" for name, x in spreads.items() if x)
+        names = (name for name, x in spreads.items() if x)
+        words = ", ".join(f"{name} {size}" for name, size in zip(names, sizes, strict=True))
+        return f"{count_of(self.trials, 'true arm')}, spread {words}, seed {self.seed}"
 
     def arms(self, arm: Arm) -> Iterator[Arm]:
         """The true arm of each trial."""
@@ -245,11 +254,11 @@ class Comparison(Result):
         entries = self.entries.values()
         shown = [name for name in dict.fromkeys((*FIGURES, *self.by)) if self._units(name)]
         rows: list[Sequence[Cell]] = [
-            (name, unit, *(entry.numbers.get(name, {}).get(unit, math.nan) for entry in entries))
+            (title_of(name), unit, *(entry.numbers.get(name, {}).get(unit, math.nan) for entry in entries))
             for name in shown
             for unit in self._units(name)
         ]
-        ranked = f"ranked by {', then '.join(self.by)}: {', '.join(self.ranking)}"
+        ranked = f"ranked by {', then '.join(map(title_of, self.by))}: {', '.join(self.ranking)}"
         return Content(
             title=f"Comparison on {self.title}",
             faults=[f"{name}: {run.outcome}" for name, run in self.runs.items() if not run.outcome.ok],
@@ -262,11 +271,20 @@ class Comparison(Result):
             settings={**{f"law '{entry.name}'": entry.law for entry in entries}, **self.settings},
             texts={
                 "What the figures are": "\n".join(
-                    f"{name}: {DERIVED[name] if name in DERIVED else METRICS[name].meaning(2)}" for name in shown
+                    f"{title_of(name)}: {DERIVED[name] if name in DERIVED else METRICS[name].meaning(2)}"
+                    for name in shown
                 ),
                 **self.texts,
             },
         )
+
+    def json(self) -> dict[str, Any]:
+        """The result as plain data, with the figures by law, name and unit."""
+        numbers = {
+            law: {name: {unit: plain(value) for unit, value in each.items()} for name, each in entry.numbers.items()}
+            for law, entry in self.entries.items()
+        }
+        return {**super().json(), "numbers": numbers}
 
     def _draw(self) -> Figure:
         """Errors and torques over time, and the figures as bars."""
@@ -274,9 +292,8 @@ class Comparison(Result):
         first = dict.fromkeys(filter(None, (main_error(entry.numbers) for entry in entries.values())))
         bars = {}
         for name in (*first, "effort", "chatter", "noise_chatter", "model_worst"):
-            title = METRICS[name].title if name in METRICS else name.replace("_", " ")
             for unit in self._units(name):
-                bars[f"{title} [{unit}]"] = [
+                bars[f"{title_of(name)} [{unit}]"] = [
                     entry.numbers.get(name, {}).get(unit, math.nan) for entry in entries.values()
                 ]
         return compare_runs(
@@ -286,6 +303,11 @@ class Comparison(Result):
     def _units(self, figure: str) -> list[str]:
         """The units that a figure has for any law."""
         return [*dict.fromkeys(unit for entry in self.entries.values() for unit in entry.numbers.get(figure, {}))]
+
+
+def title_of(figure: str) -> str:
+    """What a figure is called in tables and plots."""
+    return METRICS[figure].title if figure in METRICS else figure.replace("_", " ")
 
 
 def compare_laws(
@@ -302,7 +324,8 @@ def compare_laws(
         raise UsageError(f"a comparison has 1 to {MAX_LAWS} laws and runs; got {len(laws) + len(runs)}", name="laws")
     for figure in by:
         if figure not in FIGURES and figure not in METRICS:
-            raise unknown_name("a comparison", "figure", figure, [*FIGURES, *METRICS])
+            known = dict.fromkeys([*FIGURES, *METRICS])
+            raise unknown_name("a comparison", "figure", figure, known, hint="taut.analysis.METRICS has all metrics")
     for name, recorded in runs.items():
         _check_recorded(name, recorded)
     entries: list[Entry] = []
@@ -355,12 +378,13 @@ class _Variants:
         elif noise:
             deviations = {name: value for name, value in NOISE.items() if getattr(sensors, name) is not None}
             noisy = plant.like(sensors=with_noise(sensors, deviations))
-            words = ", ".join(f"{name} {value:g}" for name, value in deviations.items())
-            notes.append(f"noise: sensors with a standard deviation of {words}, against those of the plant")
+            units = {"position": "rad | m", "velocity": "rad/s | m/s"}
+            words = ", ".join(f"{value:g} {units[name]} of {name}" for name, value in deviations.items())
+            notes.append(f"noise: sensors with standard deviations of {words}, against those of the plant")
         trials: tuple[Plant, ...] = ()
         if model is not None:
             trials = tuple(plant.like(arm=arm) for arm in model.arms(plant.arm))
-            notes.append(f"wrong model: the true arm differs by {model}, and the controller's does not")
+            notes.append(f"wrong model: {model.described()}; the controller's model stays as it is")
         return cls(quiet=quiet, noisy=noisy, trials=trials, notes=tuple(notes))
 
     def figures(self, experiment: Experiment, ctrl: Controller, by: Sequence[str]) -> tuple[Run, Numbers]:

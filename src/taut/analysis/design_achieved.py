@@ -270,13 +270,12 @@ class Achieved:
             room = np.maximum(np.where(used > 0.0, effort - hold, effort + hold), 0.0)
             size = np.divide(room, np.abs(used), out=np.full(used.shape, np.inf), where=np.abs(used) > NO_COMMAND)
             joint, axis = arm.joint_names[int(np.argmin(size.min(axis=0)))], self.stated.axes[i]
+            where = direction if joint == direction else f"{direction} (joint {joint})"
             unit, scale = self.stated.units[axis], 1.0
             if self.stated.contact is not None:  # a step of the force that moves the contact
                 unit = {"m": "N", "rad": "N m"}[unit]
                 scale = float(square("contact", self.specification.contact, self.stated)[axis, axis])
-            yield Limit(
-                name="largest step", value=scale * float(size.min()), unit=unit, where=f"{direction} (joint {joint})"
-            )  # fmt: skip
+            yield Limit(name="largest step", value=scale * float(size.min()), unit=unit, where=where)
         if drives:
             return
         angles = np.abs(np.angle(lin.poles[np.abs(lin.poles) > INSTANT])) / lin.period

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from taut.analysis.comparison import Comparison, Experiment, Numbers, blamed, compare_laws
+from taut.analysis.comparison import Comparison, Experiment, Numbers, blamed, compare_laws, title_of
 from taut.base.checks import positive_scalar
 from taut.base.errors import RangeError, UsageError
 from taut.base.paths import subtree
@@ -86,7 +86,7 @@ class Grade(Result):
     def content(self) -> Content:
         """The verdict, the figures, and the commands in the same states with their terms."""
         verdict = f"{'passed' if self.ok else 'failed'}, with a tolerance of {100.0 * self.tolerance:g} %"
-        marks = [(m.figure, m.unit, m.law, m.reference, 100.0 * m.off, _word(m.ok)) for m in self.marks]
+        marks = [(title_of(m.figure), m.unit, m.law, m.reference, 100.0 * m.off, _word(m.ok)) for m in self.marks]
         commands = [
             (d.what, d.joint, d.t, d.law, d.reference, d.size, d.scale, d.unit, _word(d.ok))
             for d in (self.command, *self.terms)

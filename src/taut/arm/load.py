@@ -114,7 +114,7 @@ def _read(path: Path) -> Tree:
     if file.suffix.lower() not in SUFFIXES:
         way_out = "; expand it first: xacro MODEL.xacro > MODEL.urdf" if file.suffix == ".xacro" else ""
         raise FileError(
-            f"model '{file}' is no .urdf and no MJCF .xml file, and taut reads arms from no others{way_out}",
+            f"model '{file}' is neither a .urdf nor an MJCF .xml file{way_out}",
             name=str(file),
         )
     from taut.arm.loaders.xml import read_xml

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from taut.base.checks import finite_array, finite_scalar, read_only, symmetric_psd, vector
+from taut.base.checks import entry_names, finite_array, finite_scalar, read_only, symmetric_psd, vector
 from taut.base.errors import RangeError
 from taut.base.types import Array, ArrayLike, Float64Array, Matrix, Matrix3, Point3
 from taut.trace import math as tm
@@ -196,6 +196,21 @@ def require_radians(name: str, q: Float64Array, arm: Arm) -> None:
         value=angle,
         rule="radians",
     )
+
+
+def require_few_turns(name: str, q: Float64Array, joints: Sequence[Joint]) -> None:
+    """Refuse a written pose, (n,), with more than 1.5 turns of a joint without limits: it is in degrees."""
+    for i, joint in enumerate(joints):
+        if joint.kind != "prismatic" and abs(q[i]) > 1.5 * TURN and math.isinf(joint.upper - joint.lower):
+            at = entry_names(name, [i], [each.name for each in joints])
+            raise RangeError(
+                f"{at} must be an angle in radians; got {q[i]:g}, which is {abs(q[i]) / TURN:.0f} turns; if it is in "
+                "degrees, np.radians(...) converts it",
+                name=at,
+                joint=joint.name,
+                value=float(q[i]),
+                rule="radians",
+            )
 
 
 def inertia_matrix(six: Any) -> Matrix:

@@ -273,7 +273,7 @@ def in_compiled_shape(path: str, value: Float64Array, shape: tuple[int, ...]) ->
     if value.ndim == 0:
         return np.full(shape, float(value))
     raise ShapeError(
-        f"{path} has shape {shape}; got shape {value.shape}; compile the law, or make the plant, with a value of the "
-        "new shape",
+        f"{path} was compiled with shape {shape}; got shape {value.shape}; for another shape, compile the law "
+        "or make the plant again",
         name=path,
     )

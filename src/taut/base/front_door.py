@@ -32,7 +32,10 @@ def lazy_names(module: str, file: str) -> tuple[Callable[[str], Any], Callable[[
 
     def load(name: str) -> Any:
         if name not in homes:
-            raise AttributeError(str(unknown_name(module, "public name", name, names)), name=name, obj=None)
+            others = [] if name.startswith("_") else _doors_with(name)
+            unknown = unknown_name(module, "public name", name, names)
+            text = f"{module} has no public name {name!r}; it is {others[0]}.{name}" if others else str(unknown)
+            raise AttributeError(text, name=name, obj=None)
         value = _value(homes[name], name)
         if name != "math":  # whose functions are too quick to wrap
             value = _checked(module, name, value)
@@ -40,6 +43,13 @@ def lazy_names(module: str, file: str) -> tuple[Callable[[str], Any], Callable[[
         return value
 
     return load, lambda: names, names
+
+
+def _doors_with(name: str) -> list[str]:
+    """The front doors that have a public name."""
+    top = importlib.import_module("taut")
+    doors = [top, *(value for word in top.__all__ if isinstance(value := getattr(top, word), ModuleType))]
+    return [door.__name__ for door in doors if name in door.__all__]
 
 
 def _value(home: str, name: str) -> Any:

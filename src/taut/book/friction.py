@@ -215,6 +215,6 @@ def first_order() -> Shown:
         tau = (I_LINK + G**2 * I_MOTOR) / b
         wanted = (0.1 - tau * (1.0 - math.exp(-0.1 / tau))) / b
         source = "the solution of M a + b v = tau"
-        yield row(f"way in 0.1 s under 1 N m, G = {G:g}, b = {b:g} [rad]", q, wanted, source, rel=1e-6)
-        name = "of what a first-order system tau = b v would go"
+        yield row(f"displacement in 0.1 s under 1 N m, G = {G:g}, b = {b:g} [rad]", q, wanted, source, rel=1e-6)
+        name = f"the same as a fraction of that of the first-order system tau = b v, G = {G:g}"
         yield row(name, q * b / 0.1, wanted * b / 0.1, "the same", rel=1e-6)

@@ -197,7 +197,7 @@ class MeasuredInertia(Law):
     """
 
     ignores_reference = True
-    D: taut.Gain  # [kg m^2]
+    D: taut.Gain = taut.Gain(unit="kg m^2")
     before: taut.Memory = taut.Memory(0.0)  # [rad/s]
 
     def command(
@@ -340,7 +340,7 @@ def fig_10_17() -> Shown:
         ctrl.parameters["law.kp"] = stiffness
         out = simulated(ctrl, slide, REST, duration=0.4, q0=[1e-3], friction="arm", integrator="rk4")
         got = float(np.exp(max(two_poles(out.q[100:, 0], 1.0).real)))
-        name = f"growth of an oscillation in a tick, K = {factor:g} of the limit"
+        name = f"factor by which an oscillation grows in a tick, K = {factor:g} of the limit"
         yield row(name, got, radius(stiffness, DISPLAY_RATE), HELD, rel=1e-5, states=states)
     title = ("how stiff the environment may be", "K [N/m]", "servo rate [Hz]")
     figure, (left, right) = panels(None, title, width_ratios=[1.0, 1.1])

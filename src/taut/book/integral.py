@@ -98,7 +98,7 @@ def eq_10_13() -> Shown:
     yield row("error in the end, Ki > 0 [m]", with_i, 0.0, "equation 10.13", near=1e-6)
 
 
-@entry("eq-10.14", "their characteristic equation, and the bound of Ki")
+@entry("eq-10.14", "characteristic equation of PID control, and the bound of Ki")
 def eq_10_14() -> Shown:
     """Gains of figure 10.6 but for Ki; runs of 30 s in a horizontal plane."""
     plane, source = link(gravity=False), "(b + Kd) Kp / M"
@@ -118,7 +118,7 @@ def eq_10_14() -> Shown:
         run = on_link(ctrl, plant=plane, duration=30.0, q0=0.01)
         got = max(two_poles(run.between(6.0, 30.0).q[::100, 0], 0.01).real)
         wanted = np.roots([M, B + KD, KP, factor * BOUND]).real.max()
-        name = f"growth of an oscillation, Ki = {factor:g} of the bound [1/s]"
+        name = f"exponential growth rate of an oscillation, Ki = {factor:g} of the bound [1/s]"
         yield row(name, got, wanted, f"{ROOTS} of 10.14", rel=0.01)
 
 
@@ -272,6 +272,9 @@ def bounded() -> Shown:
         ctrl = controller(law, plane, rate=SERVO_RATE, differenced=True)
         run = on_link(ctrl, plant=plane, duration=1.5, q0=1e-3, substeps=4)
         got = float(np.exp(max(two_poles(run.q[60:, 0], 1.0).real)))
-        name, claim = "growth of an oscillation in a tick, omega_n =", "instability due to the finite servo rate"
+        name, claim = (
+            "factor by which an oscillation grows in a tick, omega_n =",
+            "instability due to the finite servo rate",
+        )
         name = f"{name} {factor:g} of that"
         yield row(name, got, radius(omega_n), "poles of the held link", rel=1e-4, states=claim)

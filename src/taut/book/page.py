@@ -61,7 +61,7 @@ class Row:
         """The row in a table, by COLUMNS; (!) where the difference is too large."""
         apart = self.difference
         if abs(apart) <= ROUNDING_DIFFERENCE * max(abs(self.expected), 1.0):
-            difference = "none"
+            difference = "0"
         else:
             relative = abs(self.expected) > EXPECTED_ZERO
             difference = f"{100.0 * apart / abs(self.expected):+.2g} %" if relative else f"{apart:+.2g}"

@@ -131,6 +131,9 @@ class _Output:
 
 def _status(words: list[str]) -> int:
     try:
+        if not words:
+            _parser().print_help()
+            return WRONG
         arguments = _parser().parse_args(words)
         arguments.words = words
         with warnings.catch_warnings():
@@ -144,8 +147,8 @@ def _status(words: list[str]) -> int:
         place = "" if refusal.filename is None else f" '{refusal.filename}'"
         _tell(f"the system refuses{place}: {refusal.strerror or refusal}")
         return FAILED
-    except KeyboardInterrupt:
-        _tell("interrupted")
+    except KeyboardInterrupt as stop:
+        _tell("; ".join(("interrupted", *map(str, stop.args))))
         return FAILED
 
 

@@ -9,11 +9,14 @@ import textwrap
 import time
 import timeit
 from contextlib import suppress
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from taut.base.errors import ModelError, count_of
 from taut.base.result import Table
 from taut.cli.command import DONE, WRONG, Answer, Command, Say
+
+if TYPE_CHECKING:
+    from taut.control.law import Law
 
 
 def _arms(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
@@ -33,7 +36,7 @@ ARMS: Final = Command(name="arms", help="List the arms that taut knows by name."
 
 def _laws(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
     from taut import laws
-    from taut.control.combine import SideBySide, Sum, Wrapper, law_classes
+    from taut.control.combine import law_classes
     from taut.control.gains import Gain
     from taut.controller.explain import statements, summary
 
@@ -44,13 +47,20 @@ def _laws(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
             "law": statements(cls, "Law"),
             "closed_loop": statements(cls, "Closed loop"),
             "gains": {gain: field.unit for gain, field in cls.declared.items() if isinstance(field, Gain)},
-            "reference": "none" if cls.ignores_reference else cls.reference.__name__,
+            "reference": _reference_of(cls),
         }
         for name, cls in law_classes(laws).items()
-        if not issubclass(cls, (Sum, SideBySide, Wrapper))  # which are made of other laws
     ]
     width = shutil.get_terminal_size((140, 0)).columns
     return Answer(text="\n\n".join(_law_text(row, width) for row in rows), data=rows)
+
+
+def _reference_of(law: type[Law]) -> str:
+    from taut.control.combine import SideBySide, Sum, Wrapper
+
+    if issubclass(law, (Sum, SideBySide, Wrapper)):
+        return "that of the law that it holds" if issubclass(law, Wrapper) else "that of its parts"
+    return "none" if law.ignores_reference else law.reference.__name__
 
 
 def _law_text(row: dict[str, Any], width: int) -> str:

@@ -61,6 +61,8 @@ def step_arguments(side: LawSide, args: tuple[Any, ...], kwargs: dict[str, Any])
 def sample_arguments(side: LawSide, ref: Any) -> dict[str, Any]:
     """The fields of the sample that a law follows, by the path of the input."""
     kind = side.law.reference
+    if ref is None and side.law.ignores_reference:
+        return {}
     if not isinstance(ref, kind):
         hint = "; for a trajectory pass ref.at(t)" if isinstance(ref, Trajectory) else ""
         got = "none" if ref is None else type(ref).__name__

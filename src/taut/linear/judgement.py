@@ -108,7 +108,7 @@ class Judgement(Result):
         if not self.largest:
             return "no smaller gain that was tried makes it stable; change the law, its gains or the rate"
         if "law" in self.largest:
-            return f"no single smaller gain makes it stable, and all gains times {self.largest['law']:g} do"
+            return f"lowering one gain alone does not make it stable; multiplying all by {self.largest['law']:g} does"
         gains = " or ".join(f"{path} = {_times(x, self.gains[path])}" for path, x in self.largest.items())
         return f"the largest gain that is stable is {gains}, the others as they are; use less, or a higher rate"
 

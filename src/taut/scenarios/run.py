@@ -5,13 +5,22 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from taut.base.errors import FileError, MissingExtraError, ScenarioError, TautError, UsageError, warn
+from taut.base.errors import (
+    FileError,
+    MissingExtraError,
+    ScenarioError,
+    StabilityWarning,
+    TautError,
+    UsageError,
+    warn,
+)
 from taut.base.result import Cell, Content, Result, Table
 from taut.codegen.engine import EngineChoice
 from taut.controller import Controller
@@ -203,10 +212,16 @@ def run_scenario(
     made: dict[str, Controller] = {}  # in a spread the plants differ, and the controllers do not
     for trial, one in scenario.trials.items():
         say(f"running {trial.label} ...")
-        with _blamed(one, trial):
+        with _blamed(one, trial), warnings.catch_warnings():
+            warnings.simplefilter("ignore", StabilityWarning)  # the outcome has its sentence
             ctrl = made.get(trial.law) or one.experiment.controller(one.laws[trial.law], engine)
             log = _partial(files["log"]) if "log" in files and trial == scenario.shown else None
-            done = one.experiment.run(ctrl, log=log)
+            try:
+                done = one.experiment.run(ctrl, log=log)
+            except KeyboardInterrupt:
+                if log is None or not log.exists():
+                    raise
+                raise KeyboardInterrupt(f"the run until then is in {log}") from None
             runs[trial] = dataclasses.replace(done, info=dataclasses.replace(done.info, scenario=_info(one, trial)))
         if scenario.spread is not None:
             made[trial.law] = ctrl

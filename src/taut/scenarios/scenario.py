@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -13,6 +14,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from taut.analysis.comparison import Experiment
+from taut.arm.parts import require_few_turns
 from taut.base.errors import (
     FileError,
     RangeError,
@@ -233,8 +235,6 @@ def load_scenario(
     parameters = {place: value for place, value in (values or {}).items() if place not in of_file}
     root = with_values(read_toml(path, f"scenario '{name}'"), of_file)
     root.only(keys)
-    if parameters:
-        root.values["event"] = [{"t": 0.0, "set": parameters}, *root.get("event", [])]
     text = path.read_text(encoding="utf-8-sig")
     outputs, figures = root.table("outputs"), root.tables("pass")
     common: dict[str, Any] = {
@@ -245,7 +245,7 @@ def load_scenario(
     }
 
     def read_one(table: Table) -> Scenario:
-        laws, experiment = read_experiment(table, own_laws, text)
+        laws, experiment = read_experiment(table, own_laws, text, parameters)
         return Scenario(**common, laws=laws, experiment=experiment, cases={})
 
     spread, whole = read_spread(root), read_one(root)
@@ -306,9 +306,12 @@ def read_control_side_and_plant(root: Table) -> dict[str, Any]:
 
 
 def read_experiment(
-    root: Table, own_laws: Mapping[str, Law] | None, text: str
+    root: Table, own_laws: Mapping[str, Law] | None, text: str, parameters: Mapping[str, Any]
 ) -> tuple[dict[str, Law | Task], Experiment]:
-    """The laws of a scenario or of one case, `own_laws` in their place, and their experiment, checked together."""
+    """The laws of a scenario or of one case, `own_laws` in their place, and their experiment, checked together.
+
+    `parameters` are values of parameters from the start.
+    """
     out = read_control_side_and_plant(root)
     arm, plant, rate = out["arm"], out["plant"], out["rate"]
     laws, places = _laws(root, own_laws)
@@ -327,13 +330,19 @@ def read_experiment(
     with run_table.blamed():
         duration_of_ticks(duration, 1.0 / rate)
         q, v = state_at_start(plant.arm, q0, run.v0)
+        require_few_turns("q0", q, plant.arm.joints)
     sides = {label: _law_side(law, out, places[label], root.table("control")) for label, law in laws.items()}
     for side in sides.values():
         with root.table("plant").blamed():
             check_fit(side, plant)
         with table.blamed("kind"):
             _check_reference(side, reference, q, v)
-    due = [_event(each, rate, duration, list(sides.values()), plant) for each in events]
+    check = partial(_check_event, ticks=round(duration * rate) + 1, sides=list(sides.values()), plant=plant)
+    due = [_event(each, check) for each in events]
+    if parameters:
+        with Table("--set:", "", {}).blamed():
+            due.insert(0, Event(t=0.0, set=parameters))
+            check(due[0])
     experiment = Experiment(
         name=root.where,
         reference=reference,
@@ -397,7 +406,7 @@ def _check_reference(side: LawSide, reference: Reference, q: Any, v: Any) -> Non
             feed.fill(views, 0, lambda: snapshot(side.arm, q, v))
 
 
-def _event(table: Table, rate: float, duration: float, sides: list[LawSide], plant: Plant) -> Event:
+def _event(table: Table, check: Callable[[Event], None]) -> Event:
     """An event that sets parameters, or one that pushes, during the run and with each of the laws."""
     if "push" in table:
         table.only(("t", "push"))
@@ -405,8 +414,11 @@ def _event(table: Table, rate: float, duration: float, sides: list[LawSide], pla
         event: Event = read(Event.push, table.table("push"), blame="t", t=table.get("t"))
     else:
         event = read(Event, table)
-    ticks = round(duration * rate) + 1
-    for side in sides:
-        with table.blamed("t"), table.table("push").blamed("of") if "push" in table else table.blamed("set"):
-            Schedule(side, plant, {**side.parameters, **plant.parameters}, [event], ticks)
+    with table.blamed("t"), table.table("push").blamed("of") if "push" in table else table.blamed("set"):
+        check(event)
     return event
+
+
+def _check_event(event: Event, ticks: int, sides: list[LawSide], plant: Plant) -> None:
+    for side in sides:
+        Schedule(side, plant, {**side.parameters, **plant.parameters}, [event], ticks)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taut.arm.parts import BASE, STANDARD_GRAVITY, TURN, Body, CommandKind, Frame, Joint, Visual
+from taut.arm.parts import BASE, STANDARD_GRAVITY, Body, CommandKind, Frame, Joint, Visual, require_few_turns
 from taut.arm.rules import (
     AXIS_TOLERANCE,
     FIX_MASS,
@@ -195,15 +195,6 @@ def _require_within_limits(at: str, value: float, joint: Joint) -> None:
             value=value,
             rule=f"within {limits}",
         )
-    if joint.kind != "prismatic" and abs(value) > 1.5 * TURN and math.isinf(joint.upper - joint.lower):
-        raise RangeError(
-            f"{at} must be an angle in radians; got {value:g}, which is {abs(value) / TURN:.0f} turns; if it is in "
-            "degrees, np.radians(...) converts it",
-            name=at,
-            joint=joint.name,
-            value=value,
-            rule="radians",
-        )
 
 
 def _tool(tree: Tree, lumps: _Lumps, names: list[str]) -> str:
@@ -244,6 +235,7 @@ def positions_within_limits(name: str, q: ArrayLike, joints: Sequence[Joint]) ->
     positions = vector(name, q, len(joints), joints=names)
     for i, joint in enumerate(joints):
         _require_within_limits(entry_names(name, [i], names), float(positions[i]), joint)
+    require_few_turns(name, positions, joints)
     return positions
 
 

@@ -11,6 +11,7 @@ from taut.trace import math as tm
 
 CONTACT_SWEEPS: Final = 16  # of projections of each contact in its turn
 CONTACT_NEWTON_STEPS: Final = 4  # of Newton's method for all contacts at once
+STEP_LENGTHS: Final = (1.0, 0.3, 0.1)  # of a step of Newton's method, of which the best is taken
 SLACK: Final = 1e-11  # of the diagonal, so that contacts that share a load need not be independent
 MIN_SLIDING: Final = 1e-30  # of squares of velocities: keeps quotients finite at rest
 
@@ -47,8 +48,8 @@ def contact_impulses(
 
     the last with a round cone. Both are projections: p_n of p_n - u_n / W_nn, then p_t of p_t - u_t / W_tt on the
     cone. The contacts take turns in a fixed number of such projections, so that it is straight-line code. Newton's
-    method then solves for all of them together, as they touch, stick and slide: of its steps one that does not help
-    is not taken.
+    method then solves for all of them together, as they touch, stick and slide; of each step the best of three
+    lengths is taken, or none where none helps.
 
     References:
         Alart and Curnier, A mixed formulation for frictional contact problems prone to Newton like solution methods,
@@ -71,10 +72,15 @@ def contact_impulses(
         return states, _sum(0.0, zip(missed, missed, strict=True))
 
     for _ in range(CONTACT_NEWTON_STEPS):
-        states, missed = projected(p)
-        new = _newton(W, r, states)
-        better = projected(new)[1] < missed
-        p = [choose(better, a, b) for a, b in zip(new, p, strict=True)]
+        states, least = projected(p)
+        new, best = _newton(W, r, states), p
+        for length in STEP_LENGTHS:
+            trial = [a + length * (b - a) for a, b in zip(p, new, strict=True)]
+            missed = projected(trial)[1]
+            better = missed < least
+            best = [choose(better, a, b) for a, b in zip(trial, best, strict=True)]
+            least = choose(better, missed, least)
+        p = best
     return tm.array(p)
 
 

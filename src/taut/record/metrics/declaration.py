@@ -82,8 +82,8 @@ class Metric:
 
     def meaning(self, joints: int = 1) -> str:
         """What it is, and how it is put together for several joints."""
-        words = f"the {self.together}" if isinstance(self.together, str) else "that of all together"
-        return f"{self.doc}; for all joints {words}" if self.per_joint and joints > 1 else self.doc
+        words = f"for all joints the {self.together}" if isinstance(self.together, str) else "all joints together"
+        return f"{self.doc}; {words}" if self.per_joint and joints > 1 else self.doc
 
     def units_of(self, run: Run) -> tuple[str, ...]:
         """Unit of each joint's number, or of the one number."""

@@ -223,7 +223,7 @@ def energy(run: Run) -> Float64Array:
 
 @Metric(unit="{tau}", per_joint=True)
 def torque_jump(run: Run) -> Float64Array | None:
-    """Largest jump of tau: how far its change in a tick is at least off those in the ticks before and after.
+    """Largest jump of tau: difference of its change in a tick from that in the tick before or after, the smaller one.
 
     A continuous torque has next to none, however steep.
     """
@@ -241,13 +241,13 @@ def _fraction_of_limit(run: Run, rows: Float64Array, limit: str) -> Float64Array
 
 @Metric(title="torque", unit="% of limit", per_joint=True)
 def torque_use(run: Run) -> Float64Array:
-    """Percentage of the arm's effort limit that the largest magnitude of tau is."""
+    """Largest magnitude of tau, as a percentage of the arm's effort limit."""
     return _fraction_of_limit(run, run.tau, "effort")
 
 
 @Metric(title="speed", unit="% of limit", per_joint=True)
 def speed_use(run: Run) -> Float64Array:
-    """Percentage of the arm's velocity limit that the largest speed is."""
+    """Largest speed, as a percentage of the arm's velocity limit."""
     return _fraction_of_limit(run, run.v, "velocity")
 
 

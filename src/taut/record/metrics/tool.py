@@ -122,7 +122,7 @@ def _least(x: Float64Array) -> float:
 
 
 _force, _moment = partial(_external, part=_FORCE), partial(_external, part=_MOMENT)
-_declare("min_force", "least force", "N", "Smallest norm of the environment's force on the arm", _force, _least)
+_declare("min_force", "minimum force", "N", "Smallest norm of the environment's force on the arm", _force, _least)
 _declare("force_rms", "force RMS", "N", "RMS of the norm of the environment's force", _force, _rms)
 _declare("peak_force", "peak force", "N", "Peak of the norm of the environment's force", _force, _peak)
 _declare("peak_moment", "peak moment", "N m", "Peak of the norm of the environment's moment", _moment, _peak)
@@ -195,7 +195,7 @@ def normal_error(run: Run) -> float | None:
 
 @Metric(title="against eq. 10.48", unit="%")
 def impedance_error(run: Run) -> float | None:
-    """RMS distance of the tool from where eq. 10.48, integrated with the run's own F_ext, puts it; of its RMS.
+    """RMS distance of the tool from its position by eq. 10.48 with the run's F_ext, as a percentage of its RMS.
 
     K, B and D are the law's. Without D the inertia, and with zeta the damping, is that at the start.
     """
