@@ -130,7 +130,7 @@ def test_a_run_of_a_scenario_is_repeated_by_its_command(
     (tmp_path / "mine.toml").write_text(text)
     assert main(["run", "mine.toml", "--out", "."]) == 0
     assert main(["report", "mine.mcap", "--out", "mine.html"]) == 0
-    assert capsys.readouterr().out.endswith("report   mine.html\n")
+    assert capsys.readouterr().out.endswith("law PID(kp=2.0, kd=2.0), arm one_joint\nreport   mine.html\n")
     made = (tmp_path / "mine.html").read_text(encoding="utf-8")
     check_alone(made)
     assert "taut run mine.toml" in made
@@ -284,7 +284,7 @@ def test_a_run_that_ended_in_a_fault_says_so_first(
     bad.save("bad.mcap")
     assert main(["report", "bad.mcap"]) == 2
     told = capsys.readouterr()
-    assert told.out == "report   report.html\n"
+    assert told.out.endswith("\nreport   report.html\n")
     assert "'bad.mcap' is no whole run, and the report is of what there is: the simulation diverged" in told.err
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     check_alone(text)

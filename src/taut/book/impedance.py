@@ -197,7 +197,7 @@ class MeasuredInertia(Law):
     """
 
     ignores_reference = True
-    D: taut.Gain  # [kg m^2]
+    D: taut.Gain = taut.Gain(unit="kg m^2")
     before: taut.Memory = taut.Memory(0.0)  # [rad/s]
 
     def command(

@@ -145,8 +145,8 @@ class AsWritten(Law):
     """
 
     reference = TaskMotion
-    kp: Gain  # [1/s^2]
-    kd: Gain  # [1/s]
+    kp: Gain = Gain(unit="1/s^2")
+    kd: Gain = Gain(unit="1/s")
 
     def command(self, x: Snapshot, ref: TaskMotion) -> Torque:
         error = task_error(x, ref, kind="body")

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from taut.base.errors import UsageError
 from taut.base.result import Table
 from taut.cli.command import DONE, FAILED, GAIN, STATUS, WRONG, Answer, ByName, Command, Say, load_law
+
+if TYPE_CHECKING:
+    from taut.record.run import Run
 
 
 def _run(arguments: argparse.Namespace, say: Say) -> Answer:
@@ -84,13 +87,19 @@ SCENARIOS: Final = Command(
 )
 
 
+def _of(run: Run) -> str:
+    """What was recorded, in a line."""
+    return f"law {run.info.law or 'not recorded'}, arm {run.info.arm or 'not recorded'}"
+
+
 def _doctor(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
     from taut.analysis.diagnosis.diagnosis import doctor
     from taut.record.log.reading import load_run
 
-    diagnosis = doctor(load_run(arguments.run))
+    run = load_run(arguments.run)
+    diagnosis = doctor(run)
     return Answer(
-        text=str(diagnosis),
+        text=f"{_of(run)}\n{diagnosis}",
         data={"run": arguments.run, "healthy": diagnosis.healthy, **diagnosis.json()},
         status=WRONG if diagnosis.problems else DONE,
         remarks=[f"'{arguments.run}' is no whole run: {problem}" for problem in diagnosis.problems],
@@ -119,7 +128,7 @@ def _report(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
     report(run, arguments.out)
     faults = faults_of(run)
     return Answer(
-        text=f"report   {arguments.out}",
+        text=f"{_of(run)}\nreport   {arguments.out}",
         data={"report": str(arguments.out), "outcome": run.outcome.json()},
         status=WRONG if faults else DONE,
         remarks=[f"'{arguments.run}' is no whole run, and the report is of what there is: {each}" for each in faults],

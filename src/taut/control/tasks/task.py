@@ -48,8 +48,8 @@ class Halt(Law):
 
     ignores_reference: ClassVar[bool] = True
 
-    kp: Gain = Gain(100.0)  # [1/s^2]
-    kd: Gain = Gain(20.0)  # [1/s]
+    kp: Gain = Gain(100.0, unit="1/s^2")
+    kd: Gain = Gain(20.0, unit="1/s")
     kind: str = "torque"
 
     def start(self, x: Snapshot, ref: Any) -> dict[str, Any]:  # noqa: ARG002
