@@ -287,7 +287,8 @@ def _phase(table: Table, arm: Arm, home: Float64Array) -> Phase:
 
 def _phase_reference(table: Table, law: Law, arm: Arm, home: Float64Array) -> PhaseReference:
     """A reference as in [reference], or a motion of the tool from where the phase begins."""
-    kind = FROM_BEGIN.get(table.get("kind"))
+    name = table.get("kind")
+    kind = FROM_BEGIN.get(name) if isinstance(name, str) else None
     if kind is None:
         return read_reference(table, arm, home, {TASK: law}) if table.values else None
     forces = _forces(table)
