@@ -124,7 +124,7 @@ def test_a_task_runs_from_a_file_and_has_a_line_for_each_visit_of_a_phase(tmp_pa
             '{ kind = "steady", velocity = [0, 0, 1] }\nxx = { kind = "quintic"',
             "phases 1.reference.kind",
         ),
-        ('{ kind = "quintic"', '{ kind = { a = 1 }', "phases 1.reference.kind"),
+        ('{ kind = "quintic"', "{ kind = { a = 1 }", "phases 1.reference.kind"),
         ("[[phases]]", '[laws.a]\nlaw = "PID"\nkp = 1\n\n[[phases]]', ""),
         ("ticks = 5", "direction = [0, 0, 1]", "phases 1.until.direction"),
         ('part = "stay"', 'part = "sty"', "pass 1.part"),
