@@ -41,7 +41,7 @@ ROTATION: Final = "R"  # the last name in the path of a rotation
 GENERATORS: Final = np.stack([np.asarray(tm.skew(e), dtype=np.float64) for e in np.eye(3)])  # rotations about axes
 RESOLUTION: Final = ".resolution"  # the end of the path of a quantisation step, which has no derivative
 STEP: Final = 1e-5  # [-] of a state's size, of central differences: near the cube root of rounding
-BESIDE: Final = 1e-8  # [-] of a state's size: distance of a derivative beside a point that has none
+BESIDE: Final = 5e-8  # [-] of a state's size: distance of a derivative beside a point that has none
 OUTPUTS: Final = ("q", "v", "tip.p", "tip.R", "tip.twist", "command")
 CLOCK: Final = "plant.t"
 EMPTY: Final[Mapping[str, Any]] = MappingProxyType({})
