@@ -403,10 +403,10 @@ PARAMETERS: list[tuple[str, Any, type[TautError], str]] = [
     ("law.kp", -1.0, RangeError, "law.kp must be >= 0 [N m/rad | N/m]; got -1.0"),
     ("law.kp", math.nan, RangeError, "law.kp must be finite [N m/rad | N/m]; got nan"),
     ("law.kp", "10", ShapeError, "law.kp must be numbers [N m/rad | N/m]; got '10'"),
-    ("law.kp", [1.0, 2.0], ShapeError, "law.kp has shape (); got shape (2,); compile the law, or make the plant, with a value of "
-     "the new shape"),
-    ("law.kd", np.eye(2), ShapeError, "law.kd has shape (2,); got shape (2, 2); compile the law, or make the plant, with a value "
-     "of the new shape"),
+    ("law.kp", [1.0, 2.0], ShapeError, "law.kp was compiled with shape (); got shape (2,); for another shape, compile the "
+     "law or make the plant again"),
+    ("law.kd", np.eye(2), ShapeError, "law.kd was compiled with shape (2,); got shape (2, 2); for another shape, compile "
+     "the law or make the plant again"),
     ("limits.tau", 0.0, RangeError, "limits.tau must be > 0 [N m | N]; got 0.0"),
     ("model.payload.mass", -1.0, RangeError, "model.payload.mass must be >= 0 [kg]; got -1.0"),
     ("model.payload.com", [0.0, 0.1], ShapeError, "model.payload.com must have shape (3,) [m]; got shape (2,)"),

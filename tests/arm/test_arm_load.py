@@ -55,8 +55,8 @@ def test_wrong_files_are_refused_in_one_sentence(tmp_path: Path) -> None:
         "": f"model '{tmp_path}' is a folder; name a file in it",
         "empty.urdf": f"model '{tmp_path}/empty.urdf' is empty",
         "gone.urdf": f"model '{tmp_path}/gone.urdf' does not exist; '{tmp_path}' has 'empty.urdf'",
-        "arm.stl": f"model '{tmp_path}/arm.stl' is no .urdf and no MJCF .xml file, and taut reads arms from no others",
-        "arm.urdf.xacro": f"model '{tmp_path}/arm.urdf.xacro' is no .urdf and no MJCF .xml file, and taut reads arms "
+        "arm.stl": f"model '{tmp_path}/arm.stl' is neither a .urdf nor an MJCF .xml file",
+        "arm.urdf.xacro": f"model '{tmp_path}/arm.urdf.xacro' is neither a .urdf nor an MJCF .xml file, and taut reads arms "
         "from no others; expand it first: xacro MODEL.xacro > MODEL.urdf",
     }.items():
         with pytest.raises(FileError) as caught:
@@ -77,7 +77,7 @@ def test_a_name_wins_over_a_file_of_that_name_and_a_path_does_not(
     monkeypatch.chdir(tmp_path)
     Path("planar2").write_text("not an arm")
     assert load_arm("planar2").n == 2
-    with pytest.raises(FileError, match=r"is no .urdf and no MJCF .xml file"):
+    with pytest.raises(FileError, match=r"is neither a .urdf nor an MJCF .xml file"):
         load_arm(Path("planar2"))
 
 
