@@ -56,8 +56,7 @@ def test_wrong_files_are_refused_in_one_sentence(tmp_path: Path) -> None:
         "empty.urdf": f"model '{tmp_path}/empty.urdf' is empty",
         "gone.urdf": f"model '{tmp_path}/gone.urdf' does not exist; '{tmp_path}' has 'empty.urdf'",
         "arm.stl": f"model '{tmp_path}/arm.stl' is neither a .urdf nor an MJCF .xml file",
-        "arm.urdf.xacro": f"model '{tmp_path}/arm.urdf.xacro' is neither a .urdf nor an MJCF .xml file, and taut reads arms "
-        "from no others; expand it first: xacro MODEL.xacro > MODEL.urdf",
+        "arm.urdf.xacro": f"model '{tmp_path}/arm.urdf.xacro' is neither a .urdf nor an MJCF .xml file; expand it first: xacro MODEL.xacro > MODEL.urdf",
     }.items():
         with pytest.raises(FileError) as caught:
             load_arm(tmp_path / name)
