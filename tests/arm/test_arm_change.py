@@ -365,3 +365,10 @@ def test_friction_at_rest_that_is_as_in_motion_stays_so() -> None:
     assert arm.with_joints(load_motor=0.2).friction.load_motor_static.tolist() == [0.2, 0.2]
     apart = load_arm("planar2").with_friction(Friction(coulomb=1.0, static=[1.0, 1.5]))
     assert apart.with_joints(coulomb=0.5).friction.static.tolist() == [0.5, 1.5]
+
+
+def test_a_payload_far_from_the_tool_by_any_measure_of_the_arm_is_warned_of() -> None:
+    arm = load_arm("panda")
+    with pytest.warns(RuntimeWarning, match="payload.com is 50 m from the tool, which is hard to believe"):
+        assert arm.with_payload(1.0, com=[0.0, 0.0, 50.0]).payload.com[2] == 50.0
+    arm.with_payload(1.0, com=[0.0, 0.0, 0.5])

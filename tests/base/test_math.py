@@ -202,8 +202,8 @@ def test_the_two_halves_of_a_solution_are_the_solution() -> None:
 
     def halves(M: Any, B: Any, c: Any) -> Any:
         factors = tm.factor_spd(M)
-        half, y = factors.half(B), factors.half(c)
-        return tm.array([*(half.T @ y), *(half.T @ half).ravel(), *factors.other_half(half @ c[:3])])
+        half, y = factors.half(B), factors.weighed(factors.half(c))
+        return tm.array([*(half.T @ y), *(half.T @ factors.weighed(half)).ravel(), *factors.other_half(half @ c[:3])])
 
     W = np.linalg.solve(M, B)
     for result in both(halves, M, B, c):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from typing import Any
 
 import numpy as np
 import pytest
@@ -407,3 +408,18 @@ def test_an_impact_whose_normal_and_friction_are_strongly_coupled_ends_in_its_st
     assert rates[0] < -0.4
     assert (rates[gaps < 1e-9][1:] > -1e-4).all()
     assert (gaps > -1e-9).all()
+
+
+@pytest.mark.parametrize("friction", [None, 0.4])
+@pytest.mark.parametrize("kind", ["cylinder", "sphere"])
+def test_a_run_may_start_on_the_axis_of_a_hollow_where_the_distance_has_no_gradient(kind: str, friction: Any) -> None:
+    middle = [0.0, 0.0, -0.2]
+    if kind == "cylinder":
+        hollow = taut.Constraint.cylinder(point=middle, axis=[0.0, 1.0, 0.0], radius=0.05, inside=True)
+    else:
+        hollow = taut.Constraint.sphere(center=middle, radius=0.05, inside=True)
+    found = run(taut.RigidContact(constraint=hollow, friction=friction), duration=2.0)
+    landed = int(np.sqrt(2.0 * 0.05 / 9.81) * 1000.0)
+    np.testing.assert_allclose(found.q[: landed - 2, 2], -0.5 * 9.81 * found.t[: landed - 2] ** 2, atol=1e-3)
+    np.testing.assert_allclose(found.q[-1], [0.0, 0.0, -0.05], atol=1e-9)
+    assert found.extra["F_ext"][-1, 2] == pytest.approx(WEIGHT, rel=1e-9)

@@ -11,8 +11,8 @@ import numpy as np
 
 from taut.arm.friction import AT_REST, FRICTION_FIELDS
 from taut.arm.loaders.tree import Tree, TreeJoint, TreeLink, assemble, positions_within_limits
-from taut.arm.parts import Body
-from taut.arm.rules import check_inertia, rotor_doubts, value_problems
+from taut.arm.parts import Body, Payload
+from taut.arm.rules import check_inertia, payload_doubts, rotor_doubts, value_problems
 from taut.base.checks import (
     finite_array,
     finite_scalar,
@@ -144,6 +144,14 @@ def joints_replaced(arm: Arm, values: Mapping[str, ArrayLike | Mapping[str, floa
 def _given(value: ArrayLike | Mapping[str, float], joint: str) -> bool:
     """Whether a value is given for this joint: one by joint name leaves the others as they are."""
     return not isinstance(value, Mapping) or joint in value
+
+
+def loaded(arm: Arm, payload: Payload) -> Arm:
+    """The arm with a payload at its tool."""
+    made = dataclasses.replace(arm, payload=payload)
+    for doubt in payload_doubts(made):
+        warn(doubt)
+    return made
 
 
 def geared(arm: Arm, ratio: ArrayLike | Mapping[str, float], motor_inertia: ArrayLike) -> Arm:

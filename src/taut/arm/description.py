@@ -201,9 +201,14 @@ class Arm:
         com: ArrayLike = (0.0, 0.0, 0.0),
         inertia: ArrayLike = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
     ) -> Arm:
-        """A copy that carries a payload: mass [kg], centre of mass [m] and inertia in the tool frame."""
+        """A copy that carries a payload: mass [kg], centre of mass [m] and inertia in the tool frame.
+
+        Warns of a centre of mass that is more than three lengths of the arm away.
+        """
+        from taut.arm.change import loaded
+
         com, inertia = finite_array("payload.com", com), finite_array("payload.inertia", inertia)
-        return dataclasses.replace(self, payload=Payload(mass=mass, com=com, inertia=inertia))
+        return loaded(self, Payload(mass=mass, com=com, inertia=inertia))
 
     def subset(self, joints: Iterable[str], q: ArrayLike | None = None) -> Arm:
         """A copy in which only these joints move, the others locked at q (home). UnknownNameError, UsageError."""

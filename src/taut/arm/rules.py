@@ -33,6 +33,7 @@ MIN_EIGENVALUE: Final = 1e-12  # of M scaled to a unit diagonal; rounding is 1e-
 RANDOM_POSES: Final = 10  # random ones, at which M is looked at
 MAX_ENTRIES: Final = 20_000  # of all matrices M: fewer poses of an arm of many joints
 MAX_LENGTH: Final = 1e4  # [m] between two joints, or of a slide; what is farther is a slip, and its square is lost
+MAX_PAYLOAD_LENGTHS: Final = 3.0  # of an arm, from its tool to a payload; farther is said in millimetres
 MAX_ROTOR_FACTOR: Final = 100.0  # of the inertia of all links; a wrong unit is off by 1e4 to 1e7
 MAX_ROTOR: Final = 1000.0  # [kg m^2] or [kg] seen at any joint
 OTHER_UNIT: Final = "if it was given in kg cm^2, kg mm^2 or g cm^2: 1 kg m^2 is 1e4, 1e6 and 1e7 of these"
@@ -318,6 +319,16 @@ def rotor_doubts(arm: Arm) -> Iterator[str]:
                 f"joint{geared}, is hard to believe: no joint of its kind can see more than {most:.3g} [{unit}] of "
                 f"links; {OTHER_UNIT}"
             )
+
+
+def payload_doubts(arm: Arm) -> Iterator[str]:
+    """A payload that is hard to believe: one far from the tool by any measure of the arm."""
+    away, length = float(np.linalg.norm(arm.payload.com)), _length(arm)
+    if away > MAX_PAYLOAD_LENGTHS * length:
+        yield (
+            f"payload.com is {away:.4g} m from the tool, which is hard to believe of an arm of {length:.3g} m; "
+            "give it in metres, in the tool frame"
+        )
 
 
 def _length(arm: Arm) -> float:

@@ -113,7 +113,7 @@ def resolve(
         r = u / weight
         r = r / (u @ r)
         loose = TINY * _ramp(square, size.border, STEEP * size.border)
-        factors = factor_spd(half.T @ half + loose * tm.eye(k))
+        factors = factor_spd(half.T @ x.M_factors.weighed(half) + loose * tm.eye(k))
     else:
         side = (weight[:, None] * J).T
         factors = factor_spd(side @ J + TINY * tm.eye(n))
@@ -162,7 +162,10 @@ def resolve(
         return out
 
     def project(tau: Vector) -> Vector:
-        moving = J.T @ solved(half.T @ x.M_factors.half(tau)) if wide else x.M @ damped(J @ x.M_factors.solve(tau))
+        if wide:
+            moving = J.T @ solved(half.T @ x.M_factors.weighed(x.M_factors.half(tau)))
+        else:
+            moving = x.M @ damped(J @ x.M_factors.solve(tau))
         out: Vector = (1.0 - near) * (tau - moving)
         return out
 

@@ -30,7 +30,7 @@ class TaskInertia:
     def of(cls, J: Matrix, M_factors: LTDL, damping: Any = 0.0) -> TaskInertia:
         """(J M^-1 J^T + damping I)^-1, unbounded near singularities without damping [1/kg, 1/(kg m^2)]."""
         half = M_factors.half(J.T)
-        A = half.T @ half
+        A = half.T @ M_factors.weighed(half)
         if not (isinstance(damping, float) and damping == 0.0):
             A = A + damping * tm.eye(len(A))
         return cls(J=J, M_factors=M_factors, half=half, Lambda=factor_spd(A).inverse())
@@ -45,7 +45,7 @@ class TaskInertia:
         half = M_factors.half(J.T)
         rows = [i for i in range(len(J)) if not _is_zero(J[i])]  # a planar arm never moves along the others
         part = J[rows]
-        A = half[:, rows].T @ half[:, rows] + TINY * tm.eye(len(rows))
+        A = half[:, rows].T @ M_factors.weighed(half[:, rows]) + TINY * tm.eye(len(rows))
         u, _ = least_direction(part)
         shown, knee = u @ factor_spd(A).solve(u), 0.5 * most
         over = tm.maximum(shown - knee, 0.0)
@@ -61,7 +61,7 @@ class TaskInertia:
     @property
     def mobility(self) -> Matrix:
         """(k, k) J M^-1 J^T, without damping or bound."""
-        return self.half.T @ self.half
+        return self.half.T @ self.M_factors.weighed(self.half)
 
     def joint_acceleration(self, F: Vector) -> Vector:
         """(n,) what a wrench of the task accelerates in the joints, M^-1 J^T F."""
@@ -69,7 +69,7 @@ class TaskInertia:
 
     def acceleration(self, tau: Vector) -> Vector:
         """(k,) what torques accelerate in the task, J M^-1 tau."""
-        return self.half.T @ self.M_factors.half(tau)
+        return self.half.T @ self.M_factors.weighed(self.M_factors.half(tau))
 
     def wrench(self, tau: Vector) -> Vector:
         """(k,) the wrench of torques, J_bar^T tau with the dynamically consistent inverse J_bar = M^-1 J^T Lambda."""

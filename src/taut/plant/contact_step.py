@@ -22,6 +22,7 @@ Values = Mapping[str, Any]
 REPORTED: Final = ("lam", "on", "drift", "correction", "slip")
 """What a run records of contacts, by name below "contact"."""
 SHUT: Final = 1e-12  # [m | rad] a gap below this is none
+LEAST_GRADIENT: Final = 1e-30  # keeps contacts without one, as on the axis of a hollow, from a division by zero
 LIES_DOWN: Final = 0.02  # [s] in which the tilt that a face lands with is gone to 1/e
 
 
@@ -70,7 +71,7 @@ class _Here:
                     continue
                 assert rows.A is not None
                 gradient = rows.A[touch.normal - place.rows[0]][:3]
-                size = tm.sqrt(gradient @ gradient)
+                size = tm.sqrt(gradient @ gradient + LEAST_GRADIENT**2)
                 across = _across(gradient / size)
                 J, falling = x.J(frame), x.Jdot_v(frame)
                 for e, i in zip(across, touch.tangents, strict=True):
@@ -127,7 +128,7 @@ def contact_step(
     guess = [x * dt for x in memory["contact.force"]]
     # The multipliers of the tick, from accelerations.
     sol = factors.solve(here.B.T)
-    W = here.B @ sol
+    W = _mobility(here, sol)
     gain = here.B @ (v_free - v) + dt * here.bias
     for _, touch in contacts.rubbing:
         for i in touch.tangents:
@@ -154,7 +155,7 @@ def contact_step(
     there = _Here.at(contacts, Snapshot(model, q=q_there, v=v_half, t=t + dt))
     left = tm.array([there.phi[i] - goal[i] for i in range(k)])
     sol_end = factors.solve(there.B.T)
-    W_end = there.B @ sol_end
+    W_end = _mobility(there, sol_end)
     q_new = q_there + sol_end[:, :k] @ held_impulses(W_end[:k, :k], left, acts)
     # Velocities along the constraints, by impulses at the end.
     so_far = tm.array([*first, *p[k:]])
@@ -252,6 +253,11 @@ def _impulses(
         mu.append(contacts.value(place.contact, "friction", parameters) * next(rubbing) if rubs else 0.0)
     there = [on[touch.normal] if touch.one_sided or touch.tangents else True for _, touch in pairs]
     return contact_impulses(W, r, touches, mu, there, guess)
+
+
+def _mobility(here: _Here, sol: Matrix) -> Matrix:
+    """(m, m) velocities of the rows per impulse."""
+    return here.B @ sol + LEAST_GRADIENT * tm.eye(len(here.B))
 
 
 def _wrench(here: _Here, force: Vector) -> Array:

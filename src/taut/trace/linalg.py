@@ -57,12 +57,16 @@ class LTDL:
         return _by_columns(self._solve_one, columns)
 
     def half(self, b: Array) -> Array:
-        """Half of a solution: U^-1 b, with which b . A^-1 c is a product of two halves; b may have columns."""
-        return (self._scales() * _by_columns(self._down, _entries(b)).T).T
+        """L^-T b, with columns or without: b . A^-1 c is then y . weighed(z) of the halves y and z of b and c."""
+        return _by_columns(self._down, _entries(b))
+
+    def weighed(self, y: Array) -> Array:
+        """D^-1 y; y may have columns."""
+        return (self.weights() * y.T).T
 
     def other_half(self, y: Array) -> Array:
-        """The solution U^-T y of y = half(b), a vector."""
-        return _back(self._up(list(self._scales() * y)), np.shape(y))
+        """The solution L^-1 D^-1 y of y = half(b), a vector."""
+        return _back(self._up(self.weighed(y).tolist()), np.shape(y))
 
     def inverse(self) -> Matrix:
         """A^-1 = L^-1 D^-1 L^-T, symmetric to the last bit: half the work of solving for each column."""
@@ -92,9 +96,9 @@ class LTDL:
         rows = [[d[k] * (L[k][i] if i < k else float(i == k)) for k in range(n)] for i in range(n)]
         return _back([x for row in rows for x in row], (n, n))
 
-    def _scales(self) -> Array:
-        """(n,) 1 / sqrt(D)."""
-        return _back([np.sqrt(d) for d in self._inverse_d], (len(self.d),))
+    def weights(self) -> Array:
+        """(n,) the diagonal of D^-1."""
+        return _back(self._inverse_d, (len(self.d),))
 
     def least_direction(self) -> tuple[Array, Any]:
         """A unit vector u near the eigenvector of the smallest eigenvalue, and u . A u, by one inverse iteration.

@@ -138,8 +138,9 @@ def modal_damping(inertia: LTDL, K: Matrix, zeta: Any, V: Vector) -> Vector:
 
     Source: Albu-Schaffer, Ott and Hirzinger (2003), IEEE ICRA, double diagonalisation.
     """
-    U = inertia.root()
-    out: Vector = 2.0 * zeta * (U @ times_square_root(inertia.half(inertia.half(K).T), U.T @ V))
+    U, scale = inertia.root(), np.sqrt(inertia.weights())
+    inside = np.outer(scale, scale) * inertia.half(inertia.half(K).T)
+    out: Vector = 2.0 * zeta * (U @ times_square_root(inside, U.T @ V))
     return out
 
 
