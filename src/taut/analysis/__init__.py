@@ -24,6 +24,12 @@ if TYPE_CHECKING:
     from taut.analysis.grading import Grade as Grade
     from taut.analysis.impedance_at_tool import ToolImpedance as ToolImpedance
     from taut.analysis.impedance_at_tool import tool_impedance as tool_impedance
+    from taut.analysis.learning import Convergence as Convergence
+    from taut.analysis.learning import Learning as Learning
+    from taut.analysis.learning import LearningLaw as LearningLaw
+    from taut.analysis.learning import NormOptimal as NormOptimal
+    from taut.analysis.learning import PDLearning as PDLearning
+    from taut.analysis.learning import learn as learn
     from taut.analysis.loci import RootLocus as RootLocus
     from taut.analysis.loci import RouthTable as RouthTable
     from taut.analysis.loci import StabilityMap as StabilityMap
