@@ -136,8 +136,8 @@ def limit_cycles(
 
 
 def _alike(one: LimitCycle, other: LimitCycle) -> bool:
-    numbers = [(cycle.omega, *cycle.amplitudes.values()) for cycle in (one, other)]
-    return bool(np.allclose(*numbers, rtol=ALIKE, atol=0.0))
+    a, b = ([cycle.omega, *cycle.amplitudes.values()] for cycle in (one, other))
+    return bool(np.allclose(a, b, rtol=ALIKE, atol=0.0))
 
 
 class _Balance:
