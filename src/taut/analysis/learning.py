@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -35,6 +35,7 @@ START: Final = 1e-3  # [rad | m, per second] within which all trials start alike
 NO_LEAD: Final = 1e-9  # [-] of the largest Markov parameter: the input has not reached the joints yet
 ALIKE: Final = 1e-6  # [-] of the largest response: two models are the same
 NOT_ABOVE_ONE: Final = 1e-9  # [-] rounding of a norm that is one
+DROOP: Final = 3.0  # [rad | m] of an arm whose weight the law does not know, which the learned input lifts
 STATE: Final = "scene.poses"  # the column of a run with what moves beside the arm
 
 
@@ -296,6 +297,7 @@ def learn(
     """
     instance_of("ctrl", ctrl, Controller, "a controller from taut.compile")
     instance_of("by", by, LearningLaw, "a learning law, such as taut.analysis.NormOptimal()")
+    instance_of("plant", plant, Plant, "a plant, such as taut.RigidPlant(arm)")
     trials = whole_number("trials", trials, minimum=1)
     side = ctrl.side
     ticks = round(duration_of_ticks(duration, side.dt) / side.dt) + 1
@@ -383,7 +385,7 @@ def _motion(ctrl: Controller, ref: object, ticks: int) -> Any:
             f"{type(given).__name__}",
             name="ref",
         )
-    motion: Any = rows_of(given, side.dt * np.arange(ticks), JointMotion)
+    motion: Any = rows_of(given, side.dt * np.arange(ticks, dtype=np.float64), JointMotion)
     if motion.q.shape[1] != side.arm.n:
         raise MatchError(f"ref must have {count_of(side.arm.n, 'joint')}; got {motion.q.shape[1]}", name="ref")
     return motion
@@ -393,28 +395,27 @@ def _models(
     ctrl: Controller, plant: Plant, poses: Float64Array, arms: Sequence[Arm], ticks: int
 ) -> tuple[_Model, ...]:
     """The response of the controller's arm at some poses, and of further arms; each that differs once."""
-    known = plant if isinstance(plant, RigidPlant) else model_in_place_of(plant, ctrl.side.needs)
+    known = plant if isinstance(plant, RigidPlant) else model_in_place_of(plant, ctrl.side)
     out: list[_Model] = []
     for arm in (ctrl.side.arm, *arms):
-        loop = Loop(ctrl, known.like(arm=arm), duration=ctrl.side.dt)
+        model = replace(known, arm=arm, friction=None if known.friction is None else "arm")
+        loop = Loop(ctrl, model, duration=ctrl.side.dt)
         changes = without_dry_friction(ctrl.side, loop.parameters)
         for path in sorted(changes, key=lambda path: path.endswith("static")):  # never less than in motion
             loop.parameters[path] = changes[path]
         for pose in poses:
             name = f"arm '{arm.name}' at q = {np.round(pose, 3).tolist()}"
-            model = _model(name, loop, pose, ticks, out[0].lead if out else None)
-            if not any(np.abs(model.G.symbol - one.G.symbol).max() <= ALIKE * _size(one.G) for one in out):
-                out.append(model)
+            new = _model(name, loop, pose, ticks, out[0].lead if out else None)
+            if not any(
+                np.abs(new.G.symbol - one.G.symbol).max() <= ALIKE * np.abs(one.G.symbol).max() for one in out
+            ):
+                out.append(new)
     return tuple(out)
-
-
-def _size(G: Lifted) -> float:
-    return float(np.abs(G.symbol).max())
 
 
 def _model(name: str, loop: Loop, pose: Float64Array, ticks: int, lead: int | None) -> _Model:
     """The Markov parameters of a loop about a pose, as lifted maps."""
-    lin, title = linearise(loop, at=pose), loop.side.title
+    lin, title = linearise(loop, at=pose, within=DROOP), loop.side.title
     if not lin.stable:
         raise UsageError(
             f"learning needs a stable loop; {title}, {name}, is {lin.unstable_because}; change its gains", name="ctrl"
