@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 
@@ -231,33 +232,20 @@ def test_a_new_value_is_checked_like_the_first_one(path: str, value: float) -> N
 
 
 @pytest.mark.parametrize(
-    ("path", "value", "message"),
+    ("path", "value"),
     [
-        (
-            "actuation.transmission.stiffness", np.inf,
-            "actuation.transmission.stiffness of joint 'joint2' got inf, and the plant was made with this joint elastic; "
-            "make another plant for that, or give one number per joint",
-        ),
-        (
-            "actuation.transmission.stiffness", 500.0,
-            "actuation.transmission.stiffness of joint 'joint1' got 500, and the plant was made with this joint rigid; "
-            "make another plant for that, or give one number per joint",
-        ),
-        (
-            "plant.rotor_inertia", 0.0,
-            "joint 'joint2' has an elastic transmission or backlash, so its motor moves by itself and needs a rotor: "
-            "give the arm gears or rotor_inertia",
-        ),
+        ("actuation.transmission.stiffness", np.inf),
+        ("actuation.transmission.stiffness", 500.0),
+        ("plant.rotor_inertia", 0.0),
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("plant", [taut.RigidPlant, taut.MujocoPlant])
-def test_which_joints_give_way_does_not_change_in_a_run(plant: Any, path: str, value: float, message: str) -> None:
+def test_which_joints_give_way_does_not_change_in_a_run(plant: Any, path: str, value: float) -> None:
     arm = taut.load_arm("planar2").with_gears(ratio=50.0, motor_inertia=1e-4)
     drives = taut.drives.Actuation(transmission=taut.drives.Transmission(stiffness=[np.inf, 1e3]))
     made = plant(arm, actuation=drives)
-    with pytest.raises(taut.TautError) as caught:
+    with refused(taut.TautError):
         made.checked_parameter(path, value)
-    assert str(caught.value) == message
     assert made.checked_parameter("actuation.transmission.stiffness", [np.inf, 500.0])[1] == 500.0
     assert made.checked_parameter("plant.rotor_inertia", [0.0, 0.1])[0] == 0.0
 
