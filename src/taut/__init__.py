@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from taut import sensors as sensors
     from taut import textbook as textbook
     from taut import trajectories as trajectories
-    from taut.analysis.design import design as design
+    from taut.analysis.design.design import design as design
     from taut.analysis.diagnosis.diagnosis import doctor as doctor
     from taut.analysis.tuning import tune as tune
     from taut.arm.description import Arm as Arm

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from taut.analysis.constraints import Specification as Specification
     from taut.analysis.constraints import check_specification as check_specification
     from taut.analysis.constraints import natural_constraints as natural_constraints
-    from taut.analysis.design import Design as Design
-    from taut.analysis.design_achieved import Requirement as Requirement
+    from taut.analysis.design.achieved import Requirement as Requirement
+    from taut.analysis.design.design import Design as Design
     from taut.analysis.diagnosis.check import Check as Check
     from taut.analysis.diagnosis.check import ExaminedRun as ExaminedRun
     from taut.analysis.diagnosis.check import Finding as Finding

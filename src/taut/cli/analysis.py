@@ -141,7 +141,7 @@ NUMBERS: Final = {
 
 
 def _design(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
-    from taut.analysis.design import design
+    from taut.analysis.design.design import design
     from taut.arm.load import load_arm
 
     given: dict[str, Any] = {name: value for name in NUMBERS if (value := getattr(arguments, name)) is not None}

@@ -230,9 +230,30 @@ class Snapshot:
         """(n,) accelerations M^-1 (tau - C v - g) of the whole model, without friction [rad/s^2 | m/s^2]."""
         return dyn.forward_dynamics(self.model, self.q, self.v, tau, self._payload)
 
-    def inverse_dynamics(self, a: Vector) -> Vector:
-        """(n,) torques M a + C v + g of the whole model, without friction, by one recursion [N m | N]."""
-        return dyn.inverse_dynamics(self.model, self.q, self.v, a, self._payload)
+    def inverse_dynamics(self, a: Vector, v_ref: Vector | None = None) -> Vector:
+        """(n,) torques M a + C v + g of the whole model, without friction, by one recursion [N m | N].
+
+        With `v_ref` (n,), M a + C v_ref + g with the C of Christoffel symbols: M-dot - 2 C is skew.
+        """
+        if v_ref is None:
+            return dyn.inverse_dynamics(self.model, self.q, self.v, a, self._payload)
+        bodies = dyn.loaded_bodies(self.model, self._payload)
+        return dyn.reference_dynamics(self.model, bodies, self.q, self.v, v_ref, a)
+
+    @property
+    def momentum(self) -> Vector:
+        """(n,) generalised momentum M v of the whole model [kg m^2/s | kg m/s]."""
+        return self._momentum[0]
+
+    @property
+    def CT_v(self) -> Vector:
+        """(n,) C^T v of the whole model, with which d(M v)/dt = tau + C^T v - g [N m | N]."""
+        return self._momentum[1]
+
+    @property
+    def _momentum(self) -> tuple[Vector, Vector]:
+        v = self.v
+        return self._once("momentum", lambda: dyn.momentum(self.model, self.q, v, self._payload))
 
     @property
     def kinetic_energy(self) -> Any:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from taut.analysis.design_achieved import Achieved, Limit, Requirement, Steps, closed_loop_of
-from taut.analysis.design_specification import Specification, place_poles, square
+from taut.analysis.design.achieved import Achieved, Limit, Requirement, Steps, closed_loop_of
+from taut.analysis.design.specification import Specification, place_poles, square
 from taut.arm.description import Arm
 from taut.arm.parts import TURN, require_few_turns, require_radians
 from taut.base.checks import finite_array, instance_of, rate_in_hertz

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from taut.analysis.design_specification import Specification, per_coordinate, square
+from taut.analysis.design.specification import Specification, per_coordinate, square
 from taut.base.errors import UsageError
 from taut.base.types import Float64Array
 from taut.control.closed_loop import ClosedLoop
