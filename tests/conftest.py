@@ -67,7 +67,7 @@ def bar(record_property: Callable[[str, object], None]) -> Bar:
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    refusals.begin(item)
+    refusals.current = refusals.name_of(item)
 
 
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> None:

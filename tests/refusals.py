@@ -15,20 +15,14 @@ import pytest
 
 MESSAGES = Path(__file__).with_name("messages.txt")
 WRITE = os.environ.get("TAUT_MESSAGES") == "write"
-FOREIGN = (
-    r"cannot be traced: \w+Error:|below the header,|is not what was written:"  # words of Python and NumPy follow
-)
+# Words of Python and NumPy come after these, and differ by version.
+FOREIGN = r"cannot be traced: \w+Error:|below the header,|is not what was written:"
 said: dict[str, list[str]] = defaultdict(list)  # the texts of this session, by test
 passed: set[str] = set()
-current = ""  # the test that runs
+current = ""  # the test that runs, set by conftest.py
 
 
-def begin(item: pytest.Function) -> None:
-    global current
-    current = name_of(item)
-
-
-def name_of(item: pytest.Function) -> str:
+def name_of(item: Any) -> str:
     return f"{item.path.stem}::{item.getmodpath()}"
 
 
@@ -79,7 +73,7 @@ def portable(text: str) -> str:
 
 def four_digits(number: str) -> str:
     if 0.0 < float(number) < 1e-12:
-        return "0.0"  # what rounding left
+        return "0"  # what rounding left
     digits = number.partition("e")[0].replace(".", "").lstrip("0")
     return number if number.isdigit() or len(digits) <= 4 else f"{float(number):.4g}"
 

@@ -301,6 +301,7 @@ def test_a_text_makes_the_law_that_it_says() -> None:
         "PID(**{})",
         "[PID(kp=1)]" * 900,
     ],
+    ids=range(9),
 )
 def test_a_text_is_never_run_as_code(text: str) -> None:
     with refused(UsageError):

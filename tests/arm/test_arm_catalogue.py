@@ -208,5 +208,5 @@ def test_a_missing_package_is_named_with_the_command_that_installs_it(
 
 
 def test_an_entry_without_its_locks_is_refused_for_the_coupled_finger() -> None:
-    with pytest.raises(ValueError, match="it mimics 'panda_finger_joint1'"):
+    with pytest.raises(ValueError, match="it mimics 'panda_finger_joint1'"):  # whose file lies elsewhere
         load_arm("panda", locked={"panda_finger_joint1": None, "panda_finger_joint2": None})

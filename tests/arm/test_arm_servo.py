@@ -252,7 +252,7 @@ class TestBrokenFiles:
             taut.load_servo(written(tmp_path, ""))
         file = tmp_path / "latin.json"
         file.write_bytes(b'{"actuator": "\xe9"}')
-        with pytest.raises(ModelError, match="the file is not JSON: its text is damaged"):
+        with refused(ModelError):
             taut.load_servo(file)
 
     def test_a_voltage_is_above_zero(self, tmp_path: Path) -> None:

@@ -144,6 +144,7 @@ def test_a_chain_of_a_thousand_fixed_links_is_read(tmp_path: Path) -> None:
         ("1 " * 6000, None),
         ("x" * 100, 1),
     ],
+    ids=range(13),
 )
 def test_what_is_no_number_is_refused_in_words(text: str, count: int | None) -> None:
     with refused(BadNumberError):

@@ -264,6 +264,7 @@ def test_a_table_is_bounded(tmp_path: Path) -> None:
         "[" + "a." * 90_000 + "a]",
         "x = { " + "a . " * 90_000 + "a = 1 }",
     ],
+    ids=range(4),
 )
 def test_a_dotted_key_is_refused_before_it_is_read(
     text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

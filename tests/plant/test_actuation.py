@@ -276,18 +276,15 @@ def test_rotors_make_the_arm_heavier_at_its_own_joint_alone() -> None:
 class TestStepsThatAreTooLong:
     """What answers within a step is refused before it swings up, with how many steps are enough."""
 
-    def refused(self, plant: taut.RigidPlant) -> str:
-        with pytest.raises(taut.errors.RangeError) as caught:
+    def is_refused(self, plant: taut.RigidPlant) -> None:
+        with refused(taut.errors.RangeError):
             taut.run(taut.compile(taut.laws.PID(kp=1.0), plant.arm), plant, duration=0.1)
-        return str(caught.value)
 
     @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
     def test_for_the_steep_curve_of_a_motor_without_a_rotor(self) -> None:
         arm = FREE.with_joints(gear=200.0)
         motor = taut.drives.Motor(stall=0.5, no_load=30.0)
-        message = self.refused(taut.RigidPlant(arm, actuation=taut.drives.Actuation(motor=motor)))
-        assert "in 0.00075 s, too fast for steps of 0.001 s" in message
-        assert "substeps=2," in message
+        self.is_refused(taut.RigidPlant(arm, actuation=taut.drives.Actuation(motor=motor)))
         enough = taut.RigidPlant(arm, actuation=taut.drives.Actuation(motor=motor), substeps=2)
         push = taut.compile(taut.laws.PID(kp=1.0), arm)
         run = taut.run(push, enough, taut.JointMotion(q=[1e4]), duration=1.0)
@@ -296,7 +293,7 @@ class TestStepsThatAreTooLong:
     def test_for_a_motor_under_a_voltage(self) -> None:
         arm = FREE.with_joints(gear=200.0)
         motor = taut.drives.ElectricMotor(torque_constant=0.1, resistance=0.5, voltage=24.0)
-        assert "substeps=2," in self.refused(taut.RigidPlant(arm, actuation=taut.drives.Actuation(motor=motor)))
+        self.is_refused(taut.RigidPlant(arm, actuation=taut.drives.Actuation(motor=motor)))
         free = taut.drives.ElectricMotor(
             torque_constant=0.1, resistance=0.5
         )  # a supply without end holds any current
@@ -305,12 +302,11 @@ class TestStepsThatAreTooLong:
 
     def test_for_an_inner_loop_that_reads_the_step_before(self) -> None:
         loop = taut.drives.TorqueLoop(kp=1.5)
-        message = self.refused(taut.RigidPlant(FREE, actuation=taut.drives.Actuation(torque_loop=loop)))
-        assert "must be below 1," in message
+        self.is_refused(taut.RigidPlant(FREE, actuation=taut.drives.Actuation(torque_loop=loop)))
         fast = taut.RigidPlant(
             FREE, actuation=taut.drives.Actuation(torque_loop=taut.drives.TorqueLoop(kp=3.0), bandwidth=3000.0)
         )
-        assert "substeps=2," in self.refused(fast)
+        self.is_refused(fast)
         left, mean = np.exp(-3.0), (1.0 - np.exp(-3.0)) / 3.0
         most = (1.0 + left) / (1.0 + left - 2.0 * mean)
         for kp, stable in ((0.97 * most, True), (1.03 * most, False)):
@@ -328,6 +324,6 @@ class TestStepsThatAreTooLong:
         loop = taut.drives.TorqueLoop(kp=4.5)  # a fifth of the torque arrives at once
         plant = taut.RigidPlant(arm, actuation=taut.drives.Actuation(torque_loop=loop))
         assert taut.run(taut.compile(taut.laws.PID(kp=1.0), arm), plant, duration=0.5).outcome.ok
-        assert "must be below 5," in self.refused(
+        self.is_refused(
             taut.RigidPlant(arm, actuation=taut.drives.Actuation(torque_loop=taut.drives.TorqueLoop(kp=5.5)))
         )
