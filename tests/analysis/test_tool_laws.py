@@ -118,6 +118,7 @@ def test_every_law_of_motion_and_force_is_here() -> None:
         "LossOfContact",
         "Manipulability",
         "SideBySide",
+        "ViaMit",
         "VirtualWall",
         "VirtualGroove",
         "VirtualBall",
