@@ -203,7 +203,7 @@ def _check_adds(side: LawSide, plant: AnyPlant) -> None:
                 "it; compile with adds=plant.adds",
                 name=what,
             )
-        who = "the controller's limits count on it too" if what in counted else "the observer counts on it too"
+        who = "the observer counts on it too" if what in observed else "the controller's limits count on it too"
         who = f"the law {side.title} adds it too" if what in used else who
         raise MatchError(
             f"plant '{plant.name}' adds {what} itself and {who}; compile with adds=plant.adds, use a law that does "

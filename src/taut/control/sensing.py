@@ -393,7 +393,9 @@ class Sensing(Declared):
             self.refuse("velocity", f"must be {words}, a LowPass, Difference or Kalman; got {self.velocity!r}")
         if "F_ext" in self.estimates and (self.wrist is not None or self.F_ext is not None):
             given = "wrist" if self.wrist is not None else "F_ext"
-            self.refuse(given, "is for a measured wrench, which the observer gives in its place; leave one of them out")
+            self.refuse(
+                given, "is for a measured wrench, which the observer gives in its place; leave one of them out"
+            )
 
     @property
     def estimates(self) -> tuple[str, ...]:

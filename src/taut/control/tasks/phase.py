@@ -92,7 +92,7 @@ def no_contact(x: Seen, force: float, direction: ArrayLike | None = None, frame:
 
 
 def collision(x: Seen, threshold: ArrayLike) -> Any:
-    """Guard: whether the estimated external torque of a joint exceeds its threshold, on a phase's `unless` or `until`.
+    """Guard: whether the estimated external torque of a joint exceeds its threshold.
 
     Args:
         x: The snapshot of a guard; its sensing has an observer.

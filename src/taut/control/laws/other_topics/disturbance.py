@@ -25,8 +25,8 @@ class DisturbanceRejection(Law):
     the observer is given the torque after limits. Contact is a disturbance too: the arm pushes against it.
 
     References:
-        Ohnishi, Shibata and Murakami, Motion control for advanced mechatronics, IEEE/ASME Transactions on Mechatronics
-        1 (1996). De Luca and Mattone (2003), the momentum form. Section 10.6 other topics (robust control).
+        Ohnishi, Shibata and Murakami, Motion control for advanced mechatronics, IEEE/ASME Transactions on
+        Mechatronics 1 (1996). De Luca and Mattone (2003), the momentum form. Section 10.6 other topics.
     """
 
     ignores_reference: ClassVar[bool] = True
