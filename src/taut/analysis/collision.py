@@ -11,7 +11,7 @@ from taut.base.errors import UsageError
 from taut.base.types import Float64Array
 from taut.record.run import Run
 
-MARGIN: Final = 1.5  # [-] of the largest estimate without contact: what other runs of the motion may add
+MARGIN_OF_THRESHOLD: Final = 1.5  # [-] of the largest estimate without contact: what other runs of the motion may add
 TAU_EXT: Final = "sensed.tau_ext"
 
 
@@ -49,11 +49,11 @@ def collision_threshold(run: Run) -> Float64Array:
             "sensing=taut.Sensing(observer=taut.sensors.MomentumObserver(bandwidth=...))",
             name="run",
         )
-    touched = np.flatnonzero(run.extra["F_ext"].any(axis=1)) if "F_ext" in run.extra else []
-    if len(touched):
+    touched = run.extra["F_ext"].any(axis=1) if "F_ext" in run.extra else np.zeros(len(run), dtype=bool)
+    if touched.any():
         raise UsageError(
-            f"the run has contact from t = {run.t[touched[0]]:.6g} s on, and a threshold is of the motion without; "
-            "take a run of it in free space",
+            f"the run has contact from t = {run.t[np.argmax(touched)]:.6g} s on, and a "
+            "threshold is of the motion without; take a run of it in free space",
             name="run",
         )
-    return read_only(MARGIN * np.abs(run.extra[TAU_EXT]).max(axis=0))
+    return read_only(MARGIN_OF_THRESHOLD * np.abs(run.extra[TAU_EXT]).max(axis=0))

@@ -21,8 +21,8 @@ from taut.maths.task_inertia import TaskInertia
 from taut.trace import math as tm
 
 Values = Mapping[str, Any]
-MAX_STEP: Final = 1.0  # [-] bandwidth times period: from here on the estimate overshoots what it estimates
-DAMPING: Final = 1e-4  # [1/kg, 1/(kg m^2)] a direction in which the tool seems heavier than 10 t has no F_ext
+MAX_GAIN: Final = 1.0  # [-] bandwidth times period: from here on the estimate overshoots what it estimates
+WRENCH_DAMPING: Final = 1e-4  # [1/kg, 1/(kg m^2)] a direction in which the tool seems heavier than 10 t has no F_ext
 
 
 class MomentumObserver(Declared):
@@ -33,8 +33,8 @@ class MomentumObserver(Declared):
                   r[k] = (1 - K_O T) r[k-1] + K_O (p[k] - p[k-1] - T tau[k-1] - T (b[k-1] + b[k]) / 2),
                   b = C^T v - g + f
     Closed loop:  each joint by itself r' = K_O (tau_ext - r): of a step of tau_ext, the fraction 1 - (1 - K_O T)^k
-                  is there after k ticks. A wrong model, friction that it lacks and drives that do not give what they
-                  are told are tau_ext as well, for nothing tells them from contact
+                  is there after k ticks. A wrong model, friction that it lacks and drives that do not give what is
+                  commanded are in tau_ext as well: they cannot be distinguished from contact
                   white noise sigma of v: std(r_i) = K_O sigma |row i of M| sqrt(2 / (2 - K_O T))
 
     tau is the command of the last tick after limits (torque="applied"), with gravity, Coriolis torques and friction
@@ -101,12 +101,12 @@ class MomentumObserver(Declared):
         """It must fit an arm and a rate [Hz]. Raises ShapeError, RangeError."""
         self.check_size(arm.joint_names, "sensing.observer.")
         values = np.asarray(self.bandwidth)
-        if np.any(values >= MAX_STEP * rate):
-            index = [int(i) for i in np.argwhere(values >= MAX_STEP * rate)[0]]
+        if np.any(values >= MAX_GAIN * rate):
+            index = [int(i) for i in np.argwhere(values >= MAX_GAIN * rate)[0]]
             value = float(values[tuple(index)])
             who = entry_names("sensing.observer.bandwidth", index, arm.joint_names)
             raise RangeError(
-                f"{who} must be < {MAX_STEP * rate:g} [1/s], the controller's rate, or the estimate overshoots; got "
+                f"{who} must be < {MAX_GAIN * rate:g} [1/s], the controller's rate, or the estimate overshoots; got "
                 f"{value!r}; half of it serves laws that feed the estimate back",
                 name="sensing.observer.bandwidth",
                 joint=arm.joint_names[index[0]] if index else None,
@@ -168,13 +168,16 @@ class MomentumObserver(Declared):
         """(n,) friction torques of the controller's arm, with a dry part that is smooth about rest."""
         values = FrictionValues.fixed(arm.friction)
         f: Any = tm.zeros(arm.n) if values.viscous is None else -values.viscous * v
-        return f - dry_limit(values, v, None, tau, -tau) * tm.tanh(v / parameters["width"]) if values.dry else f
+        if values.dry:
+            f = f - dry_limit(values, v, None, tau, -tau) * tm.tanh(v / parameters["width"])
+        out: Vector = f
+        return out
 
     def wrench(self, model: Model, q: Vector, tau_ext: Vector, payload: PayloadValues) -> Array:
         """(6,) F_ext at the tool in world axes [N, N m] of tau_ext; without moment if it is taken for a force."""
         rows = 3 if self.F_ext == "force" else 6
         factors = tm.factor_spd(dyn.mass_matrix(model, q, payload))
-        F = TaskInertia.of(dyn.jacobian(model, q)[:rows], factors, DAMPING).wrench(tau_ext)
+        F = TaskInertia.of(dyn.jacobian(model, q)[:rows], factors, WRENCH_DAMPING).wrench(tau_ext)
         return F if rows == 6 else tm.array([*F, 0.0, 0.0, 0.0])
 
 

@@ -15,17 +15,17 @@ from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.base.checks import entry_names
+from taut.base.checks import entry_names, instance_of
 from taut.base.errors import RangeError, UsageError
 from taut.base.fields import Choice, Declared, Field, Part, Plain
 from taut.base.paths import subtree
 from taut.base.types import Array, Wrench
-from taut.control.observer import MomentumObserver
 from taut.maths import dynamics as dyn
 from taut.maths.model import PayloadValues, model_of
 from taut.trace import math as tm
 
 if TYPE_CHECKING:
+    from taut.control.observer import MomentumObserver
     from taut.maths.wrist import SensorPlace
 
 Values = Mapping[str, Any]
@@ -384,13 +384,17 @@ class Sensing(Declared):
     wrist: Part[Wrist | None] = Part(Wrist, optional=True)
     F_ext: Part[LowPass | None] = Part(LowPass, optional=True)
     tau_meas: Part[LowPass | None] = Part(LowPass, optional=True)
-    observer: Part[MomentumObserver | None] = Part(MomentumObserver, optional=True)
+    observer: Plain[MomentumObserver | None] = Plain(default=None, optional=True)
 
     def check(self) -> None:
         known = self.velocity in WORDS if isinstance(self.velocity, str) else isinstance(self.velocity, SOURCES)
         if not known:
             words = ", ".join(map(repr, WORDS))
             self.refuse("velocity", f"must be {words}, a LowPass, Difference or Kalman; got {self.velocity!r}")
+        if self.observer is not None:
+            from taut.control.observer import MomentumObserver
+
+            instance_of("observer", self.observer, MomentumObserver, "a taut.sensors.MomentumObserver")
         if "F_ext" in self.estimates and (self.wrist is not None or self.F_ext is not None):
             given = "wrist" if self.wrist is not None else "F_ext"
             self.refuse(
@@ -441,8 +445,8 @@ class Sensing(Declared):
         for name, part in self.declared_parts().items():
             if isinstance(part, Wrist):
                 part.place(arm)
-            elif isinstance(part, MomentumObserver):
-                part.check_fit(arm, rate)
+            elif self.observer is not None and part is self.observer:
+                self.observer.check_fit(arm, rate)
             else:
                 check_filter(part, f"sensing.{name}", rate, 6 if name == "F_ext" else arm.joint_names)
 

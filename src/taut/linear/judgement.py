@@ -41,8 +41,8 @@ HUGE: Final = 1e12  # a limit that is never reached
 DRY: Final = ("coulomb", "static", "load_motor", "load_external", "load_motor_static", "load_external_static")
 VISCOUS: Final = "plant.friction.viscous"
 EFFICIENCY: Final = "actuation.transmission.efficiency"
-BANDWIDTH: Final = "sensing.observer.bandwidth"
-WIDTH: Final = "sensing.observer.width"
+OBSERVER: Final = "sensing.observer.bandwidth"
+OBSERVER_WIDTH: Final = "sensing.observer.width"
 RIPPLE: Final = "actuation.ripple.amplitude"
 AXES: Final = tuple(f"{kind} {axis}" for kind in ("translation", "rotation") for axis in "xyz")
 
@@ -330,7 +330,7 @@ def without_dry_friction(side: LawSide, values: Changes) -> dict[str, Any]:
     if RIPPLE in values:
         out[RIPPLE] = np.zeros_like(values[RIPPLE])
     out |= {f"limits.{name}": HUGE for name in ("tau", "tau_dot", "v") if f"limits.{name}" in values}
-    out |= {path: np.full_like(values[path], HUGE) for path in (WIDTH,) if path in values}
+    out |= {OBSERVER_WIDTH: HUGE} if OBSERVER_WIDTH in values else {}
     for path, law in all_laws(side.law, "law"):
         if isinstance(law, FrictionCompensation):
             out[f"{path}.width"] = HUGE
@@ -383,7 +383,7 @@ def _gains(side: LawSide, values: Changes) -> dict[str, Any]:
         for path, value in of_law.items()
         if getattr(side.law.find(path[len("law.") :])[1], "minimum", 0.0) == 0.0
     }
-    return found | {path: values[path] for path in (BANDWIDTH,) if path in values}
+    return found | ({OBSERVER: values[OBSERVER]} if OBSERVER in values else {})
 
 
 def _rounded_down(values: Any, digits: int = DIGITS) -> Any:

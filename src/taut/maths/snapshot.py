@@ -131,10 +131,8 @@ class Snapshot:
     def _measurement(self, name: str) -> Array:
         self.used.add(name)
         if name not in self._measured:
-            raise MatchError(
-                f"the law asks for {name}, which is not measured; it needs {(MEASUREMENTS | ESTIMATES)[name]}",
-                name=name,
-            )
+            source = MEASUREMENTS.get(name) or ESTIMATES[name]
+            raise MatchError(f"the law asks for {name}, which is not measured; it needs {source}", name=name)
         return self._measured[name]
 
     @property
