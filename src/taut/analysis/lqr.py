@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -20,6 +21,8 @@ from taut.loop import Loop
 from taut.maths.model import Adds
 from taut.maths.snapshot import snapshot
 from taut.plant.rigid import RigidPlant
+
+MARGIN: Final = 1e-9  # [-] below one, of the modulus of a pole that is within the unit circle
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -117,14 +120,16 @@ def lqr(
     A, B = lin.A, lin.B[:, list(lin.columns("disturbance.command"))]
     try:
         P = solve_discrete_are(A, B, *weights)
-    except np.linalg.LinAlgError as cause:
+        K = np.linalg.solve(weights[1] + B.T @ P @ B, B.T @ P @ A)
+        closed = LinearSystem(A=A - B @ K, dt=1.0 / rate, states=states)
+    except np.linalg.LinAlgError:
+        closed = None
+    if closed is None or closed.radius > 1.0 - MARGIN:
         raise RangeError(
             "Q must weigh every motion that does not come to rest by itself, positions above all, or no gain "
             f"that ends it is the best; got the diagonal {np.diag(weights[0]).tolist()}",
             name="Q",
-        ) from cause
-    K = np.linalg.solve(weights[1] + B.T @ P @ B, B.T @ P @ A)
-    closed = LinearSystem(A=A - B @ K, dt=1.0 / rate, states=states)
+        )
     law = StateFeedback(K_q=K[:, :n], K_v=K[:, n:], tau_0=held)
     return Lqr(law=law, K=K, P=P, system=closed, arm=arm.name, q=q)
 
