@@ -445,6 +445,8 @@ def test_what_an_observer_cannot_know_is_refused_in_a_sentence() -> None:
         taut.errors.MatchError, match=r"takes the torque of the last command, and .* gives a velocity"
     ):
         taut.compile(laws.VelocityPI(kp=5.0), arm, sensing=observed()).step(arm.home, taut.JointMotion(q=arm.home))
+    with pytest.raises(taut.errors.MatchError, match=r"gives a mit command"):
+        taut.compile(laws.ViaMit(law=laws.PID(kp=5.0)), arm, sensing=observed()).needs  # noqa: B018
     with pytest.raises(taut.errors.MatchError, match=r"asks for tau_ext, .*MomentumObserver"):
         taut.compile(CT + laws.DisturbanceRejection(), arm).needs  # noqa: B018
     with pytest.raises(taut.errors.UsageError, match="wrist is for a measured wrench"):

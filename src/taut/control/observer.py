@@ -60,7 +60,8 @@ class MomentumObserver(Declared):
 
     Raises:
         RangeError: A bandwidth of zero or below, or one of the rate or above.
-        MatchError: torque="applied" under a law that commands positions or velocities: the torque is not known.
+        MatchError: torque="applied" under a law whose torque is not known: of positions, velocities, or for
+            motors with a loop of their own.
 
     Example:
         >>> import taut
@@ -118,8 +119,8 @@ class MomentumObserver(Declared):
         """The torque that acts must be known. Raises MatchError."""
         if self.torque == "applied" and kind != Torque.kind:
             raise MatchError(
-                f"sensing.observer takes the torque of the last command, and {law} gives a {kind}; use a law that "
-                "commands torques, or torque='measured' with a plant that measures them",
+                f"sensing.observer takes the torque of the last command, and {law} gives a {kind} command; use a law "
+                "of torques, or torque='measured' with a plant that measures them",
                 name="sensing.observer",
             )
 
