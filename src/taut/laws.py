@@ -23,10 +23,13 @@ if TYPE_CHECKING:
     from taut.control.laws.joint import GravityCompensation as GravityCompensation
     from taut.control.laws.joint import GravityPID as GravityPID
     from taut.control.laws.joint import RaisedGains as RaisedGains
+    from taut.control.laws.joint import StateFeedback as StateFeedback
     from taut.control.laws.joint import VelocityPI as VelocityPI
     from taut.control.laws.null_space import LimitAvoidance as LimitAvoidance
     from taut.control.laws.null_space import Manipulability as Manipulability
     from taut.control.laws.null_space import Posture as Posture
+    from taut.control.laws.other_topics.disturbance import CollisionReflex as CollisionReflex
+    from taut.control.laws.other_topics.disturbance import DisturbanceRejection as DisturbanceRejection
     from taut.control.laws.task import TaskComputedTorque as TaskComputedTorque
     from taut.control.laws.task import TaskPosition as TaskPosition
     from taut.control.laws.task import TaskVelocity as TaskVelocity

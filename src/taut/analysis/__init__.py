@@ -8,6 +8,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from taut.analysis.attraction import Attraction as Attraction
     from taut.analysis.attraction import region_of_attraction as region_of_attraction
+    from taut.analysis.collision import collision_threshold as collision_threshold
     from taut.analysis.comparison import Comparison as Comparison
     from taut.analysis.comparison import WrongModel as WrongModel
     from taut.analysis.constraints import ConstraintRow as ConstraintRow
@@ -41,6 +42,8 @@ if TYPE_CHECKING:
     from taut.analysis.loci import root_locus as root_locus
     from taut.analysis.loci import routh as routh
     from taut.analysis.loci import stability_map as stability_map
+    from taut.analysis.lqr import Lqr as Lqr
+    from taut.analysis.lqr import lqr as lqr
     from taut.analysis.several_joints import Coupling as Coupling
     from taut.analysis.several_joints import Lyapunov as Lyapunov
     from taut.analysis.several_joints import coupling as coupling
