@@ -12,7 +12,7 @@ from taut.base.errors import NumericalError
 from taut.base.types import Float64Array
 from taut.linear.linear_system import Complex
 
-SOLVED: Final = 1e-9  # [-] relative residual of an inverse
+RESIDUAL: Final = 1e-9  # [-] relative residual of an inverse
 MAX_ITERATIONS: Final = 2000  # of conjugate gradients
 NORM_TOLERANCE: Final = 1e-2  # [-] residual of the vector of a norm; the norm itself is then right within 1e-3
 
@@ -90,7 +90,7 @@ class Lifted:
         map_, near = self._operator(self.act), self._operator(Lifted._of_symbol(symbol, self.samples).act)
 
         def solved(x: Float64Array) -> Float64Array:
-            y, failed = cg(map_, x.ravel(), rtol=SOLVED, maxiter=MAX_ITERATIONS, M=near)
+            y, failed = cg(map_, x.ravel(), rtol=RESIDUAL, maxiter=MAX_ITERATIONS, M=near)
             if failed:
                 raise NumericalError(
                     f"a lifted system of {x.size} unknowns is not solved after {MAX_ITERATIONS} iterations; raise "
