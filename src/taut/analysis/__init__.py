@@ -30,6 +30,9 @@ if TYPE_CHECKING:
     from taut.analysis.loci import root_locus as root_locus
     from taut.analysis.loci import routh as routh
     from taut.analysis.loci import stability_map as stability_map
+    from taut.analysis.robustness import Certificate as Certificate
+    from taut.analysis.robustness import boundary_layer as boundary_layer
+    from taut.analysis.robustness import certify as certify
     from taut.analysis.several_joints import Coupling as Coupling
     from taut.analysis.several_joints import Lyapunov as Lyapunov
     from taut.analysis.several_joints import coupling as coupling
