@@ -64,6 +64,19 @@ def test_no_arm_of_the_set_errs_by_more_than_rho(name: str, share: Callable[[int
     assert closest > 0.5  # the bound is no empty one
 
 
+def test_the_bound_of_friction_holds_and_is_attained(share: Callable[[int], int]) -> None:
+    b, c, rng, width = np.array([[0.1], [0.4]]), np.array([[0.2], [1.0]]), np.random.default_rng(2), 0.05
+    for intervals in ((b, 0.0 * c), (b, c), (0.0 * b, c)):
+        v, v_des = rng.normal(size=(2, share(20000))) * rng.choice((0.01, 0.1, 1.0), share(20000))
+        v[::7] = 0.0
+        sign = np.where(v == 0.0, rng.choice((-1.0, 1.0), len(v)), np.sign(v))
+        assumed, error = friction_and_error(*intervals, v, v_des, width)
+        (b_true, c_true) = (rng.choice(interval[:, 0], len(v)) for interval in intervals)
+        wrong = np.abs(b_true * v + c_true * sign - assumed)
+        assert (wrong <= error * (1.0 + 1e-12)).all()
+        assert (wrong / error).max() > 0.999
+
+
 def test_the_bound_of_bodies_is_attained_by_an_arm_of_the_set() -> None:
     arm = taut.load_arm("ur10")
     unknown, rng = taut.laws.Uncertainty(links=0.2), np.random.default_rng(1)

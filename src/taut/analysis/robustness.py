@@ -38,7 +38,7 @@ from taut.runtime.simulate import run as simulated
 from taut.trace import math as tm
 
 MAX_RATE: Final = 0.5  # [-] of T times the loop's largest rate in its layer; explicit steps are stable below 2
-MIN_RHO: Final = 0.01  # of the largest: a joint that needs no robust torque on the reference gets a layer too
+MIN_RHO: Final = 0.05  # of the largest: a joint that needs no robust torque on the reference gets a layer too
 INSTANTS: Final = 401  # of the reference, for the layer; the certificate takes every sixth or so
 LEVEL_INSTANTS: Final = 61
 MAX_CORNERS: Final = 128  # of the box of position errors: all of them up to seven joints
