@@ -106,7 +106,7 @@ class HasLawSide(Protocol):
 
 def check_fit(side: LawSide, plant: AnyPlant) -> None:
     """MatchError, ShapeError or RangeError for a controller and a plant that do not fit, or unstable contact."""
-    law, probe = side.title, side.probe
+    law = side.title
     if side.arm.n != plant.arm.n:
         raise ShapeError(
             f"plant '{plant.name}' has {count_of(plant.arm.n, 'joint')} and the controller's arm "
@@ -122,10 +122,11 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
             f"the joints of plant '{plant.name}' are {theirs_in_words}, and those of the controller's arm "
             f"'{side.arm.name}' are {ours_in_words}; both must be the same arm, with its joints in the same order"
         )
-    if probe.kind != plant.takes:
+    if side.gives != plant.takes:
+        wrapped = ", such as taut.laws.ViaMit(law=law)," if (side.gives, plant.takes) == ("torque", "mit") else ""
         raise MatchError(
-            f"{law} gives a {probe.kind} and plant '{plant.name}' takes a {plant.takes}; choose a law for "
-            f"{plant.takes} commands, or a plant that takes '{probe.kind}'",
+            f"{law} gives a {side.gives} and plant '{plant.name}' takes a {plant.takes}; choose a law for "
+            f"{plant.takes} commands,{wrapped[1:]} or a plant that takes '{side.gives}'",
             name="takes",
         )
     for name in side.needs:
@@ -306,11 +307,12 @@ class Loop:
         measured = self.measured(plant, inputs, parameters)
         law = {path: value for path, value in memory.items() if not path.startswith("plant.")}
         tick = self.side.tick(measured, self._sample(inputs), law, parameters, dt)
-        command = tick.command + inputs[COMMAND] if COMMAND in inputs else tick.command
+        command = tick.pushed(inputs[COMMAND]) if COMMAND in inputs else tick.sent
         plant = self.plant.command(command, plant, inputs["t"])
         plant = self.plant.advance(plant, {**parameters, **of_plant(inputs)}, dt / self.plant.substeps)
         before = subtree(memory, "plant")
         record = {"q": before["q"], "v": before["v"], "command": tick.command, "tau": plant["tau"]}
+        record |= {} if tick.mit is None else {"mit": tick.mit}
         record |= self.plant.extra(before, plant)
         record |= {name: value for name, value in measured.items() if name.startswith("saturated.")}
         record |= {name: tick.seen[name] for name in self.side.sensing.tells if name not in record}

@@ -154,7 +154,7 @@ MESSAGES: dict[str, tuple[Callable[[], object], type[taut.TautError], str]] = {
     "another word": (
         lambda: taut.MujocoPlant(GANTRY, takes="power"),  # type: ignore[arg-type]
         taut.errors.UsageError,
-        "takes must be one of 'torque', 'velocity', 'position'; got 'power'",
+        "takes must be one of 'torque', 'velocity', 'position', 'mit'; got 'power'",
     ),
     "what is for torques": (
         lambda: taut.MujocoPlant(

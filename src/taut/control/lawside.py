@@ -16,7 +16,7 @@ from taut.base.errors import MatchError, NumericalError, RangeError, ShapeError,
 from taut.base.paths import flatten, subtree, unflatten
 from taut.base.types import Array, ArrayLike, Float64Array, Vector
 from taut.control.combine import all_laws, title
-from taut.control.command import Command, Terms, Torque, as_array
+from taut.control.command import Command, MitCommand, Terms, Torque, as_array
 from taut.control.law import Law, call
 from taut.control.limits import Limits, anew, fresh_blend, limited
 from taut.control.sensing import Sensing
@@ -47,6 +47,16 @@ class Tick:
     named: Terms  # before limits
     seen: Mapping[str, Vector]  # what the law saw, by measurement
     limiting: Mapping[str, Vector]  # (n,) what limits added to it, by name
+    mit: Array | None = None  # (5, n) for motors with a loop of their own, whose torque in the tick is the command
+
+    @property
+    def sent(self) -> Array:
+        """What the plant takes: the command, or (5, n) that of motors with a loop of their own."""
+        return self.command if self.mit is None else self.mit
+
+    def pushed(self, by: Vector) -> Array:
+        """What the plant takes with a disturbance (n,) of it."""
+        return self.command + by if self.mit is None else tm.stack([*self.mit[:4], self.mit[4] + by])
 
     @property
     def terms(self) -> dict[str, Vector]:
@@ -58,7 +68,8 @@ class Tick:
 class Probe:
     """What a first run at the home pose shows of a law."""
 
-    kind: str  # of the command
+    kind: str  # of the command; "torque" for motors with a loop of their own, as it is in the tick
+    mit: bool  # whether it is for motors with a loop of their own
     used: frozenset[str]  # measurements and compensations that it asks for
     shapes: Mapping[str, tuple[int, ...]]  # of the memory, by path
     terms: tuple[str, ...]
@@ -170,6 +181,8 @@ class LawSide:
             elsewhere = self.arm.home + 0.1 * np.cos(np.arange(self.arm.n))
             self.check_start(elsewhere, self._own_parameters)  # a law that knows why says it better
             x, command, after = self._first_run(elsewhere)
+        mit = isinstance(command, MitCommand)
+        command = _in_tick(command, x)
         self.check_start(x.q, self._own_parameters)
         total = as_array(command.total, f"the command of {type(self.law).__name__}")
         torque = isinstance(command, Torque)
@@ -187,6 +200,7 @@ class LawSide:
         used = x.used | ({"v"} if "speed_limit" in added and torque else set())
         return Probe(
             kind=command.kind,
+            mit=mit,
             used=frozenset(used),
             shapes={path: np.shape(as_array(value, path)) for path, value in memory.items()},
             terms=(*command.terms.parts, *added),
@@ -211,6 +225,11 @@ class LawSide:
         _, after = call(law, x, ref, law.initial_memory(x, ref), self.dt)
         command, after = call(law, x, ref, after, self.dt)
         return x, command, after
+
+    @property
+    def gives(self) -> str:
+        """The kind of command that a plant must take."""
+        return MitCommand.kind if self.probe.mit else self.probe.kind
 
     def at_rest(self, q: Float64Array) -> Sample:
         """The sample that asks to stay at joint positions q."""
@@ -338,7 +357,8 @@ class LawSide:
         seen, sensing = self.sense(measured, subtree(memory, "sensing"), parameters, dt)
         x = self._snapshot(seen, parameters, before)
         law = self.law.bound(subtree(parameters, "law"))
-        command, after = call(law, x, ref, _nested_memory(law, nested.get("law", {})), dt)
+        given_by_law, after = call(law, x, ref, _nested_memory(law, nested.get("law", {})), dt)
+        command = _in_tick(given_by_law, x)
         total = as_array(command.total, "command")
         applied, terms, held = total, {}, {}
         if self.limits is not None:
@@ -356,6 +376,7 @@ class LawSide:
             named=command.terms,
             seen=seen,
             limiting=terms,
+            mit=given_by_law.sent(x, applied) if isinstance(given_by_law, MitCommand) else None,
         )
 
     def _snapshot(
@@ -373,6 +394,11 @@ class LawSide:
             adds=self.adds,
             measured={**others, **torques},
         )
+
+
+def _in_tick(command: Command, x: Snapshot) -> Command:
+    """The command; of motors with a loop of their own the torque that they give in the tick."""
+    return Torque(command.terms + command.feedback(x)) if isinstance(command, MitCommand) else command
 
 
 def _payload_of(parameters: Mapping[str, Any]) -> PayloadValues:

@@ -192,7 +192,7 @@ def _model_loop(ctrl: HasLawSide, plant: AnyPlant) -> Loop:
     except TypeError:  # a plant of the user's own that has no hash
         loop = None
     if loop is None or loop.side is not side:
-        loop = Loop(ctrl, model_in_place_of(plant, side.needs), duration=side.dt)
+        loop = Loop(ctrl, model_in_place_of(plant, side), duration=side.dt)
         with contextlib.suppress(TypeError):
             _LOOPS[plant] = loop
     for path, value in {**plant.parameters, **ctrl.parameters}.items():
