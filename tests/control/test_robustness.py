@@ -10,7 +10,7 @@ import pytest
 from robust_sets import planar_set, reference, with_links
 
 import taut
-from taut.analysis.robustness import MAX_RATE, UncertainArm, _carrying
+from taut.analysis.robustness import MAX_LAYER_RATE, UncertainArm, _carrying
 from taut.maths.model import PayloadValues
 
 WHOLE = bool(os.environ.get("TAUT_BARS"))
@@ -93,7 +93,7 @@ def test_the_lightest_and_the_heaviest_arm_bound_the_mass_matrix() -> None:
 def test_the_layer_keeps_the_loop_below_half_a_rate_and_k_has_a_limit() -> None:
     unknown = planar_set()
     found = certificate("planar2", unknown, phi=layer("planar2", unknown), trials=2)
-    assert 0.5 * MAX_RATE < found.sampled <= MAX_RATE
+    assert 0.5 * MAX_LAYER_RATE < found.sampled <= MAX_LAYER_RATE
     with pytest.raises(taut.errors.RangeError) as refused:
         layer("planar2", unknown, k=1000.0)
     assert refused.value.name == "k"

@@ -37,13 +37,13 @@ from taut.plant.rigid import Integrator, RigidPlant
 from taut.runtime.simulate import run as simulated
 from taut.trace import math as tm
 
-MAX_RATE: Final = 0.5  # [-] of T times the loop's largest rate in its layer; explicit steps are stable below 2
+MAX_LAYER_RATE: Final = 0.5  # [-] of T times the loop's largest rate in its layer; explicit steps are stable below 2
 MIN_RHO: Final = 0.05  # of the largest: a joint that needs no robust torque on the reference gets a layer too
 INSTANTS: Final = 401  # of the reference, for the layer; the certificate takes every sixth or so
 LEVEL_INSTANTS: Final = 61
 MAX_CORNERS: Final = 128  # of the box of position errors: all of them up to seven joints
 MAX_CERTIFIED: Final = 1.0  # [rad | m] beyond which corners of that box no longer stand for the states inside it
-GROWTH: Final = 1.002  # of the level set beyond what a step asks for, so that the iteration ends
+LEVEL_GROWTH: Final = 1.002  # of the level set beyond what a step asks for, so that the iteration ends
 ROUNDS: Final = 200  # of it
 TRIALS_PER_ARM: Final = 8  # links are constants of a plant, and every other one costs a compilation
 SUBSTEPS: Final[Mapping[Integrator, int]] = {"rk4": 2, "semi-implicit-euler": 4}  # dry friction needs the latter
@@ -84,8 +84,8 @@ class UncertainArm:
         def torques(q: Array, v: Array, v_ref: Array, a_ref: Array) -> dict[str, Any]:
             return {"parts": unknown.torques(self.model, q, v, v_ref, a_ref)}
 
-        self._masses = _of_rows(masses, {"q": (n,)})
-        self._torques = _of_rows(torques, dict.fromkeys(("q", "v", "v_ref", "a_ref"), (n,)))
+        self._masses = _of_rows(masses, n, "q")
+        self._torques = _of_rows(torques, n, "q", "v", "v_ref", "a_ref")
 
     def masses(self, q: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
         """(k, n, n) each: M of the law's model, the inverse of the lightest arm's M, and the heaviest arm's M."""
@@ -109,11 +109,9 @@ class UncertainArm:
         return bound
 
 
-def _of_rows(
-    function: Callable[..., dict[str, Any]], shapes: Mapping[str, tuple[int, ...]]
-) -> Callable[..., dict[str, Float64Array]]:
-    """A traced function of many rows of its arguments at once."""
-    inputs = Block.of(dict(shapes))
+def _of_rows(function: Callable[..., dict[str, Any]], n: int, *names: str) -> Callable[..., dict[str, Float64Array]]:
+    """A traced function of arguments (n,), of many rows of them at once."""
+    inputs = Block.of(dict.fromkeys(names, (n,)))
     steps = Steps(lambda x, _, memory: (function(**x), {**memory}), inputs, Block(), Block())
     loop = StepLoop(steps, (np.cos(np.arange(inputs.size)), np.zeros(0), np.zeros(0)), engine=best_engine())
 
@@ -190,7 +188,7 @@ def boundary_layer(
         >>> arm = taut.load_arm("planar2")
         >>> ref = taut.JointMotion(q=arm.home)
         >>> taut.analysis.boundary_layer(arm, ref, unknown, lam=10.0, k=10.0, duration=1.0).round(3).tolist()
-        [0.05, 0.138]
+        [0.017, 0.05]
     """
     length = _checked(arm, reference, duration)
     law = Robust(lam=lam, k=k, phi=1.0, uncertainty=uncertainty)
@@ -202,17 +200,16 @@ def boundary_layer(
     if not rho.any():
         raise RangeError("uncertainty must have an interval of some width; nothing in it is unknown", name="links")
 
-    def above(kappa: float) -> float:
-        return T * float(_largest(k * M + np.diag(kappa / mobility), inverse).max()) - MAX_RATE
+    def sampled(kappa: float) -> float:
+        return T * float(_largest(k * M + np.diag(kappa / mobility), inverse).max())
 
-    if above(0.0) >= 0.0:
+    if sampled(0.0) >= MAX_LAYER_RATE:
+        most = MAX_LAYER_RATE * k / sampled(0.0)
         raise RangeError(
-            f"k must be below {MAX_RATE * k / (above(0.0) + MAX_RATE):.3g} [1/s] at {rate:g} Hz for the lightest "
-            f"arm; got {k:g}",
-            name="k",
-            value=k,
+            f"k must be below {most:.3g} [1/s] at {rate:g} Hz for the lightest arm; got {k:g}", name="k", value=k
         )
-    kappa = brentq(above, 0.0, MAX_RATE / T, xtol=1e-3)  # diag(1 / (M^-1)_ii) M^-1 has an eigenvalue of 1 or more
+    # at the upper end it is larger, since diag(1 / (M^-1)_ii) M^-1 has an eigenvalue of 1 or more
+    kappa = brentq(lambda kappa: sampled(kappa) - MAX_LAYER_RATE, 0.0, MAX_LAYER_RATE / T, xtol=1e-3)
     phi: Float64Array = np.maximum(rho, MIN_RHO * rho.max()) * mobility / kappa
     return phi
 
@@ -269,7 +266,7 @@ class Certificate(Result):
             "certified: in continuous time, from a start on the reference, while no torque saturates; exact over the "
             "set and over velocities in the level set; positions in it are sampled at corners: an estimate there",
             f"sampled loop: T times its largest rate is {self.sampled:.3g}, which must stay below 2 and should below "
-            f"{MAX_RATE:g}",
+            f"{MAX_LAYER_RATE:g}",
             f"inverse dynamics with an additional term {law_b}: its alpha is {self.alpha:.3g}, and must be below 1",
         ]
         return Content(
@@ -320,7 +317,7 @@ def certify(
         >>> ref = taut.trajectories.Quintic(q0=arm.home, q1=arm.home + 0.5, duration=1.0)
         >>> phi = taut.analysis.boundary_layer(arm, ref, unknown, lam=10.0, k=10.0, duration=1.0)
         >>> law = taut.laws.Robust(lam=10.0, k=10.0, phi=phi, uncertainty=unknown)
-        >>> bool(taut.analysis.certify(law, arm, ref, duration=1.0, trials=4))
+        >>> taut.analysis.certify(law, arm, ref, duration=1.0, trials=4).ok
         True
 
     References:
@@ -386,8 +383,8 @@ def _level_set(uncertain: UncertainArm, law: Robust, rows: JointMotion, start: f
         implied = np.sqrt(2.0 * max(V, asked) * mobility)
         if asked <= V and (implied <= S).all():
             return S
-        V = max(V, GROWTH * asked)
-        S = np.maximum(S, np.sqrt(2.0 * V * mobility) * GROWTH)
+        V = max(V, LEVEL_GROWTH * asked)
+        S = np.maximum(S, np.sqrt(2.0 * V * mobility) * LEVEL_GROWTH)
         if (S / lam > MAX_CERTIFIED).any():
             return None
     return None
