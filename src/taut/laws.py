@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from taut.control.command import MitCommand as MitCommand
     from taut.control.gains import Integral as Integral
     from taut.control.laws.admittance import Admittance as Admittance
+    from taut.control.laws.applied_wrench import AppliedWrench as AppliedWrench
     from taut.control.laws.force import ForceControl as ForceControl
     from taut.control.laws.hybrid import HybridMotionForce as HybridMotionForce
     from taut.control.laws.impedance import Impedance as Impedance
