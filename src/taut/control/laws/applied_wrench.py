@@ -21,7 +21,7 @@ from taut.maths.snapshot import Snapshot
 from taut.trace import math as tm
 
 PARTS: Final = (slice(0, 3), slice(3, 6))  # force and moment
-NO_FORCE: Final = 1e-24  # keeps a root from zero, where it has no slope
+NEVER: Final = 1e-24  # keeps a root from zero, where it has no slope
 
 
 class AppliedWrench(Wrapper):
@@ -117,9 +117,9 @@ class AppliedWrench(Wrapper):
         F, J = self._wrench(x, ref), x.J(self.controlled_frame)
         V, mobility, wrench = J @ x.v - motion.twist, _mobility(x, J), []
         for part, speed in zip(PARTS, (self.speed[0], self.speed[1]), strict=True):
-            length = tm.sqrt(F[part] @ F[part] + NO_FORCE)
+            length = tm.sqrt(F[part] @ F[part] + NEVER)
             u = F[part] / length
-            fastest = 0.5 / (dt * (u @ (mobility[part, part] @ u)) + NO_FORCE)
+            fastest = 0.5 / (dt * (u @ (mobility[part, part] @ u)) + NEVER)
             wrench.extend(F[part] - tm.minimum(length / speed, fastest) * (u @ V[part]) * u)
         return Torque(command.terms + Terms(applied=J.T @ tm.array(wrench))), after
 
