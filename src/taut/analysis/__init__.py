@@ -1,4 +1,4 @@
-"""Analyses of loops and runs: stiffness, constraints, design, diagnosis, comparison, tuning."""
+"""Analyses of loops and runs: stiffness, constraints, design, diagnosis, comparison, tuning, identification."""
 
 from __future__ import annotations
 
@@ -22,6 +22,11 @@ if TYPE_CHECKING:
     from taut.analysis.diagnosis.checks import CHECKS as CHECKS
     from taut.analysis.diagnosis.diagnosis import Diagnosis as Diagnosis
     from taut.analysis.grading import Grade as Grade
+    from taut.analysis.identification.excitation import excitation as excitation
+    from taut.analysis.identification.identify import Estimate as Estimate
+    from taut.analysis.identification.identify import Identification as Identification
+    from taut.analysis.identification.identify import Verdict as Verdict
+    from taut.analysis.identification.identify import identify as identify
     from taut.analysis.impedance_at_tool import ToolImpedance as ToolImpedance
     from taut.analysis.impedance_at_tool import tool_impedance as tool_impedance
     from taut.analysis.loci import RootLocus as RootLocus
