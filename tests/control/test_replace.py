@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 from taut.control.combine import law_classes
@@ -95,5 +96,5 @@ def test_a_part_is_replaced_as_a_whole() -> None:
     clamped = dataclasses.replace(held, integral=laws.Integral())
     assert "integral.tracking" not in clamped.parameters()
     for wrong in ({"anti_windup": "back-calculation"}, {"tracking": 4.0}):
-        with pytest.raises(taut.errors.UsageError, match="tracking is for anti_windup 'back-calculation'"):
+        with refused(taut.errors.UsageError):
             laws.Integral(**wrong)  # type: ignore[arg-type]
