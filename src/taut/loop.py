@@ -20,7 +20,7 @@ from taut.control.lawside import LawSide
 from taut.control.trajectories.reference import Hold, Reference, as_reference
 from taut.maths.dynamics import pose
 from taut.maths.model import Adds, model_of
-from taut.maths.snapshot import MEASUREMENTS
+from taut.maths.snapshot import ESTIMATES, MEASUREMENTS
 from taut.plant.contact import check_force_feedback
 from taut.plant.environments.environment import COMMAND, of_plant
 from taut.plant.sensors import Sensors
@@ -152,9 +152,10 @@ def require_no_reference(side: LawSide, ref: object) -> None:
 
 def sensed_of(side: LawSide, plant: AnyPlant) -> tuple[str, ...]:
     """The law's measurements that a run records as the law saw them: those that differ from the truth or lack it."""
-    used = side.probe.used
     altered = side.sensing.alters | plant.distorts | {"q_motor", "v_motor", "a_tip"}
-    return tuple(name for name in ("q", "v", *MEASUREMENTS) if name in altered and (name == "q" or name in used))
+    used, always = side.probe.used, {"q", *ESTIMATES}
+    names = ("q", "v", *MEASUREMENTS, *ESTIMATES)
+    return tuple(name for name in names if name in altered and (name in always or name in used))
 
 
 def _check_tool(side: LawSide, plant: AnyPlant) -> None:
@@ -193,8 +194,9 @@ def _check_adds(side: LawSide, plant: AnyPlant) -> None:
         brakes = "limits.v_gain" in side.parameters
         counted |= {"gravity"} if brakes or "limits.tau_applied" in side.probe.shapes else set()
         counted |= {"coriolis"} if brakes else set()
+    observed = set() if side.sensing.observer is None else side.sensing.observer.counts_on(side.arm)
     for what in ("gravity", "coriolis", "friction"):
-        if what not in used | counted or (what in left_out.names) == (what in added.names):
+        if what not in used | counted | observed or (what in left_out.names) == (what in added.names):
             continue
         if what in left_out.names:
             raise MatchError(
@@ -202,7 +204,8 @@ def _check_adds(side: LawSide, plant: AnyPlant) -> None:
                 "it; compile with adds=plant.adds",
                 name=what,
             )
-        who = f"the law {side.title} adds it too" if what in used else "the controller's limits count on it too"
+        who = "the observer counts on it too" if what in observed else "the controller's limits count on it too"
+        who = f"the law {side.title} adds it too" if what in used else who
         raise MatchError(
             f"plant '{plant.name}' adds {what} itself and {who}; compile with adds=plant.adds, use a law that does "
             "not add it, or a plant with adds=()",

@@ -1,4 +1,4 @@
-"""Analyses of loops and runs: stiffness, constraints, design, diagnosis, comparison, tuning."""
+"""Analyses of loops and runs: stiffness, constraints, design, diagnosis, comparison, tuning, identification."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from taut.analysis.attraction import Attraction as Attraction
     from taut.analysis.attraction import region_of_attraction as region_of_attraction
+    from taut.analysis.collision import collision_threshold as collision_threshold
     from taut.analysis.comparison import Comparison as Comparison
     from taut.analysis.comparison import WrongModel as WrongModel
     from taut.analysis.constraints import ConstraintRow as ConstraintRow
@@ -27,6 +28,11 @@ if TYPE_CHECKING:
     from taut.analysis.harmonic_balance import LimitCycle as LimitCycle
     from taut.analysis.harmonic_balance import LimitCycles as LimitCycles
     from taut.analysis.harmonic_balance import limit_cycles as limit_cycles
+    from taut.analysis.identification.excitation import excitation as excitation
+    from taut.analysis.identification.identify import Estimate as Estimate
+    from taut.analysis.identification.identify import Identification as Identification
+    from taut.analysis.identification.identify import Verdict as Verdict
+    from taut.analysis.identification.identify import identify as identify
     from taut.analysis.impedance_at_tool import ToolImpedance as ToolImpedance
     from taut.analysis.impedance_at_tool import tool_impedance as tool_impedance
     from taut.analysis.loci import RootLocus as RootLocus

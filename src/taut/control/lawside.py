@@ -23,7 +23,7 @@ from taut.control.sensing import Sensing
 from taut.control.trajectories.reference import Reference, Sample
 from taut.maths import dynamics as dyn
 from taut.maths.model import Adds, Model, PayloadValues, model_of
-from taut.maths.snapshot import AT_TOOL, MEASUREMENTS, Snapshot, measurement_shapes
+from taut.maths.snapshot import AT_TOOL, ESTIMATES, MEASUREMENTS, Snapshot, measurement_shapes
 from taut.trace import math as tm
 from taut.trace.graph import LARGEST
 
@@ -188,16 +188,23 @@ class LawSide:
         torque = isinstance(command, Torque)
         if torque and "gravity" in x.used:
             self._check_gravity_once(np.asarray(total), np.asarray(x.g))
-        self.sensing.check_used(x.used, self.title)
+        used = set(x.used)
+        if self.sensing.observer is not None:
+            self.sensing.observer.check_command(MitCommand.kind if mit else command.kind, self.title)
+            used |= {"v", *self.sensing.observer.needs}
+        self.sensing.check_used(used, self.title)
         added = () if self.limits is None else self.limits.terms(command, self.title)
-        at_rest = self.sensing_at_start(self.measurements_at_rest(self.arm.home), self._own_parameters)
+        measured = self.measurements_at_rest(self.arm.home)
+        at_rest = self.sensing_at_start(measured, self._own_parameters)
+        at_rest |= self._observer_at_start(measured, np.zeros(self.arm.n), self._own_parameters)
         limits: dict[str, Any] = fresh_blend(self.arm.n) if "blend" in added else {}
-        if (torque and "tau_applied" in x.used) or {"rate_limit", "blend"} & set(added):
+        follows = "tau_applied" in x.used or self.sensing.observer is not None
+        if (torque and follows) or {"rate_limit", "blend"} & set(added):
             limits["tau_applied"] = np.zeros(self.arm.n)
         if self.limits is not None and "tau_cut" in x.used:
             limits["tau_cut"] = np.zeros(self.arm.n)
         memory = flatten({"law": after, "sensing": at_rest, "limits": limits})
-        used = x.used | ({"v"} if "speed_limit" in added and torque else set())
+        used |= {"v"} if "speed_limit" in added and torque else set()
         return Probe(
             kind=command.kind,
             mit=mit,
@@ -270,12 +277,13 @@ class LawSide:
     @property
     def takes(self) -> tuple[str, ...]:
         """What a tick is given, beyond positions: all that is needed, and velocities where sensing reads them."""
-        velocity = ("v",) if self.sensing.needs_velocity else ()
-        return (*velocity, *(name for name in MEASUREMENTS if name in self.probe.used))
+        velocity, used = ("v",) if self.sensing.needs_velocity else (), self.probe.used
+        return (*velocity, *(name for name in MEASUREMENTS if name in used and name not in self.sensing.estimates))
 
     def measurements_at_rest(self, q: Float64Array) -> dict[str, Any]:
         """Measurements of the arm at rest at q, with nothing touching it."""
-        at_rest = {name: np.zeros(shape) for name, shape in measurement_shapes(self.arm.n).items()}
+        shapes = measurement_shapes(self.arm.n)
+        at_rest = {name: np.zeros(shapes[name]) for name in (*MEASUREMENTS, *self.sensing.estimates)}
         upwards = -dyn.pose(self.model, q).R.T @ self.arm.gravity
         return {**at_rest, "v": np.zeros(self.arm.n), "q": q, "q_motor": q, "a_tip": upwards, "t": 0.0}
 
@@ -290,6 +298,23 @@ class LawSide:
         """Memory of sensing in the first tick, by path below "sensing"; the parameters are all of the law side."""
         own, payload = subtree(parameters, "sensing"), _payload_of(parameters)
         return self.sensing.start(self.arm, self._with_v(measured), own, payload)
+
+    def _observer_at_start(
+        self, seen: Mapping[str, Any], tau: Vector, parameters: Mapping[str, Any]
+    ) -> dict[str, Any]:
+        """Its memory in the first tick, under a torque tau (n,) that the plant holds, by path below "sensing"."""
+        observer, own = self.sensing.observer, subtree(parameters, "sensing.observer")
+        if observer is None:
+            return {}
+        memory = observer.start(self.arm, seen, tau, self.adds, own, _payload_of(parameters), self.dt)
+        return {f"observer.{name}": value for name, value in memory.items()}
+
+    def _estimated(self, q: Vector, tau_ext: Vector, parameters: Mapping[str, Any]) -> dict[str, Any]:
+        """What the law sees of an estimate, by name."""
+        observer = self.sensing.observer
+        if observer is None or "F_ext" not in observer.estimates or "F_ext" not in self.probe.used:
+            return {"tau_ext": tau_ext}
+        return {"tau_ext": tau_ext, "F_ext": observer.wrench(self.model, q, tau_ext, _payload_of(parameters))}
 
     def check_finite(self, inputs: Mapping[str, Any], tick: int) -> None:
         """The inputs of a tick (measurements, ref.q, ...) must be finite; RangeError names joint and tick."""
@@ -310,11 +335,17 @@ class LawSide:
         parameters: Mapping[str, Any],
         t: float,
     ) -> Snapshot:
-        """The law's snapshot at one instant [s], as plain numbers, for the source of a stream; copied."""
+        """The law's snapshot at one instant [s], as plain numbers, for the source of a stream; copied.
+
+        What an observer estimates is that of the tick before.
+        """
         copies = {name: np.array(value, dtype=np.float64) for name, value in measured.items()}
         numbers = {path: np.array(value) for path, value in parameters.items()}
         before = self.sensing_at_start(copies, numbers) if sensing is None else sensing
         seen, _ = self.sense(copies, before, numbers, self.dt)
+        if self.sensing.observer is not None:
+            tau_ext = np.array(before.get("observer.tau_ext", np.zeros(self.arm.n)))
+            seen |= self._estimated(seen["q"], tau_ext, numbers)
         return self._snapshot({**seen, "t": t}, numbers, {})
 
     def _with_v(self, measured: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -331,6 +362,9 @@ class LawSide:
         rest = self._snapshot(seen, parameters, {}).g if self.probe.kind == Torque.kind else tm.zeros(n)
         held = tm.where(measured[KNOWN] > 0.5, measured[HELD], rest) if KNOWN in measured else rest
         limits = {**fresh_blend(n), "tau_applied": held, "tau_cut": tm.zeros(n)}
+        if self.sensing.observer is not None:
+            sensing |= self._observer_at_start(seen, held, parameters)
+            seen |= self._estimated(seen["q"], tm.zeros(n), parameters)
         x = self._snapshot(seen, parameters, limits if "limits.tau_applied" in shapes else {})
         law = self.law.bound(subtree(parameters, "law"))
         memory = flatten({"law": law.initial_memory(x, ref), "sensing": sensing, "limits": limits})
@@ -355,6 +389,19 @@ class LawSide:
         if begins is not None and "tau_cut" in before:  # what another law was cut is nothing for this one's integral
             before = {**before, "tau_cut": tm.where(begins, tm.zeros(self.arm.n), before["tau_cut"])}
         seen, sensing = self.sense(measured, subtree(memory, "sensing"), parameters, dt)
+        if self.sensing.observer is not None:
+            tau_ext, observed = self.sensing.observer.observe(
+                self.arm,
+                seen,
+                before.get("tau_applied", np.zeros(self.arm.n)),
+                self.adds,
+                nested["sensing"]["observer"],
+                subtree(parameters, "sensing.observer"),
+                _payload_of(parameters),
+                dt,
+            )
+            seen |= self._estimated(seen["q"], tau_ext, parameters)
+            sensing |= {f"observer.{name}": value for name, value in observed.items()}
         x = self._snapshot(seen, parameters, before)
         law = self.law.bound(subtree(parameters, "law"))
         given_by_law, after = call(law, x, ref, _nested_memory(law, nested.get("law", {})), dt)
@@ -383,7 +430,7 @@ class LawSide:
         self, seen: Mapping[str, Any], parameters: Mapping[str, Any], held: Mapping[str, Array]
     ) -> Snapshot:
         zero = np.zeros(self.arm.n)
-        others = {name: seen[name] for name in MEASUREMENTS if name in seen}
+        others = {name: seen[name] for name in (*MEASUREMENTS, *ESTIMATES) if name in seen}
         torques = {name: held.get(name, zero) for name in ("tau_applied", "tau_cut")}
         return Snapshot(
             self.model,

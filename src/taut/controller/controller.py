@@ -238,7 +238,9 @@ class Controller:
 
         With `taut.sensors.Wrist(range=...)` also saturated.F_ext: 1.0 if the reading was at the end of its range.
         """
-        names = ("q", "v", *(name for name in self.side.takes if name != "v"))
+        used = self.side.probe.used | {"tau_ext"}
+        estimated = (name for name in self.side.sensing.estimates if name in used)
+        names = ("q", "v", *(name for name in self.side.takes if name != "v"), *estimated)
         outputs = self._last_tick("sensed", SideFunctions(self.side, record=True, sensed=names))
         seen = subtree(outputs, "sensed") | {name: outputs[name] for name in self.side.sensing.tells}
         return Named("the controller's sensing", "measurement", seen)
