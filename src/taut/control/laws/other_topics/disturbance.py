@@ -40,11 +40,11 @@ class CollisionReflex(Law):
 
     Law:          tau = gain x.tau_ext, as in GravityCompensation() + CollisionReflex()
     Closed loop:  M a + C v = tau_ext + gain r: below the observer's bandwidth contact finds an arm whose inertia is
-                  divided by 1 + gain. It is pushed away and goes on in free motion: without friction nothing stops
-                  it, so damping or a stop follows once it is free
+                  divided by 1 + gain
 
-    K_O T <= 0.5 for a reflex: beyond it the estimate, and the torque with it, alternates from tick to tick under a
-    model whose inertia is twice the arm's.
+    The arm is pushed away and goes on in free motion: without friction nothing stops it, so damping or a stop follows
+    once it is free. K_O T <= 0.5 for a reflex: beyond it the estimate, and the torque with it, alternates from tick to
+    tick under a model whose inertia is twice the arm's.
 
     Args:
         gain: Torque per estimated torque.
