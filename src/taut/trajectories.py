@@ -6,6 +6,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from taut.control.trajectories.force_reference import HybridMotion as HybridMotion
     from taut.control.trajectories.joint import Cubic as Cubic
+    from taut.control.trajectories.joint import Fourier as Fourier
     from taut.control.trajectories.joint import JerkLimited as JerkLimited
     from taut.control.trajectories.joint import Quintic as Quintic
     from taut.control.trajectories.joint import Sine as Sine

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 from taut.base.types import Float64Array
@@ -110,5 +111,5 @@ def test_a_global_law_brings_back_every_start() -> None:
 
 
 def test_a_loop_that_does_not_rest_has_no_region() -> None:
-    with pytest.raises(taut.errors.UsageError, match="does not come to rest"):
+    with refused(taut.errors.UsageError):
         taut.analysis.region_of_attraction(upright(0.3), q=1.0, at=[0.0], samples=5)

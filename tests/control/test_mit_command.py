@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from refusals import refused, warned
 from scipy.linalg import expm
 
 import taut
@@ -113,7 +114,7 @@ def test_the_run_judges_the_two_rates_as_they_are():
             if stable:
                 assert taut.run(ctrl, plant, duration=0.2).outcome.ok
             else:
-                with pytest.warns(taut.errors.StabilityWarning, match="joint6"):
+                with warned(taut.errors.StabilityWarning):
                     taut.run(ctrl, plant, duration=0.02)
 
 
@@ -176,25 +177,25 @@ def test_what_does_not_fit_is_refused_in_a_sentence():
     arm = taut.load_arm("planar2")
     law = ViaMit(law=GravityPID(kp=50.0, kd=5.0))
     mit = RigidPlant(arm, takes="mit", substeps=10)
-    with pytest.raises(MatchError, match=r"gives a mit and plant .* takes a torque"):
+    with refused(MatchError):
         taut.run(taut.compile(law, arm), RigidPlant(arm), duration=0.1)
-    with pytest.raises(MatchError, match=r"takes a mit; .*ViaMit"):
+    with refused(MatchError):
         taut.run(taut.compile(law.law, arm), mit, duration=0.1)
-    with pytest.raises(MatchError, match="wrap their sum"):
+    with refused(MatchError):
         taut.compile(ViaMit(law=taut.laws.PID(kp=1.0)) + law, arm)
-    with pytest.raises(UsageError, match="kp_motor is needed: ComputedTorque"):
+    with refused(UsageError):
         ViaMit(law=taut.laws.ComputedTorque(kp=100.0, kd=20.0))
-    with pytest.raises(UsageError, match="kp_motor is needed"):
+    with refused(UsageError):
         ViaMit(law=GravityPID(kp=50.0 * np.eye(2), kd=5.0))
-    with pytest.raises(UsageError, match="must give a torque, and VelocityPI gives a velocity"):
+    with refused(UsageError):
         taut.compile(ViaMit(law=taut.laws.VelocityPI(kp=1.0), kp_motor=1.0, kd_motor=1.0), arm)
-    with pytest.raises(UsageError, match="and this plant takes torque"):
+    with refused(UsageError):
         RigidPlant(arm, actuation=inner(1000.0))
-    for rate, text in ((1500.0, "whole multiple of the control rate"), (3000.0, "every second")):
+    for rate in (1500.0, 3000.0):
         plant = RigidPlant(arm, takes="mit", substeps=10, actuation=inner(rate))
-        with pytest.raises(RangeError, match=text):
+        with refused(RangeError):
             taut.run(taut.compile(law, arm), plant, duration=0.1)
-    with pytest.raises(UsageError, match="commands a mit"):
+    with refused(UsageError):
         taut.analysis.check_stiffness(taut.compile(law, arm))
 
 

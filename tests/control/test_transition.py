@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 from taut import JointMotion, Pose, TaskMotion
@@ -143,21 +144,21 @@ def test_a_new_goal_in_mid_motion_makes_no_jump_of_torque(tool):
 
 
 @pytest.mark.parametrize(
-    ("make", "kind", "text"),
+    ("make", "kind"),
     [
-        (lambda q: Transition(start=q, goal=q), UsageError, r"needs duration \[s\], or velocity and acceleration"),
-        (lambda q: Transition(start=q, goal=q, duration=1.0, velocity=1.0, acceleration=1.0), UsageError, "needs duration"),
-        (lambda q: Transition(start=q, goal=q, velocity=1.0), UsageError, "needs duration"),
-        (lambda q: Transition(start=q, goal=JointMotion(q=[0.0]), duration=1.0), ShapeError, "as many joints as start"),
-        (lambda q: Transition(start=q, goal=TaskMotion(pose=Pose([0, 0, 0])), duration=1.0), UsageError, "two JointMotions or two"),
-        (lambda q: Transition(start=q, goal=q, velocity=[1.0] * 3, acceleration=1.0), ShapeError, r"a number, or shape \(2,\)"),
-        (lambda q: Transition(start=JointMotion(q=q.q, v=[3.0, 0.0]), goal=q, velocity=2.0, acceleration=9.0), RangeError, "joint 0 takes 1.5 times"),
-        (lambda q: Transition(start=JointMotion(q=q.q, a=[0.0, 9.0]), goal=q, velocity=2.0, acceleration=6.0), RangeError, "acceleration is kept by no duration"),
-        (lambda q: Transition(start=q, goal=q, duration=0.0), RangeError, "duration must be > 0"),
+        (lambda q: Transition(start=q, goal=q), UsageError),
+        (lambda q: Transition(start=q, goal=q, duration=1.0, velocity=1.0, acceleration=1.0), UsageError),
+        (lambda q: Transition(start=q, goal=q, velocity=1.0), UsageError),
+        (lambda q: Transition(start=q, goal=JointMotion(q=[0.0]), duration=1.0), ShapeError),
+        (lambda q: Transition(start=q, goal=TaskMotion(pose=Pose([0, 0, 0])), duration=1.0), UsageError),
+        (lambda q: Transition(start=q, goal=q, velocity=[1.0] * 3, acceleration=1.0), ShapeError),
+        (lambda q: Transition(start=JointMotion(q=q.q, v=[3.0, 0.0]), goal=q, velocity=2.0, acceleration=9.0), RangeError),
+        (lambda q: Transition(start=JointMotion(q=q.q, a=[0.0, 9.0]), goal=q, velocity=2.0, acceleration=6.0), RangeError),
+        (lambda q: Transition(start=q, goal=q, duration=0.0), RangeError),
     ],
 )  # fmt: skip
-def test_what_has_no_meaning_is_refused(make, kind, text):
-    with pytest.raises(kind, match=text):
+def test_what_has_no_meaning_is_refused(make, kind):
+    with refused(kind):
         make(JointMotion(q=[0.0, 0.0]))
 
 

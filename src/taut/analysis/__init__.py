@@ -1,4 +1,4 @@
-"""Analyses of loops and runs: stiffness, constraints, design, diagnosis, comparison, tuning."""
+"""Analyses of loops and runs: stiffness, constraints, design, diagnosis, comparison, tuning, identification."""
 
 from __future__ import annotations
 
@@ -27,6 +27,11 @@ if TYPE_CHECKING:
     from taut.analysis.harmonic_balance import LimitCycle as LimitCycle
     from taut.analysis.harmonic_balance import LimitCycles as LimitCycles
     from taut.analysis.harmonic_balance import limit_cycles as limit_cycles
+    from taut.analysis.identification.excitation import excitation as excitation
+    from taut.analysis.identification.identify import Estimate as Estimate
+    from taut.analysis.identification.identify import Identification as Identification
+    from taut.analysis.identification.identify import Verdict as Verdict
+    from taut.analysis.identification.identify import identify as identify
     from taut.analysis.impedance_at_tool import ToolImpedance as ToolImpedance
     from taut.analysis.impedance_at_tool import tool_impedance as tool_impedance
     from taut.analysis.loci import RootLocus as RootLocus
@@ -37,6 +42,9 @@ if TYPE_CHECKING:
     from taut.analysis.loci import stability_map as stability_map
     from taut.analysis.lqr import Lqr as Lqr
     from taut.analysis.lqr import lqr as lqr
+    from taut.analysis.robustness import Certificate as Certificate
+    from taut.analysis.robustness import boundary_layer as boundary_layer
+    from taut.analysis.robustness import certify as certify
     from taut.analysis.several_joints import Coupling as Coupling
     from taut.analysis.several_joints import Lyapunov as Lyapunov
     from taut.analysis.several_joints import coupling as coupling

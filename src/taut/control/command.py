@@ -283,7 +283,7 @@ def one_kind(commands: Mapping[str, Command], who: str) -> type[Command]:
     kind, *others = {type(command) for command in commands.values()}
     if others:
         words = ", ".join(f"'{name}' a {command.kind}" for name, command in commands.items())
-        raise MatchError(f"{who} give commands of one kind; these give {words}", name=who)
+        raise MatchError(f"{who} must give commands of one kind; these give {words}", name=who)
     return kind
 
 

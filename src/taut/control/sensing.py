@@ -210,7 +210,7 @@ class Kalman(Declared):
 
     acceleration_noise: Field = Field(unit="rad/s^2/sqrt(Hz) | m/s^2/sqrt(Hz)", shape="n", above=0.0)
     position_noise: Field = Field(
-        unit="rad | m", shape="n", above=0.0, hint="of exact positions take the velocity 'difference'"
+        unit="rad | m", shape="n", above=0.0, hint="for exact positions take the velocity 'difference'"
     )
 
     def start(self, u: Array) -> dict[str, Any]:

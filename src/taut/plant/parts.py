@@ -319,7 +319,7 @@ class PlantParts(Declared):
         steps.require(
             0.5 * (b + np.sqrt(b * b + 2.0 * a)),
             "environment",
-            f"environment: what touches the tool oscillates at {omega:.3g} rad/s and is braked at {damping:.3g} 1/s",
+            f"environment: what touches the tool oscillates at {omega:.3g} rad/s and is damped at {damping:.3g} 1/s",
             "a softer environment",
         )
 

@@ -339,7 +339,9 @@ class Phase:
         if self.timeout is not None:
             object.__setattr__(self, "timeout", positive_scalar("timeout", self.timeout, unit="s"))
         if isinstance(self.contact, Lasting):
-            raise UsageError("contact is looked at once; give the guard that lasting(...) holds", name="contact")
+            raise UsageError(
+                "one tick decides on contact, so lasting(...) is no use; give the guard in it", name="contact"
+            )
         if self.contact is not None and not callable(self.contact):
             positive_scalar("contact", self.contact, unit="N")
         if self.reference is not None and not callable(self.reference):
