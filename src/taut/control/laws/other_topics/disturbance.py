@@ -43,8 +43,8 @@ class CollisionReflex(Law):
                   divided by 1 + gain
 
     The arm is pushed away and goes on in free motion: without friction nothing stops it, so damping or a stop follows
-    once it is free. K_O T <= 0.5 for a reflex: beyond it the estimate, and the torque with it, alternates from tick to
-    tick under a model whose inertia is twice the arm's.
+    once it is free. K_O T <= 0.5 for a reflex: beyond it the estimate, and the torque with it, alternates from tick
+    to tick under a model whose inertia is twice the arm's.
 
     Args:
         gain: Torque per estimated torque.
