@@ -358,9 +358,10 @@ def _motion(ctrl: Controller, ref: object, ticks: int) -> Any:
     """The reference at every tick of a trial."""
     side, given = ctrl.side, as_reference(ref)
     if side.task is not None or side.law.reference is not JointMotion:
+        which = "has phases" if side.task is not None else f"follows {side.law.reference.described()}"
         raise UsageError(
-            f"an input is learned for one law of joint motion; {side.title} follows "
-            f"{side.law.reference.described()}; use a law of joints, such as taut.laws.ComputedTorque",
+            f"an input is learned for one law of joint motion; {side.title} {which}; use a law of joints, such as "
+            "taut.laws.ComputedTorque",
             name="ctrl",
         )
     if isinstance(given, (Hold, Stream)):
