@@ -18,7 +18,7 @@ from taut.maths.regressor import body_of, pseudo_inertia
 from taut.trace import math as tm
 
 PRIOR: Final = 1e-3  # weight of the arm as it was, in standard deviations: it decides what the record does not
-RADIUS: Final = 0.05  # [m] of gyration, of the body with which the search begins where there was none
+GYRATION: Final = 0.05  # [m] of gyration, of the body with which the search begins where there was none
 MIN_MASS: Final = 1e-6  # [kg] of it
 DIFFERENCE: Final = 1e-6  # for slopes
 UPPER: Final = np.triu_indices(4, 1)
@@ -71,7 +71,7 @@ def _log_cholesky(own: Float64Array, likely: Float64Array) -> Float64Array:
     if not _is_possible(own):
         mass = max(float(likely[0]), MIN_MASS)
         c = np.array([*(likely[1:4] / mass if likely[0] > MIN_MASS else np.zeros(3)), 1.0])
-        P = mass * (np.outer(c, c) + RADIUS**2 * np.diag([1.0, 1.0, 1.0, 0.0]))
+        P = mass * (np.outer(c, c) + GYRATION**2 * np.diag([1.0, 1.0, 1.0, 0.0]))
     U = np.linalg.cholesky(P[::-1, ::-1])[::-1, ::-1]
     return np.concatenate([np.log(np.diag(U)), U[UPPER]])
 
@@ -99,10 +99,11 @@ def changed_arm(regression: ArmRegression, x: Float64Array, slow: Mapping[int, t
         for joint, body in zip(arm.joint_names, bodies, strict=True):
             mass, com, inertia = _about_centre(body)
             arm = arm.with_body(joint, mass=mass, com=com, inertia=inertia)
-    if "rotors" in regression.what:
-        arm = arm.with_joints(rotor_inertia=np.maximum(next(parts), 0.0))
-    if "friction" in regression.what:
-        viscous, coulomb = (np.maximum(next(parts), 0.0) for _ in range(2))
+    joints = {name: np.maximum(next(parts), 0.0) for name in regression.of_joints}
+    if "rotor_inertia" in joints:
+        arm = arm.with_joints(rotor_inertia=joints["rotor_inertia"])
+    if "coulomb" in joints:
+        viscous, coulomb = joints["viscous"], joints["coulomb"]
         static, stribeck = coulomb.copy(), np.zeros(n)
         for i, (at_rest, speed) in slow.items():
             static[i], stribeck[i] = max(at_rest, coulomb[i]), speed

@@ -22,8 +22,8 @@ SAMPLE: Final = 1.0 / (2.0 * TORQUE_CUTOFF)  # [s] between samples that are kept
 ORDER: Final = 4  # of both filters, which act forwards and backwards
 MIN_RATE: Final = 5.0 * POSITION_CUTOFF  # [Hz] of a record
 END: Final = 2.0 * SAMPLE  # [s] left out at both ends of a run, where the filters begin
-MOVING: Final = 10.0  # speed of a joint that moves, over the noise of the speed
-SLOW: Final = 0.04  # the same over its RMS speed: about a stop the filtered speed is wrong
+OVER_NOISE: Final = 10.0  # speed of a joint that moves, over the noise of the speed
+OVER_STOP: Final = 0.04  # the same over its RMS speed: about a stop the filtered speed is wrong
 MIN_SHARE: Final = 0.5  # of a sample in which a joint moves; friction of one that rests takes any value
 
 
@@ -53,11 +53,11 @@ class Samples:
         a[1:-1] = (smooth[2:] - 2.0 * smooth[1:-1] + smooth[:-2]) * rate**2
         end = round(END * rate)
         noise = np.std((q - smooth)[end:-end], axis=0) * np.sqrt(2.0 * POSITION_CUTOFF / rate)  # of white noise
-        noise = MOVING * noise * 2.0 * np.pi * POSITION_CUTOFF / np.sqrt(3.0)  # [rad/s | m/s]
+        noise = OVER_NOISE * noise * 2.0 * np.pi * POSITION_CUTOFF / np.sqrt(3.0)  # [rad/s | m/s]
         speed = np.sqrt(np.mean(v[end:-end] ** 2, axis=0))
         moving = np.full(q.shape, 1.0)
         if "friction" in regression.what or regression.arm.friction.dry:
-            goes = np.abs(v) > np.maximum(noise, SLOW * speed)
+            goes = np.abs(v) > np.maximum(noise, OVER_STOP * speed)
             moving = minimum_filter1d(np.where(goes, 1.0, 0.0), 4 * round(rate / POSITION_CUTOFF) + 1, axis=0)
         rows = slice(end, len(q) - end, round(rate * SAMPLE))
         low = butter(ORDER, TORQUE_CUTOFF, fs=rate, output="sos")
