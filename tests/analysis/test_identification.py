@@ -200,6 +200,22 @@ def test_fast_motion_does_not_show_static_friction() -> None:
     assert "slow reversals" in str(found)
 
 
+def test_a_random_motion_gives_the_intervals_that_are_known_and_no_static_friction() -> None:
+    """An independent simulation has m +- 0.0003, I_xx about joint 7 0.1389 +- 0.0007, b +- 0.0035, c +- 0.0014, condition 6.3."""
+    arm, order = arm_of("panda"), np.arange(1, 6)[:, np.newaxis]
+    rng = np.random.default_rng(0)
+    draws = [rng.uniform(0.05, 0.15, (5, 7)) * rng.choice([-1.0, 1.0], (5, 7)) for _ in range(3)]
+    cosines, sines = draws[1:]  # of which an excess of friction near stops is not significant
+    cosines[0] -= np.sum(cosines * order**2, axis=0)  # at rest at both ends
+    sines[0] -= np.sum(sines * order, axis=0)
+    cosines, sines = (0.3 * part / np.abs(part).max() for part in (cosines, sines))
+    motion = taut.trajectories.Fourier(q0=arm.home, cosines=cosines, sines=sines, frequency=0.1, duration=20.0)
+    found = taut.analysis.identify(recorded(arm, plant_of(loaded(arm)), motion), arm)
+    assert np.abs(deviations(found)).max() < 4.0
+    assert 1.96 * found.estimates["payload.m"].std < 5e-4
+    assert found.condition < 10.0
+
+
 @pytest.mark.parametrize("options", [{}, {"substeps": 10}])
 def test_where_in_its_period_a_torque_acts_does_not_bias_friction(options: Any) -> None:
     """Half a period of 1 ms is 0.02 N m s/rad of viscous friction, by the stiffness of gravity."""

@@ -139,7 +139,8 @@ class Fit:
             excess, steps = np.split(fit.x[len(self.names) :], 2)
             moved = {i: found[i] + step for i, step in zip(found, steps.tolist(), strict=True)}
             found = {i: min(max(moved[i], 0.5 * found[i]), 2.0 * found[i]) for i in found}
-        sound = [e > 0.0 and at < largest[i] for e, (i, at) in zip(excess, found.items(), strict=True)]
+        least = SIGNIFICANT * np.sqrt(np.diag(fit.covariance))[len(self.names) :]
+        sound = [e > sd and found[i] < largest[i] for e, sd, i in zip(excess, least, found, strict=False)]
         if all(sound):
             return fit, sorted(hidden)
         lost = [i for i, kept in zip(found, sound, strict=True) if not kept]
