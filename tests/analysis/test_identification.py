@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 import taut
-from taut.analysis.identification.physical import possible_bodies
-from taut.analysis.identification.regression import ArmRegression
+from taut.analysis.identification.regression import ArmRegression, possible_bodies
 from taut.maths.regressor import pseudo_inertia
 
 NOISE = {"position": 2e-5, "torque": 0.05}  # [rad], [N m], white at 1 kHz

@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from taut.analysis.identification.least_squares import SIGNIFICANT, UNCERTAIN, Fit
-from taut.analysis.identification.physical import changed_arm, possible_bodies
-from taut.analysis.identification.regression import ArmRegression, Unknown
-from taut.analysis.identification.samples import Samples
+from taut.analysis.identification.least_squares import SIGNIFICANT, UNCERTAIN, Fit, Samples
+from taut.analysis.identification.regression import ArmRegression, Unknown, changed_arm, possible_bodies
 from taut.base.checks import instance_of, positive_scalar
 from taut.base.errors import NumericalError, UsageError, quoted_list
 from taut.base.paths import Named
@@ -244,7 +242,7 @@ def identify(
         units += [unit if arm.units[i] == "rad" else ("N", "m/s")[k] for i in fit.speeds]
     unknowns, distance = possible_bodies(regression, fit.x[:b], fit.covariance[:b, :b])
     if "payload.m" in names and values[names.index("payload.m")] < SIGNIFICANT * std[names.index("payload.m")]:
-        unknowns[: len(regression.nominal[:10])] = 0.0  # no payload
+        unknowns[:10] = 0.0  # no payload
     slow = {i: (float(values[b + k]), speed) for k, (i, speed) in enumerate(fit.speeds.items())}
     known, share = (np.concatenate([getattr(part, name) for part in samples]) for name in ("known", "share"))
     numbers = zip(names, values.tolist(), std.tolist(), units, strict=True)
