@@ -26,6 +26,11 @@ if TYPE_CHECKING:
     from taut.control.laws.null_space import LimitAvoidance as LimitAvoidance
     from taut.control.laws.null_space import Manipulability as Manipulability
     from taut.control.laws.null_space import Posture as Posture
+    from taut.control.laws.other_topics.flexible_joint import FastTorqueLoop as FastTorqueLoop
+    from taut.control.laws.other_topics.flexible_joint import FlexibleJointLinearisation as FlexibleJointLinearisation
+    from taut.control.laws.other_topics.flexible_joint import FullStateFeedback as FullStateFeedback
+    from taut.control.laws.other_topics.flexible_joint import JointTorqueFeedback as JointTorqueFeedback
+    from taut.control.laws.other_topics.flexible_joint import MotorSidePD as MotorSidePD
     from taut.control.laws.task import TaskComputedTorque as TaskComputedTorque
     from taut.control.laws.task import TaskPosition as TaskPosition
     from taut.control.laws.task import TaskVelocity as TaskVelocity

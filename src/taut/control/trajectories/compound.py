@@ -102,7 +102,7 @@ def together_kind(parts: tuple[tuple[str, type[Sample], int], ...]) -> type[Samp
     for name, _, _ in parts:
         require_part_name("together", name)
     # Parts whose size matters to nobody have none, so that equal ones are one kind.
-    return _together_kind(tuple(Part(name, kind, n if kind is JointMotion else 0) for name, kind, n in parts))
+    return _together_kind(tuple(Part(name, kind, n if issubclass(kind, JointMotion) else 0) for name, kind, n in parts))
 
 
 def joined(samples: Mapping[str, Sample]) -> SampleTogether:

@@ -13,7 +13,7 @@ from taut.base.fields import Field
 from taut.base.types import Float64Array
 from taut.control.trajectories.reference import JointMotion
 from taut.control.trajectories.samples import Sampled, stated_times
-from taut.control.trajectories.timing import MAX_OF_MOTION, Motion, ScalingKind, Timing
+from taut.control.trajectories.timing import COEFFICIENTS, MAX_OF_MOTION, Motion, ScalingKind, Timing
 
 POSITION, SPEED, ACCELERATION, JERK = "rad | m", "rad/s | m/s", "rad/s^2 | m/s^2", "rad/s^3 | m/s^3"
 
@@ -55,7 +55,8 @@ class Sine(JointTrajectory):
         angle = np.outer(times, omega) + self.phase
         q = self.center + self.amplitude * np.sin(angle)
         v = self.amplitude * omega * np.cos(angle)
-        return JointMotion.of({"q": q, "v": v, "a": -self.amplitude * omega**2 * np.sin(angle)})
+        a = -self.amplitude * omega**2 * np.sin(angle)
+        return JointMotion.of({"q": q, "v": v, "a": a, "j": -(omega**2) * v, "s": -(omega**2) * a})
 
 
 class PointToPoint(JointTrajectory):
@@ -114,6 +115,31 @@ class Quintic(InTime):
     """
 
     scaling: ClassVar[ScalingKind] = "quintic"
+
+
+class Septic(InTime):
+    """From rest at q0 to rest at q1 in `duration` seconds, s = 35 x^4 - 84 x^5 + 70 x^6 - 20 x^7: minimum snap.
+
+    Its jerk is continuous and its snap finite: what laws of flexible joints need, `taut.laws.MotorSidePD` for one.
+
+    Args:
+        q0: (n,) [rad | m].
+        q1: (n,) [rad | m].
+        duration: [s].
+
+    Example:
+        >>> Septic(q0=[0.0], q1=[2.0], duration=1.0).at(0.5).s.tolist()
+        [0.0]
+    """
+
+    scaling: ClassVar[ScalingKind] = "septic"
+
+    def rows(self, times: Float64Array) -> JointMotion:
+        T, distance = float(self.duration), self.q1 - self.q0
+        x, inside = np.clip(times / T, 0.0, 1.0), (times >= 0.0) & (times <= T)
+        p = COEFFICIENTS[self.scaling]
+        j, s = (np.outer(p.deriv(k)(x) / T**k * inside, distance) for k in (3, 4))
+        return JointMotion.of({**PointToPoint.rows(self, times).stated(), "j": j, "s": s})
 
 
 class Trapezoidal(PointToPoint):
