@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from taut.analysis.diagnosis.check import Threshold as Threshold
     from taut.analysis.diagnosis.checks import CHECKS as CHECKS
     from taut.analysis.diagnosis.diagnosis import Diagnosis as Diagnosis
+    from taut.analysis.flexible_joints import SetPointCondition as SetPointCondition
+    from taut.analysis.flexible_joints import set_point_condition as set_point_condition
     from taut.analysis.grading import Grade as Grade
     from taut.analysis.impedance_at_tool import ToolImpedance as ToolImpedance
     from taut.analysis.impedance_at_tool import tool_impedance as tool_impedance
