@@ -214,20 +214,22 @@ class JointTorqueFeedback(Wrapper):
                   the law sees the arm with rotors of B_des
     Closed loop:  B_des a_motor + tau_J = tau_law: passive in continuous time where the law is
                   B / B_des > 1 also divides motor friction by that factor, and amplifies noise of the sensor by it
-                  sampled, B / B_des has a limit of stability, the lower the stiffer the joint and the later the sensor:
-                  M 0.5, B 0.2 kg m^2, D 1, 1 kHz: 26 without delay; with one tick 12 (K 2000), 9.5 (5000), 4.1 (10000)
+                  sampled, B / B_des has a limit of stability, the lower the stiffer the joint and the later the torque:
+                  M 0.5, B 0.2 kg m^2, D 1, 1 kHz, motor-side PD of 70 N m/rad and 14 N m s/rad: 26 without delay;
+                  with one tick of delay 12 (K 2000 N m/rad), 9.7 (5000), 4.0 (10000)
 
-    `taut.linearise` of the loop shows how near the limit is; a stiff joint needs it most and has it lowest.
+    `taut.linearise` of the loop shows how near the limit is. A law on link measurements is as unstable in it as
+    without it: take a law of the motor's side.
 
     Args:
-        law: Any law that gives torques.
+        law: Any law that gives torques, such as `MotorSidePD`.
         inertia: B_des of each joint.
 
     Example:
         >>> import taut
-        >>> law = taut.laws.JointTorqueFeedback(law=taut.laws.ComputedTorque(kp=100.0, kd=20.0), inertia=0.05)
+        >>> law = taut.laws.JointTorqueFeedback(law=taut.laws.MotorSidePD(K=500.0, kp=100.0, kd=20.0), inertia=0.05)
         >>> sorted(law.parameters())
-        ['kd', 'ki', 'kp']
+        ['K', 'kd', 'kp']
 
     References:
         Albu-Schaeffer, Ott and Hirzinger, A unified passivity-based control framework for position, torque and
