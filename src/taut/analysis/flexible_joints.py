@@ -43,10 +43,12 @@ class SetPointCondition(Result):
     def content(self) -> Content:
         """Verdict and stiffness of each joint."""
         i = int(np.argmin(self.series))
-        found = f"the stiffness of spring and gain in series is {self.margin:.3g} times alpha = {self.alpha:.4g} N m/rad"
+        found = (
+            f"the stiffness of spring and gain in series is {self.margin:.3g} times alpha = {self.alpha:.4g} N m/rad"
+        )
         weak = (
-            f"joint '{self.joints[i]}' has {self.series[i]:.4g} N m/rad, spring and gain in series, and gravity's slope "
-            f"alpha is up to {self.alpha:.4g}: the proof does not hold; raise kp, or take a stiffer joint"
+            f"spring and gain in series give joint '{self.joints[i]}' {self.series[i]:.4g} N m/rad, and gravity's "
+            f"slope alpha is up to {self.alpha:.4g}: the proof does not hold; raise kp, or take a stiffer joint"
         )
         rows = list(zip(self.joints, self.series.tolist(), strict=True))
         return Content(
@@ -75,12 +77,13 @@ def set_point_condition(law: MotorSidePD, arm: Arm, *, at: ArrayLike | None = No
     Example:
         >>> import taut
         >>> arm = taut.load_arm("planar2").with_joints(rotor_inertia=[0.3, 0.1])
-        >>> found = taut.analysis.set_point_condition(taut.laws.MotorSidePD(K=[1000.0, 400.0], kp=100.0, kd=20.0), arm)
+        >>> law = taut.laws.MotorSidePD(K=[1000.0, 400.0], kp=100.0, kd=20.0)
+        >>> found = taut.analysis.set_point_condition(law, arm)
         >>> found.ok, round(found.alpha, 1), round(found.margin, 2)
         (False, 24.3, 0.81)
 
     References:
-        Tomei, A simple PD controller for robots with elastic joints, IEEE Transactions on Automatic Control 36 (1991).
+        Tomei, A simple PD controller for robots with elastic joints, IEEE Trans. Automatic Control 36 (10), 1991.
     """
     instance_of("law", law, MotorSidePD, "a taut.laws.MotorSidePD")
     x = snapshot(arm, arm.home if at is None else finite_array("at", at, shape=(arm.n,), joints=arm.joint_names))

@@ -194,9 +194,9 @@ class LinearSystem(Result):
     def s_zeros(self, *, input: str, output: str) -> Complex:
         """Transmission zeros in s [1/s], the lowest frequency first; log(z) / dt of a sampled system.
 
-        At a zero some input has no effect on the outputs: of torques on the motors to their positions, the frequencies
-        at which the links alone would oscillate behind locked motors (anti-resonance). Feedback leaves them where they
-        are. Sampling adds zeros at half the rate, and some near z = 0, which are left out.
+        At a zero some input has no effect on the outputs: of torques on the motors to their positions, the
+        frequencies at which the links alone would oscillate behind locked motors (anti-resonance). Feedback leaves
+        them where they are. Sampling adds zeros at half the rate, and some near z = 0, which are left out.
 
         Args:
             input: One input or a group.
@@ -227,7 +227,8 @@ class LinearSystem(Result):
         pencil, left = np.block([[A, B], [C, D[np.ix_(rows, columns)]]]), np.diag([1.0] * n + [0.0] * m)
         size = np.abs(pencil).sum(axis=1, keepdims=True)
         top, bottom = eigvals(pencil / size, left / size, homogeneous_eigvals=True)
-        zeros = (top / np.where(bottom == 0.0, np.nan, bottom))[np.abs(bottom) > SINGULAR * np.abs(top)]
+        finite = np.abs(bottom) > SINGULAR * np.abs(top)
+        zeros = np.asarray(top[finite] / bottom[finite], dtype=np.complex128)
         zeros = self._in_s(zeros[np.abs(zeros) > INSTANT] if self.dt else zeros)
         return zeros[np.lexsort((zeros.imag, np.abs(zeros)))]
 

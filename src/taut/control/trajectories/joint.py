@@ -13,7 +13,7 @@ from taut.base.fields import Field
 from taut.base.types import Float64Array
 from taut.control.trajectories.reference import JointMotion
 from taut.control.trajectories.samples import Sampled, stated_times
-from taut.control.trajectories.timing import COEFFICIENTS, MAX_OF_MOTION, Motion, ScalingKind, Timing
+from taut.control.trajectories.timing import MAX_OF_MOTION, Motion, ScalingKind, Timing
 
 POSITION, SPEED, ACCELERATION, JERK = "rad | m", "rad/s | m/s", "rad/s^2 | m/s^2", "rad/s^3 | m/s^3"
 
@@ -74,9 +74,11 @@ class PointToPoint(JointTrajectory):
         """The timing of s, from how far each joint goes [rad | m]."""
 
     def rows(self, times: Float64Array) -> JointMotion:
-        s, s_dot, s_ddot = (x[:, np.newaxis] for x in self.__dict__["_timing"].at(times))
+        timing: Timing = self.__dict__["_timing"]
+        scaling = [*timing.at(times), *timing.jerk_and_snap(times)]
         distance = self.q1 - self.q0
-        return JointMotion.of({"q": self.q0 + distance * s, "v": distance * s_dot, "a": distance * s_ddot})
+        rows = {name: distance * s[:, np.newaxis] for name, s in zip("qvajs", scaling, strict=False)}
+        return JointMotion.of({**rows, "q": self.q0 + rows["q"]})
 
 
 class InTime(PointToPoint):
@@ -133,13 +135,6 @@ class Septic(InTime):
     """
 
     scaling: ClassVar[ScalingKind] = "septic"
-
-    def rows(self, times: Float64Array) -> JointMotion:
-        T, distance = float(self.duration), self.q1 - self.q0
-        x, inside = np.clip(times / T, 0.0, 1.0), (times >= 0.0) & (times <= T)
-        p = COEFFICIENTS[self.scaling]
-        j, s = (np.outer(p.deriv(k)(x) / T**k * inside, distance) for k in (3, 4))
-        return JointMotion.of({**PointToPoint.rows(self, times).stated(), "j": j, "s": s})
 
 
 class Trapezoidal(PointToPoint):

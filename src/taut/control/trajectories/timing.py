@@ -125,6 +125,14 @@ class Timing:
         p, x = COEFFICIENTS[self.kind], t / T
         return p(x), p.deriv()(x) / T * inside, p.deriv(2)(x) / T / T * inside
 
+    def jerk_and_snap(self, times: Float64Array) -> tuple[Float64Array, ...]:
+        """The next two rates of s [1/s^3, 1/s^4], of a septic; nothing where the jerk jumps."""
+        if self.kind != "septic":
+            return ()
+        p, x = COEFFICIENTS[self.kind], np.clip(times / self.duration, 0.0, 1.0)
+        inside = (times >= 0.0) & (times <= self.duration)
+        return tuple(p.deriv(k)(x) / self.duration**k * inside for k in (3, 4))
+
     def _trapezoid_at(self, t: Float64Array, inside: Any) -> Scaling:
         a, remaining = self.acceleration, self.duration - t
         v = min(self.rate, math.sqrt(a))  # a short path never reaches the speed

@@ -3,15 +3,15 @@
     Links:   M(q) a + C v + g = tau_J,   tau_J = K (q_motor - q) + D (v_motor - v)      Spong (1987)
     Motors:  B a_motor + tau_J = tau
 
-B is the rotor inertia of the controller's arm, which rigid laws count as part of M; these laws take it from there, and
-use the model of the links alone. So it is stated once and counted once. K is a gain of each law: the arm has none (a
-plant's spring is its `taut.drives.Transmission`), and so it may be wrong, change and be swept like any gain. Only
+B is the rotor inertia of the controller's arm, which rigid laws count as part of M; these laws take it from there,
+and use the model of the links alone. So it is stated once and counted once. K is a gain of each law: the arm has none
+(a plant's spring is its `taut.drives.Transmission`), and so it may be wrong, change and be swept like any gain. Only
 `FullStateFeedback` needs D; the others leave it out of their model.
 
 q_motor and v_motor are measured on the motor's side of the spring, in joint units; tau_J is the joint torque sensor.
 
 References:
-    Spong, Modeling and control of elastic joint robots, Journal of Dynamic Systems, Measurement and Control 109 (1987).
+    Spong, Modeling and control of elastic joint robots, J. Dynamic Systems, Measurement and Control 109 (1987).
     De Luca and Book, Robots with flexible elements, Springer Handbook of Robotics.
 """
 
@@ -88,11 +88,12 @@ class DesiredMotor(NamedTuple):
 
 def check_whole_torque(law: Law, x: Snapshot) -> None:
     """MatchError where the plant adds gravity or Coriolis torques: these laws give all that the motors do."""
-    whole = with_rotors(x, 0.0).inverse_dynamics(np.zeros(x.n))
-    if np.any(np.abs(whole - x.h) > WHOLE_TORQUE * (1.0 + np.abs(whole))):
+    moved = x.at(x.q + 0.3, x.v + 1.0)  # a state in which both show
+    whole = moved.inverse_dynamics(np.zeros(x.n))
+    if np.any(np.abs(whole - moved.h) > WHOLE_TORQUE * (1.0 + np.abs(whole))):
         raise MatchError(
-            f"{type(law).__name__} gives the whole torque of the motors, and the plant adds a part of it itself; use a "
-            "plant with adds=(), or a law of rigid joints",
+            f"{type(law).__name__} gives the whole torque of the motors, and the plant adds a part of it itself; use "
+            "a plant with adds=(), or a law of rigid joints",
             name="adds",
         )
 
@@ -139,7 +140,7 @@ class MotorSidePD(Law):
         1.118
 
     References:
-        Tomei, A simple PD controller for robots with elastic joints, IEEE Transactions on Automatic Control 36 (1991).
+        Tomei, A simple PD controller for robots with elastic joints, IEEE Trans. Automatic Control 36 (10), 1991.
         De Luca, Feedforward/feedback laws for the control of flexible robots, IEEE ICRA (2000).
     """
 
@@ -214,9 +215,9 @@ class JointTorqueFeedback(Wrapper):
                   the law sees the arm with rotors of B_des
     Closed loop:  B_des a_motor + tau_J = tau_law: passive in continuous time where the law is
                   B / B_des > 1 also divides motor friction by that factor, and amplifies noise of the sensor by it
-                  sampled, B / B_des has a limit of stability, the lower the stiffer the joint and the later the torque:
-                  M 0.5, B 0.2 kg m^2, D 1, 1 kHz, motor-side PD of 70 N m/rad and 14 N m s/rad: 26 without delay;
-                  with one tick of delay 12 (K 2000 N m/rad), 9.7 (5000), 4.0 (10000)
+                  sampled, B / B_des has a limit of stability, the lower the stiffer the joint and the later the
+                  torque: M 0.5, B 0.2 kg m^2, D 1, 1 kHz, motor-side PD of 70 N m/rad and 14 N m s/rad: 26 without
+                  delay; with one tick of it 12 (K 2000 N m/rad), 9.7 (5000), 4.0 (10000)
 
     `taut.linearise` of the loop shows how near the limit is. A law on link measurements is as unstable in it as
     without it: take a law of the motor's side.
@@ -266,8 +267,8 @@ class FullStateFeedback(Law):
 
     Law:          tau = k . (x_des - x) + tau_J,des + B a_m,des, with x = (q, v, q_motor, v_motor)
                   x_des and the torques along the reference as of `MotorSidePD`
-    Closed loop:  the four poles that `placed` is given, exactly, also in the sampled loop, with M, K, D and the slope of
-                  gravity at the pose for which it was made
+    Closed loop:  the four poles that `placed` is given, exactly, also in the sampled loop, with M, K, D and the
+                  slope of gravity at the pose for which it was made
                   poles slower than the anti-resonance sqrt(K / M) need negative gains on the link; poles faster than
                   the resonance need torques that grow as pole^4 B M / K
 
@@ -367,8 +368,8 @@ class FlexibleJointLinearisation(Law):
     Law:          tau = tau_J + B (a + K^-1 d^2/dt^2 inverse_dynamics(q(t), v(t), a(t))), the path with
                   a = M_links^-1 (tau_J - C v - g), its jerk j from tau_J' = K (v_motor - v) likewise, and the snap
                   s_des + 4 omega (j_des - j) + 6 omega^2 (a_des - a) + 4 omega^3 e_dot + omega^4 e
-    Closed loop:  (d/dt + omega)^4 e = 0, with an exact model, exact measurements and D = 0; a sampled loop tends to it
-                  what is sampled leaves an error that falls fast with omega
+    Closed loop:  (d/dt + omega)^4 e = 0, with an exact model, exact measurements and D = 0; a sampled loop tends to
+                  it, and leaves an error that falls fast with omega
                   not robust: an error of the model in a enters with 6 omega^2, and slow poles are the unsafe ones
                   0.1 kg too much on a two-link arm at omega = 15 is an error of half a radian, 0.5 kg throws it off
 
