@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from taut.control.laws.other_topics.flexible_joint import FlexibleJointLinearisation as FlexibleJointLinearisation
     from taut.control.laws.other_topics.flexible_joint import FullStateFeedback as FullStateFeedback
     from taut.control.laws.other_topics.flexible_joint import JointTorqueFeedback as JointTorqueFeedback
+    from taut.control.laws.other_topics.flexible_joint import MotorSide as MotorSide
     from taut.control.laws.other_topics.flexible_joint import MotorSidePD as MotorSidePD
     from taut.control.laws.task import TaskComputedTorque as TaskComputedTorque
     from taut.control.laws.task import TaskPosition as TaskPosition

@@ -159,6 +159,33 @@ class MotorSidePD(Law):
         return Torque(m * Terms(P=self.kp @ e, D=self.kd @ e_dot) + Terms(feedforward=motor.tau))
 
 
+class MotorSide(Wrapper):
+    """A law of rigid joints on the measurements of the motors: what an arm without encoders on its links runs.
+
+    Law:          that of the law, with q_motor and v_motor in the place of q and v
+    Closed loop:  that of the law for the motors; the links hang on them by their springs, with the error tau_J / K
+                  and their own oscillation, which D alone damps. On link measurements most laws of rigid joints are
+                  unstable, because the motor between torque and link is not in their model
+
+    Args:
+        law: A law of rigid joints.
+
+    Example:
+        >>> import taut
+        >>> arm = taut.load_arm("one_joint").with_gears(ratio=100.0, motor_inertia=2e-5)
+        >>> ctrl = taut.compile(MotorSide(law=taut.laws.PID(kp=10.0)), arm)
+        >>> ctrl.step(q=[0.0], q_motor=[0.1], v_motor=[0.0], ref=taut.JointMotion(q=[0.0])).tolist()
+        [-1.0]
+
+    References:
+        De Luca and Book, Robots with flexible elements, Springer Handbook of Robotics.
+    """
+
+    def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
+        seen = {**x.measured, "q": x.q_motor, "v": x.v_motor}
+        return self.inner(self.law, x.of_model(x.model, seen, elsewhere=True), ref, memory, dt)
+
+
 class FastTorqueLoop(Wrapper):
     """Fast inner loop of the joint torque around any law of rigid joints: control by singular perturbation.
 
