@@ -136,8 +136,8 @@ class MotorSidePD(Law):
         >>> import taut
         >>> arm = taut.load_arm("one_joint").with_gears(ratio=100.0, motor_inertia=2e-5)
         >>> ctrl = taut.compile(taut.laws.MotorSidePD(K=500.0, kp=100.0, kd=20.0), arm)
-        >>> round(ctrl.step(q=[0.0], q_motor=[0.0], v_motor=[0.0], ref=taut.JointMotion(q=[0.0]))[0], 3)
-        1.118
+        >>> ctrl.step(q=[0.0], q_motor=[0.0], v_motor=[0.0], ref=taut.JointMotion(q=[0.0])).round(3).tolist()
+        [1.118]
 
     References:
         Tomei, A simple PD controller for robots with elastic joints, IEEE Trans. Automatic Control 36 (10), 1991.
