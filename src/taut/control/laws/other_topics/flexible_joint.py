@@ -59,9 +59,8 @@ class SpringTorque(NamedTuple):
 
         def tau(t: Array) -> Vector:
             dt = t[0]
-            q_t = q + dt * (v + dt * (a / 2.0 + dt * (j / 6.0 + dt * s / 24.0)))
-            v_t = v + dt * (a + dt * (j / 2.0 + dt * s / 6.0))
-            return links.at(q_t, v_t).inverse_dynamics(a + dt * (j + dt * s / 2.0))
+            q_t, v_t, a_t = (x + dt * (x_1 + 0.5 * dt * x_2) for x, x_1, x_2 in ((q, v, a), (v, a, j), (a, j, s)))
+            return links.at(q_t, v_t).inverse_dynamics(a_t)
 
         def rate(t: Array) -> Vector:
             return tm.jacobian(tau, t)[:, 0]
