@@ -54,6 +54,10 @@ LAWS: dict[str, tuple[Callable[[taut.Arm], taut.Law], str]] = {
         lambda arm: laws.PID(kp=400.0 * own(arm), kd=40.0 * own(arm), ki=400.0 * own(arm)),
         FREE,
     ),
+    "StateFeedback": (
+        lambda arm: taut.analysis.lqr(arm, Q=[400.0] * arm.n + [1.0] * arm.n, R=0.001, rate=RATE).law,
+        FREE,
+    ),
     "FeedForward + PID": (
         lambda arm: laws.FeedForward() + laws.PID(kp=400.0 * own(arm), kd=40.0 * own(arm)),
         FREE,
@@ -113,11 +117,13 @@ def test_every_law_of_motion_and_force_is_here() -> None:
     """Those that are not are parts of others."""
     parts = {"FeedForward", "FrictionCompensation", "Dither", "RaisedGains", "NormalEstimate", "Posture", "Sum"}
     parts |= {
+        "AppliedWrench",
         "EnergyTank",
         "LimitAvoidance",
         "LossOfContact",
         "Manipulability",
         "SideBySide",
+        "ViaMit",
         "VirtualWall",
         "VirtualGroove",
         "VirtualBall",

@@ -9,7 +9,7 @@ References:
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -32,11 +32,12 @@ def _placed(joint: JointConstants, q: Any) -> tuple[Matrix, Vector3]:
     return joint.R @ tm.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), joint.p
 
 
-def _placed_all(model: Model, q: Vector) -> list[tuple[Matrix, Vector3]]:
+def joint_placements(model: Model, q: Vector) -> list[tuple[Matrix, Vector3]]:
+    """Orientation and origin of each body in its parent's frame."""
     return [_placed(joint, q[i]) for i, joint in enumerate(model.joints)]
 
 
-def _loaded(model: Model, payload: PayloadValues | None) -> list[RigidBody]:
+def loaded_bodies(model: Model, payload: PayloadValues | None) -> list[RigidBody]:
     """The bodies, with the payload on the one that carries the tool."""
     bodies = list(model.bodies)
     if payload is not None:
@@ -56,18 +57,19 @@ def _swept(w: Vector3, dw: Vector3) -> Matrix:
     return tm.array([[-(yy + zz), xy - c, xz + b], [xy + c, -(xx + zz), yz - a], [xz - b, yz + a, -(xx + yy)]])
 
 
-def _motions(
+def body_motions(
     model: Model,
     placed: Sequence[tuple[Matrix, Vector3]],
     bodies: Iterable[int],  # each after its parent
     v: Vector | None,
     a: Vector | None,
     *,
-    gravity: bool,  # the base is accelerated by -g
+    gravity: Any,  # the base is accelerated by -g times it
 ) -> dict[int, Motion]:
     """Angular velocity and acceleration, acceleration of the origin and U of bodies, in body axes; None is zero."""
     zero = np.zeros(3)
-    out: dict[int, Motion] = {BASE: (zero, zero, -model.gravity_B if gravity else zero, np.zeros((3, 3)))}
+    upwards = zero if gravity is False else -model.gravity_B * gravity
+    out: dict[int, Motion] = {BASE: (zero, zero, upwards, np.zeros((3, 3)))}
     for i in bodies:
         joint, (R, p) = model.joints[i], placed[i]
         w, dw, dv, U = out[joint.parent]
@@ -100,11 +102,24 @@ def inverse_dynamics(
     gravity: bool = True,
 ) -> Vector:
     """(n,) joint torques M a + C v + g, by recursive Newton-Euler; None stands for zeros."""
-    placed = _placed_all(model, q)
+    return newton_euler(model, loaded_bodies(model, payload), q, v, a, gravity=gravity)
+
+
+def newton_euler(
+    model: Model,
+    bodies: Sequence[RigidBody],  # one for each joint, in place of the model's
+    q: Vector,
+    v: Vector | None,
+    a: Vector | None,
+    *,
+    gravity: Any = True,  # or by how much to multiply it
+) -> Vector:
+    """(n,) joint torques M a + C v + g of an arm of these bodies, linear in them but for the rotors' I a."""
+    placed = joint_placements(model, q)
     forces: list[Vector3] = []
     moments: list[Vector3] = []
-    motions = _motions(model, placed, range(model.n), v, a, gravity=gravity)
-    for body, (w, dw, dv, U) in zip(_loaded(model, payload), motions.values(), strict=True):
+    motions = body_motions(model, placed, range(model.n), v, a, gravity=gravity)
+    for body, (w, dw, dv, U) in zip(bodies, motions.values(), strict=True):
         forces.append(body.m * dv + U @ body.h)
         moments.append(body.I @ dw + cross(w, body.I @ w) + cross(body.h, dv))
     tau: list[Any] = [0.0] * model.n
@@ -119,6 +134,79 @@ def inverse_dynamics(
             forces[joint.parent] = forces[joint.parent] + force
             moments[joint.parent] = moments[joint.parent] + R @ moments[i] + cross(p, force)
     return tm.array(tau)
+
+
+def along_reference(torques: Callable[..., Any], v: Vector, v_ref: Vector, a_ref: Vector) -> Any:
+    """What torques(v, a, gravity) = M a + C(v) v + gravity g is as M a_ref + C(v) v_ref + g; also for parts of it.
+
+    C of Christoffel symbols, with M-dot - 2 C skew, is linear in v with C(v) w = C(w) v: C(v) v_ref is half the
+    derivative of C(v) v along v_ref. The rest is linear, so that half the derivative of it all is what is asked for.
+    """
+
+    def moved(step: Array) -> Any:
+        twice = 2.0 * step[0]
+        return np.reshape(torques(v + step[0] * v_ref, twice * a_ref, twice), (-1,))
+
+    return 0.5 * tm.jacobian(moved, np.zeros(1))[:, 0]
+
+
+def reference_dynamics(
+    model: Model,
+    bodies: Sequence[RigidBody],
+    q: Vector,
+    v: Vector,
+    v_ref: Vector,
+    a_ref: Vector,
+) -> Vector:
+    """(n,) M a_ref + C(q, v) v_ref + g of an arm of these bodies, with M-dot - 2 C skew."""
+
+    def torques(v: Vector, a: Vector, gravity: Any) -> Vector:
+        return newton_euler(model, bodies, q, v, a, gravity=gravity)
+
+    out: Vector = along_reference(torques, v, v_ref, a_ref)
+    return out
+
+
+Velocities = list[tuple[Vector3, Vector3]]
+
+
+def body_velocities(
+    model: Model, placed: Sequence[tuple[Matrix, Vector3]], v: Vector
+) -> tuple[Velocities, Velocities]:
+    """Linear and angular velocity at each joint's origin, in its axes: of the body before it, and of its own."""
+    before: Velocities = []
+    own: Velocities = []
+    for i, (joint, (R, p)) in enumerate(zip(model.joints, placed, strict=True)):
+        u, w = (np.zeros(3), np.zeros(3)) if joint.parent == BASE else own[joint.parent]
+        u, w = R.T @ (u + cross(w, p)), R.T @ w
+        before.append((u, w))
+        own.append((u + v[i] * Z, w) if joint.prismatic else (u, w + v[i] * Z))
+    return before, own
+
+
+def momentum(model: Model, q: Vector, v: Vector, payload: PayloadValues | None = None) -> tuple[Vector, Vector]:
+    """(n,) each: generalised momentum p = M v, and C^T v = (d/dq) v M v / 2, by one recursion.
+
+    dp/dt = tau + C^T v - g. A joint that turns what it carries changes its energy only by the velocity V of the body
+    before, so that (d/dq_i) T = -P_i . (S_i x V): P_i momentum of all that joint i carries, S_i its axis.
+    """
+    placed = joint_placements(model, q)
+    before, own = body_velocities(model, placed, v)
+    momenta = [
+        (body.m * u + cross(w, body.h), body.I @ w + cross(body.h, u))
+        for body, (u, w) in zip(loaded_bodies(model, payload), own, strict=True)
+    ]
+    p_joints, rate = tm.zeros(model.n), tm.zeros(model.n)
+    for i in range(model.n - 1, -1, -1):
+        joint, (force, moment), (u, w) = model.joints[i], momenta[i], before[i]
+        p_joints[i] = (force[2] if joint.prismatic else moment[2]) + joint.rotor_inertia * v[i]
+        rate[i] = -(force @ cross(Z, w)) if joint.prismatic else -(force @ cross(Z, u) + moment @ cross(Z, w))
+        if joint.parent != BASE:
+            R, p = placed[i]
+            force = R @ force
+            moment = R @ moment + cross(p, force)
+            momenta[joint.parent] = (momenta[joint.parent][0] + force, momenta[joint.parent][1] + moment)
+    return p_joints, rate
 
 
 def bias(
@@ -151,8 +239,8 @@ def compensation(model: Model, adds: Adds, q: Vector, v: Vector, payload: Payloa
 
 def mass_matrix(model: Model, q: Vector, payload: PayloadValues | None = None) -> Matrix:
     """(n, n) M, symmetric positive definite, by composite rigid bodies."""
-    placed = _placed_all(model, q)
-    composite = _loaded(model, payload)
+    placed = joint_placements(model, q)
+    composite = loaded_bodies(model, payload)
     M = tm.zeros((model.n, model.n))
     for i in range(model.n - 1, -1, -1):
         joint, body = model.joints[i], composite[i]
@@ -255,8 +343,8 @@ def jacobian_rate_v(model: Model, q: Vector, v: Vector, frame: str | None = None
     body, R_in_body, p_in_body = model.placement(frame)
     if body == BASE:
         return tm.zeros(6)
-    placed = _placed_all(model, q)
-    _, dw, dp, U = _motions(model, placed, model.arm.ancestors(body), v, None, gravity=False)[body]
+    placed = joint_placements(model, q)
+    _, dw, dp, U = body_motions(model, placed, model.arm.ancestors(body), v, None, gravity=False)[body]
     dp = dp + U @ p_in_body
     if axes == "W":
         R_W = link_poses(model, q)[body][0]

@@ -37,6 +37,9 @@ class RigidBody:
     def __add__(self, other: RigidBody) -> RigidBody:
         return RigidBody(m=self.m + other.m, h=self.h + other.h, I=self.I + other.I)
 
+    def __sub__(self, other: RigidBody) -> RigidBody:
+        return RigidBody(m=self.m - other.m, h=self.h - other.h, I=self.I - other.I)
+
     def seen_from(self, R: Matrix, p: Vector3) -> RigidBody:
         """The same body in the frame in which this one has orientation R and origin p."""
         h = R @ self.h
@@ -92,6 +95,7 @@ class Model:
     arm: Arm
     joints: tuple[JointConstants, ...]
     bodies: tuple[RigidBody, ...]  # regrouped
+    links: tuple[RigidBody, ...]  # the Arm's own bodies, which give the same torques
     aligned: tuple[Float64Array, ...]  # (3, 3) of each body: orientation of our frame in the Arm's
     R_WB: Float64Array
     p_WB: Float64Array
@@ -134,6 +138,7 @@ def model_of(arm: Arm) -> Model:
         arm=arm,
         joints=tuple(joints),
         bodies=_regrouped(joints, bodies),
+        links=tuple(bodies),
         aligned=aligned,
         R_WB=snapped(arm.T_WB.R),
         p_WB=arm.T_WB.p,
@@ -274,7 +279,7 @@ class Adds:
                     continue
                 if name != "gravity" or not isinstance(payload, Payload):
                     raise UsageError(
-                        f"adds[{name!r}] must be None; only 'gravity' takes a taut.Payload; got {payload!r}",
+                        f"adds[{name!r}] must be None{' or a taut.Payload' * (name == 'gravity')}; got {payload!r}",
                         name="adds",
                     )
                 load = payload

@@ -12,7 +12,7 @@ from taut.base.checks import instance_of, one_of, vector
 from taut.base.errors import MatchError, UsageError, unknown_name
 from taut.base.types import Array, ArrayLike, Matrix, Rotation, Twist, Vector, Wrench
 from taut.maths import dynamics as dyn
-from taut.maths.model import Adds, Model, PayloadValues, model_of
+from taut.maths.model import Adds, Model, PayloadValues, RigidBody, model_of
 from taut.trace import math as tm
 from taut.trace.linalg import LTDL
 from taut.trace.pose import Pose
@@ -27,14 +27,18 @@ MEASUREMENTS: Final[Mapping[str, str]] = {
     "a_tip": "an accelerometer at the tool: pass a_tip= to step, or use a plant that measures it",
 }
 """What a law may ask for beyond positions and velocities, and what it needs."""
+ESTIMATES: Final[Mapping[str, str]] = {
+    "tau_ext": "an observer: compile with sensing=taut.Sensing(observer=taut.sensors.MomentumObserver(bandwidth=...))"
+}
+"""What a law may ask for that sensing makes of other measurements, and what it needs."""
 AXES: Final = ("W", "E")
 AT_TOOL: Final = ("F_ext", "a_tip")  # measurements with axes, not joints, however many there are
 
 
 def measurement_shapes(n: int) -> dict[str, tuple[int, ...]]:
-    """Shape of everything that may be measured of an arm with n joints."""
+    """Shape of everything that may be measured of an arm with n joints, or estimated."""
     others: dict[str, tuple[int, ...]] = {"F_ext": (6,), "a_tip": (3,)}
-    return {"q": (n,), "v": (n,)} | {name: others.get(name, (n,)) for name in MEASUREMENTS}
+    return {"q": (n,), "v": (n,)} | {name: others.get(name, (n,)) for name in (*MEASUREMENTS, *ESTIMATES)}
 
 
 class Snapshot:
@@ -127,15 +131,22 @@ class Snapshot:
     def _measurement(self, name: str) -> Array:
         self.used.add(name)
         if name not in self._measured:
-            raise MatchError(
-                f"the law asks for {name}, which is not measured; it needs {MEASUREMENTS[name]}", name=name
-            )
+            source = MEASUREMENTS.get(name) or ESTIMATES[name]
+            raise MatchError(f"the law asks for {name}, which is not measured; it needs {source}", name=name)
         return self._measured[name]
 
     @property
     def F_ext(self) -> Wrench:
-        """(6,) wrench of the environment on the arm at the tool, force first, world axes [N, N m]."""
+        """(6,) wrench of the environment on the arm at the tool, force first, world axes [N, N m].
+
+        That of a wrist sensor, or estimated by `taut.sensors.MomentumObserver(F_ext=)`.
+        """
         return self._measurement("F_ext")
+
+    @property
+    def tau_ext(self) -> Vector:
+        """(n,) estimated joint torques of the environment, by `taut.sensors.MomentumObserver` [N m | N]."""
+        return self._measurement("tau_ext")
 
     @property
     def tau_meas(self) -> Vector:
@@ -230,9 +241,42 @@ class Snapshot:
         """(n,) accelerations M^-1 (tau - C v - g) of the whole model, without friction [rad/s^2 | m/s^2]."""
         return dyn.forward_dynamics(self.model, self.q, self.v, tau, self._payload)
 
-    def inverse_dynamics(self, a: Vector) -> Vector:
-        """(n,) torques M a + C v + g of the whole model, without friction, by one recursion [N m | N]."""
-        return dyn.inverse_dynamics(self.model, self.q, self.v, a, self._payload)
+    def inverse_dynamics(self, a: Vector, v_ref: Vector | None = None) -> Vector:
+        """(n,) torques M a + C v + g of the whole model, without friction, by one recursion [N m | N].
+
+        With `v_ref` (n,), M a + C v_ref + g with the C of Christoffel symbols: M-dot - 2 C is skew.
+        """
+        if v_ref is None:
+            return dyn.inverse_dynamics(self.model, self.q, self.v, a, self._payload)
+        bodies = dyn.loaded_bodies(self.model, self._payload)
+        return dyn.reference_dynamics(self.model, bodies, self.q, self.v, v_ref, a)
+
+    @property
+    def bodies(self) -> list[RigidBody]:
+        """The body of each joint, with the payload, for `taut.dynamics` with other bodies than the model's."""
+        return dyn.loaded_bodies(self.model, self._payload)
+
+    @property
+    def added(self) -> Vector:
+        """(n,) gravity and Coriolis torques that the plant adds itself: what a law leaves out [N m | N]."""
+        self.used |= {"gravity", "coriolis"}
+        payload = self._payload if self._payload is not None else PayloadValues.of(Payload())
+        return dyn.compensation(self.model, self._adds, self.q, self._v, payload)
+
+    @property
+    def momentum(self) -> Vector:
+        """(n,) generalised momentum M v of the whole model [kg m^2/s | kg m/s]."""
+        return self._momentum[0]
+
+    @property
+    def CT_v(self) -> Vector:
+        """(n,) C^T v of the whole model, with which d(M v)/dt = tau + C^T v - g [N m | N]."""
+        return self._momentum[1]
+
+    @property
+    def _momentum(self) -> tuple[Vector, Vector]:
+        v = self.v
+        return self._once("momentum", lambda: dyn.momentum(self.model, self.q, v, self._payload))
 
     @property
     def kinetic_energy(self) -> Any:

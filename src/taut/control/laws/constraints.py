@@ -63,7 +63,7 @@ def check_reference(constraint: Constraint, x: Snapshot, ref: Reference, tool: s
     Checked are samples of a chunk, 64 instants of a trajectory.
     """
     of_tool, here = of_one_body(constraint, x, tool), constraint.at(x).A
-    for t, sample in _known(ref):
+    for t, sample in known_samples(ref):
         if not isinstance(sample, HybridMotion):
             return
         presses = ref.presses if isinstance(ref, Pressing) else bool(np.any(sample.press))
@@ -93,7 +93,7 @@ def _check_force(constraint: Constraint, sample: HybridMotion, *, presses: bool)
         )
     if presses and (constraint.frame is None or constraint.moments[0] or not constraint.surface):
         raise UsageError(
-            "press is a force into a surface, and the first row of the constraint is none; put the surface first, "
+            "press is a force into a surface, and the first row of the constraint is of none; put the surface first, "
             "with one_sided=True, or give lam=",
             name="press",
         )
@@ -134,14 +134,14 @@ def _check_pressed(one_sided: Sequence[bool], lam: Float64Array, name: str) -> N
         if side and lam[row] > 0.0:
             raise RangeError(
                 f"{name} must press on a contact, lam <= 0 [N], and pulls at row {row} with lam = {lam[row]:.4g}; "
-                "turn its sign",
+                "change its sign",
                 name=name,
                 value=float(lam[row]),
                 rule="lam <= 0",
             )
 
 
-def _known(ref: Reference) -> Iterator[tuple[float, Sample | None]]:
+def known_samples(ref: Reference) -> Iterator[tuple[float, Sample | None]]:
     """What is known of a reference before it is followed: time [s] and sample."""
     if isinstance(ref, (Hold, Sample)):
         yield 0.0, ref.sample if isinstance(ref, Hold) else ref
