@@ -55,10 +55,10 @@ class ConstantTorque(Law):
     """A constant torque on the joints: the disturbance of a search."""
 
     ignores_reference = True
-    tau: Gain = Gain(0.0, unit="N m | N", accepts=("scalar",), minimum=-math.inf)
+    tau: Gain = Gain(unit="N m | N", accepts=(), minimum=-math.inf)
 
     def command(self, x: Snapshot, ref: Sample) -> Command:  # noqa: ARG002
-        return Torque(disturbance=self.tau.as_array() * np.ones(x.n))
+        return Torque(disturbance=self.tau.as_array())
 
 
 class UncertainArm:
@@ -496,7 +496,7 @@ class Search:
         middle = arm.with_friction(Friction(viscous=b, coulomb=c))
         middle = dataclasses.replace(middle, payload=_carrying(arm.payload, float(np.mean(unknown.payload))))
         laws = {True: (self.law, arm), False: (usual, middle)}
-        push = [ConstantTorque()] if np.any(unknown.disturbance) else []
+        push = [ConstantTorque(tau=np.zeros(arm.n))] if np.any(unknown.disturbance) else []
         return {robust: compile(sum(push, start=law), known, rate=self.rate) for robust, (law, known) in laws.items()}
 
 
