@@ -123,6 +123,17 @@ def test_a_payload_with_a_point_mass_at_the_tool_is_the_sum_of_both() -> None:
     assert (both.m, *both.h, *both.I.ravel()) == pytest.approx((expected.m, *expected.h, *expected.I.ravel()))
 
 
+def test_a_set_about_a_payload_is_the_set_from_none_to_twice_of_it() -> None:
+    arm, phi = taut.load_arm("planar2"), [0.05, 0.23]
+    found = []
+    for known, mass in ((arm, (0.0, 1.0)), (arm.with_payload(0.5), (-0.5, 0.5))):
+        unknown = taut.laws.Uncertainty(links=0.1, payload=mass)
+        law = taut.laws.Robust(lam=10.0, k=10.0, phi=phi, uncertainty=unknown)
+        found.append(taut.analysis.certify(law, known, reference(arm), duration=1.0, trials=8))
+    for name in ("certified", "found", "computed_torque"):
+        assert getattr(found[0], name) == pytest.approx(getattr(found[1], name), rel=1e-6)
+
+
 def test_a_reference_that_is_not_known_beforehand_is_refused() -> None:
     arm = taut.load_arm("planar2")
     with pytest.raises(taut.errors.UsageError) as refused:
