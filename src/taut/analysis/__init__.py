@@ -8,7 +8,6 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from taut.analysis.attraction import Attraction as Attraction
     from taut.analysis.attraction import region_of_attraction as region_of_attraction
-    from taut.analysis.collision import collision_threshold as collision_threshold
     from taut.analysis.comparison import Comparison as Comparison
     from taut.analysis.comparison import WrongModel as WrongModel
     from taut.analysis.constraints import ConstraintRow as ConstraintRow
@@ -35,6 +34,12 @@ if TYPE_CHECKING:
     from taut.analysis.identification.identify import identify as identify
     from taut.analysis.impedance_at_tool import ToolImpedance as ToolImpedance
     from taut.analysis.impedance_at_tool import tool_impedance as tool_impedance
+    from taut.analysis.learning import Convergence as Convergence
+    from taut.analysis.learning import Learning as Learning
+    from taut.analysis.learning import LearningLaw as LearningLaw
+    from taut.analysis.learning import NormOptimal as NormOptimal
+    from taut.analysis.learning import PDLearning as PDLearning
+    from taut.analysis.learning import learn as learn
     from taut.analysis.loci import RootLocus as RootLocus
     from taut.analysis.loci import RouthTable as RouthTable
     from taut.analysis.loci import StabilityMap as StabilityMap
@@ -67,6 +72,7 @@ if TYPE_CHECKING:
     from taut.linear.linear_system import OperatingPoint as OperatingPoint
     from taut.record.metrics import METRICS as METRICS
     from taut.record.metrics import Metric as Metric
+    from taut.record.metrics.collision import collision_threshold as collision_threshold
     from taut.scenarios.compare import grade as grade
 
 __getattr__, __dir__, __all__ = lazy_names(__name__, __file__)
