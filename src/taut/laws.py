@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from taut.control.laws.null_space import LimitAvoidance as LimitAvoidance
     from taut.control.laws.null_space import Manipulability as Manipulability
     from taut.control.laws.null_space import Posture as Posture
+    from taut.control.laws.other_topics.adaptive import Adaptive as Adaptive
     from taut.control.laws.task import TaskComputedTorque as TaskComputedTorque
     from taut.control.laws.task import TaskPosition as TaskPosition
     from taut.control.laws.task import TaskVelocity as TaskVelocity

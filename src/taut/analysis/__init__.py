@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from taut.analysis.loci import root_locus as root_locus
     from taut.analysis.loci import routh as routh
     from taut.analysis.loci import stability_map as stability_map
+    from taut.analysis.payload import PayloadEstimate as PayloadEstimate
+    from taut.analysis.payload import payload_estimate as payload_estimate
     from taut.analysis.several_joints import Coupling as Coupling
     from taut.analysis.several_joints import Lyapunov as Lyapunov
     from taut.analysis.several_joints import coupling as coupling

@@ -113,6 +113,11 @@ class Snapshot:
         return self._q
 
     @property
+    def payload(self) -> PayloadValues:
+        """What the tool carries in the controller's model."""
+        return PayloadValues.of(self.arm.payload) if self._payload is None else self._payload
+
+    @property
     def t(self) -> Any:
         """Time since the start [s]."""
         return self._t
