@@ -14,6 +14,7 @@ from taut.base.errors import UsageError
 from taut.base.result import Content, Result, Table
 from taut.base.types import Float64Array
 from taut.codegen.kernel import native
+from taut.control.laws.other_topics.adaptive import metric
 from taut.maths import regressor as rg
 from taut.maths.model import Model, PayloadValues, RigidBody, model_of
 from taut.record.run import Run
@@ -120,7 +121,7 @@ def payload_estimate(run: Run) -> PayloadEstimate:
     link = model.links[k].seen_from(R.T, -R.T @ p)
     load = own - link
     body = np.asarray(rg.parameters_of(own), dtype=np.float64)
-    Q = _metric(body)
+    Q = metric(body)
     W = _excitation(run, model, k, R, p)
     root, sizes = np.linalg.cholesky(Q), np.sqrt(np.diag(Q))
     values, vectors = np.linalg.eigh(root.T @ W @ root)
@@ -140,12 +141,6 @@ def _of_body(load: RigidBody) -> dict[str, Any]:
     com = np.asarray(load.h, dtype=np.float64) / mass if mass > 0.0 else np.full(3, np.nan)
     about = load - PayloadValues(mass=mass, com=com, inertia=np.zeros(6)).body()
     return {"mass": mass, "com": com, "inertia": np.asarray(rg.parameters_of(about)[4:], dtype=np.float64)}
-
-
-def _metric(body: Float64Array) -> Float64Array:
-    """(10, 10) Q with Q y the parameters of P L(y) P."""
-    P = np.asarray(rg.pseudo_inertia(body), dtype=np.float64)
-    return np.array([rg.of_pseudo_inertia(P @ rg.covector_matrix(y) @ P) for y in np.eye(10)], dtype=np.float64)
 
 
 def _excitation(run: Run, model: Model, k: int, R: Float64Array, p: Float64Array) -> Float64Array:

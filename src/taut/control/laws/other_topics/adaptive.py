@@ -10,7 +10,7 @@ import numpy as np
 from taut.arm.description import BASE, Friction
 from taut.base.errors import MatchError, RangeError
 from taut.base.fields import Choice
-from taut.base.types import Array, Matrix, Vector
+from taut.base.types import Array, Float64Array, Matrix, Vector
 from taut.control.command import Command, Terms, Torque
 from taut.control.gains import Gain, Memory, MemoryView, require_at_most
 from taut.control.law import Law
@@ -47,8 +47,9 @@ class Adaptive(Law):
                   |s_i| <= sqrt(2 V(0) (M_true^-1)_ii): a payload step adds d / gamma to V
 
     Guaranteed in the sampled loop: every estimate is that of a possible body, whatever is measured (P^ > 0: positive
-    mass, and an inertia that a body can have). Not guaranteed there: that V falls in every tick; keep k dt <= 0.1 and
-    sqrt(gamma max eig(M^-1 Y Q Y^T)) dt <= 0.1, where Q y are the parameters of P^ L(y) P^.
+    mass, and an inertia that a body can have). Not guaranteed there: that V falls in every tick. Keep k dt <= 0.1 and
+    gamma max eig(M^-1 Y Q Y^T) dt well below k along the motion, where Q y are the parameters of P^ L(y) P^: beyond k
+    the sampled adaptation is unstable, which is checked for Y at rest at the start.
     Estimates need not tend to the truth: what the motion does not excite is not learned, see
     `taut.analysis.payload_estimate`. A lasting torque that is in no parameter, such as a hand that pushes or dry
     friction that the model has none of, is taken for mass: set `dead_zone`, limits, and state friction.
@@ -70,7 +71,8 @@ class Adaptive(Law):
 
     Raises:
         MatchError: The arm's tool does not move, or friction is to be adapted and the model has none.
-        RangeError: A body of the model that no real body can be, such as an infinitely thin rod.
+        RangeError: A body of the model that no real body can be, such as an infinitely thin rod; a gain too large for
+            the rate.
 
     Example:
         >>> import taut
@@ -101,8 +103,8 @@ class Adaptive(Law):
         for name in ("lam", "k"):
             require_at_most(name, getattr(self, name), rate, "1/s", "or the sampled loop cannot be stable")
 
-    def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
-        """The adapted bodies must be possible, and friction that is adapted must exist."""
+    def check_state(self, x: Snapshot, rate: float) -> None:
+        """The adapted bodies must be possible, friction that is adapted must exist, and gamma fit the rate."""
         arm = x.arm
         if x.model.placement(None)[0] == BASE:
             raise MatchError(
@@ -116,7 +118,8 @@ class Adaptive(Law):
                 "arm.with_friction(taut.Friction(...)), or leave gamma_friction out",
                 name="friction",
             )
-        for k, row in zip(adapted(x.model, self.links), self._at_start(x), strict=True):
+        which, estimate = adapted(x.model, self.links), self._at_start(x)
+        for k, row in zip(which, estimate, strict=True):
             sizes = np.linalg.eigvalsh(rg.pseudo_inertia(row))
             if not sizes[0] > THINNEST * sizes[-1]:
                 raise RangeError(
@@ -126,6 +129,17 @@ class Adaptive(Law):
                     name="estimate",
                     value=float(sizes[0]),
                 )
+        y = np.array([rg.covectors(x.model, x.q, np.zeros(x.n), np.zeros(x.n), unit) for unit in np.eye(x.n)])
+        moved = sum(y[:, k] @ metric(row) @ y[:, k].T for k, row in zip(which, estimate, strict=True))
+        fastest = float(np.linalg.eigvals(np.linalg.solve(x.M, moved)).real.max())
+        if self.gamma[()] * fastest > self.k[()] * rate:
+            raise RangeError(
+                f"gamma must be <= {self.k[()] * rate / fastest:.4g} [1/J] at this pose, k * rate / max eig(M^-1 Y "
+                f"Q Y^T), or the sampled adaptation to weight oscillates with growing amplitude; got "
+                f"{self.gamma[()]:g}",
+                name="gamma",
+                value=float(self.gamma[()]),
+            )
 
     def start(self, x: Snapshot, ref: Sample) -> Mapping[str, Any]:  # noqa: ARG002
         estimate = self._at_start(x)
@@ -187,6 +201,12 @@ def natural_step(G: Matrix, y: Vector, gain: Any) -> Matrix:
     half = tm.where(large, 0.5 * MAX_STEP / tm.sqrt(tm.where(large, size, 1.0)), 0.5)
     out: Matrix = G + half * (G @ A)
     return out
+
+
+def metric(parameters: Vector) -> Float64Array:
+    """(10, 10) Q with Q y the parameters of P L(y) P: gamma Q y is the rate of a body's parameters."""
+    P = np.asarray(rg.pseudo_inertia(parameters), dtype=np.float64)
+    return np.array([rg.of_pseudo_inertia(P @ rg.covector_matrix(y) @ P) for y in np.eye(10)], dtype=np.float64)
 
 
 def _parameters(G: Matrix) -> Vector:
