@@ -12,6 +12,8 @@ import pytest
 # Before NumPy is loaded: on busy cores the threads of a 3 x 3 product wait for each other, expm takes 10 ms, not 10 us.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import refusals
+
 from taut.codegen import native
 from taut.record.metrics import METRICS
 
@@ -62,6 +64,24 @@ def share() -> Callable[[int], int]:
 def bar(record_property: Callable[[str, object], None]) -> Bar:
     """Writes a figure into the table of `make bars`: bar("what was counted", figure)."""
     return lambda name, figure: record_property(BAR + name, figure)
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    refusals.current = refusals.name_of(item)
+
+
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> None:
+    if call.when == "call" and call.excinfo is None:
+        refusals.passed.add(refusals.name_of(item))
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    if refusals.WRITE:
+        config = session.config
+        whole = config.args_source is config.ArgsSource.TESTPATHS and not (
+            config.option.keyword or config.option.markexpr
+        )
+        refusals.write({refusals.name_of(item) for item in session.items} if whole else None)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 from taut import Gain, Memory, TautError, Torque
@@ -106,11 +107,8 @@ def test_velocities_are_differenced_from_the_second_tick_on(engine: Engine) -> N
     assert ctrl.step(Q, still).tolist() == [0.0, 0.0]
     for given in ((Q + 0.01, still), (Q + 0.02, None, still)):  # v may be left out, or be None
         np.testing.assert_allclose(ctrl.step(*given), [-1.0, -1.0], rtol=1e-10)  # 0.01 / dt, of numbers near 0.1
-    with pytest.raises(UsageError) as caught:
+    with refused(UsageError):
         ctrl.step(Q, V, still)
-    assert str(caught.value) == (
-        "step got v, which this controller does not use; its sensing makes v from positions; leave it out"
-    )
     np.testing.assert_allclose(ctrl.step(q=Q + 0.03, ref=still), [-1.0, -1.0], rtol=1e-10)
 
 
@@ -159,58 +157,27 @@ def test_forces_come_by_keywords_that_say_their_sign(engine: Engine) -> None:
     np.testing.assert_allclose(bound.command, J.T @ (2.0 * F) + 2.0 * tau_meas, rtol=ROUNDING)
 
 
-FORCES: list[tuple[str, dict[str, Any], type[TautError], str]] = [
-    ("none", {}, UsageError, "step needs F_ext, which the law asks for: pass F_ext= or F_app=; got none"),
-    (
-        "no torque",
-        {"F_ext": np.zeros(6)},
-        UsageError,
-        "step needs tau_meas, which the law asks for: pass tau_meas=; got none",
-    ),
-    (
-        "both signs",
-        {"F_ext": np.zeros(6), "F_app": np.zeros(6), "tau_meas": np.zeros(2)},
-        UsageError,
-        "step takes F_ext or F_app, not both: one is minus the other",
-    ),
-    (
-        "a force alone",
-        {"F_ext": np.zeros(3), "tau_meas": np.zeros(2)},
-        ShapeError,
-        "F_ext must have shape (6,); got shape (3,)",
-    ),
-    (
-        "NaN",
-        {"F_app": [0, 0, math.nan, 0, 0, 0], "tau_meas": np.zeros(2)},
-        RangeError,
-        "F_app[2] must be finite [N, N m]; got nan",
-    ),
-    (
-        "another arm's torques",
-        {"F_ext": np.zeros(6), "tau_meas": np.zeros(3)},
-        ShapeError,
-        "tau_meas must have shape (2,) (2 joints); got shape (3,)",
-    ),
-    (
-        "misspelt",
-        {"F_ex": np.zeros(6), "tau_meas": np.zeros(2)},
-        UnknownNameError,
-        "step has no argument 'F_ex'; did you mean 'F_ext'?",
-    ),
+FORCES: list[tuple[str, dict[str, Any], type[TautError]]] = [
+    ("none", {}, UsageError),
+    ("no torque", {"F_ext": np.zeros(6)}, UsageError),
+    ("both signs", {"F_ext": np.zeros(6), "F_app": np.zeros(6), "tau_meas": np.zeros(2)}, UsageError),
+    ("a force alone", {"F_ext": np.zeros(3), "tau_meas": np.zeros(2)}, ShapeError),
+    ("NaN", {"F_app": [0, 0, math.nan, 0, 0, 0], "tau_meas": np.zeros(2)}, RangeError),
+    ("another arm's torques", {"F_ext": np.zeros(6), "tau_meas": np.zeros(3)}, ShapeError),
+    ("misspelt", {"F_ex": np.zeros(6), "tau_meas": np.zeros(2)}, UnknownNameError),
 ]
 
 
 @engines
-@pytest.mark.parametrize(("what", "given", "kind", "message"), FORCES, ids=[case[0] for case in FORCES])
+@pytest.mark.parametrize(("what", "given", "kind"), FORCES, ids=[case[0] for case in FORCES])
 def test_forces_that_do_not_fit_get_one_sentence(
-    engine: Engine, what: str, given: dict[str, Any], kind: type[TautError], message: str
+    engine: Engine, what: str, given: dict[str, Any], kind: type[TautError]
 ) -> None:
     ctrl = taut.compile(Feels(), ARM, engine=engine)
     for _ in range(2):  # in the first tick and later: a call without forces is never the last tick once more
-        with pytest.raises(kind) as caught:
+        with refused(kind):
             ctrl.step(Q, V, REF, **given)
-        assert str(caught.value) == message
-        with pytest.raises(UsageError, match=r"^step needs q; got none$"):
+        with refused(UsageError):
             ctrl.step()  # type: ignore[call-arg]
         ctrl.step(Q, V, REF, F_ext=np.zeros(6), tau_meas=np.zeros(2))
 
@@ -288,28 +255,23 @@ def test_what_limits_take_is_a_term_like_the_others(engine: Engine) -> None:
     np.testing.assert_allclose(ctrl.terms["torque_limit"], [-15.0, 33.0], rtol=ROUNDING)
 
 
-RESETS: list[tuple[Any, type[TautError], str]] = [
-    ([1.0], ShapeError, "tau_applied must have shape (2,) (2 joints) [N m | N]; got shape (1,)"),
-    ([math.nan, 0.0], RangeError, "tau_applied[0] (joint 'joint1') must be finite [N m | N]; got nan"),
-    ("5", ShapeError, "tau_applied must be numbers [N m | N]; got '5'"),
+RESETS: list[tuple[Any, type[TautError]]] = [
+    ([1.0], ShapeError),
+    ([math.nan, 0.0], RangeError),
+    ("5", ShapeError),
 ]
 
 
-@pytest.mark.parametrize(("value", "kind", "message"), RESETS)
-def test_a_torque_to_start_from_that_is_none_is_told(value: Any, kind: type[TautError], message: str) -> None:
+@pytest.mark.parametrize(("value", "kind"), RESETS)
+def test_a_torque_to_start_from_that_is_none_is_told(value: Any, kind: type[TautError]) -> None:
     ctrl = taut.compile(L.PID(kp=1.0), ARM, limits=taut.Limits(tau_dot=10.0))
-    with pytest.raises(kind) as caught:
+    with refused(kind):
         ctrl.reset(tau_applied=value)
-    assert str(caught.value) == message
 
 
 def test_a_controller_that_remembers_no_torque_takes_none() -> None:
-    with pytest.raises(UsageError) as caught:
+    with refused(UsageError):
         taut.compile(L.PID(kp=1.0), ARM).reset(tau_applied=[1.0, 2.0])
-    assert str(caught.value) == (
-        "reset(tau_applied=) is for controllers that limit the torque rate or blend, or whose law asks for "
-        "x.tau_applied; this one does none of these"
-    )
 
 
 # -------------------------------------------------------------------- terms and parameters
@@ -353,7 +315,7 @@ def test_terms_are_copies(engine: Engine) -> None:
 
 
 def test_there_are_no_terms_before_the_first_tick() -> None:
-    with pytest.raises(UsageError, match=r"^there are no terms before the first tick; call step first$"):
+    with refused(UsageError):
         taut.compile(L.PID(kp=10.0), ARM).terms  # noqa: B018
 
 
@@ -396,89 +358,66 @@ def test_parameters_are_a_mapping() -> None:
         ctrl.parameters["law.PID.kd"][0] = 5.0
 
 
-PARAMETERS: list[tuple[str, Any, type[TautError], str]] = [
-    ("law.kq", 1.0, UnknownNameError, "the controller has no parameter 'law.kq'; did you mean 'law.kp' or 'law.ki'?"),
-    ("kp", 1.0, UnknownNameError, "the controller has no parameter 'kp'; it has 'law.kp', 'law.kd', 'law.ki', "
-     "'limits.tau', 'model.payload.mass', 'model.payload.com', 'model.payload.inertia'"),
-    ("law.kp", -1.0, RangeError, "law.kp must be >= 0 [N m/rad | N/m]; got -1.0"),
-    ("law.kp", math.nan, RangeError, "law.kp must be finite [N m/rad | N/m]; got nan"),
-    ("law.kp", "10", ShapeError, "law.kp must be numbers [N m/rad | N/m]; got '10'"),
-    ("law.kp", [1.0, 2.0], ShapeError, "law.kp was compiled with shape (); got shape (2,); for another shape, compile the "
-     "law or make the plant again"),
-    ("law.kd", np.eye(2), ShapeError, "law.kd was compiled with shape (2,); got shape (2, 2); for another shape, compile "
-     "the law or make the plant again"),
-    ("limits.tau", 0.0, RangeError, "limits.tau must be > 0 [N m | N]; got 0.0"),
-    ("model.payload.mass", -1.0, RangeError, "model.payload.mass must be >= 0 [kg]; got -1.0"),
-    ("model.payload.com", [0.0, 0.1], ShapeError, "model.payload.com must have shape (3,) [m]; got shape (2,)"),
+PARAMETERS: list[tuple[str, Any, type[TautError]]] = [
+    ("law.kq", 1.0, UnknownNameError),
+    ("kp", 1.0, UnknownNameError),
+    ("law.kp", -1.0, RangeError),
+    ("law.kp", math.nan, RangeError),
+    ("law.kp", "10", ShapeError),
+    ("law.kp", [1.0, 2.0], ShapeError),
+    ("law.kd", np.eye(2), ShapeError),
+    ("limits.tau", 0.0, RangeError),
+    ("model.payload.mass", -1.0, RangeError),
+    ("model.payload.com", [0.0, 0.1], ShapeError),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("path", "value", "kind", "message"), PARAMETERS)
+@pytest.mark.parametrize(("path", "value", "kind"), PARAMETERS)
 def test_a_parameter_that_does_not_fit_is_told_and_nothing_changes(
-    path: str, value: Any, kind: type[TautError], message: str
+    path: str, value: Any, kind: type[TautError]
 ) -> None:
     ctrl = taut.compile(L.PID(kp=10.0, kd=[1.0, 2.0]), ARM, limits=taut.Limits(tau=5.0))
     before = {name: entry.tolist() for name, entry in ctrl.parameters.items()}
-    with pytest.raises(kind) as caught:
+    with refused(kind):
         ctrl.parameters[path] = value
-    assert str(caught.value) == message
     assert {name: entry.tolist() for name, entry in ctrl.parameters.items()} == before
 
 
 def test_a_parameter_cannot_be_removed() -> None:
-    with pytest.raises(UsageError, match=r"^parameter 'law\.kp' cannot be removed; set it$"):
+    with refused(UsageError):
         del taut.compile(L.PID(kp=10.0), ARM).parameters["law.kp"]
-    with pytest.raises(UnknownNameError, match=r"^the controller has no parameter 'law\.kq'"):
+    with refused(UnknownNameError):
         taut.compile(L.PID(kp=10.0), ARM).parameters["law.kq"]
 
 
 # -------------------------------------------------------------------- compile
 
 
-COMPILES: list[tuple[str, Callable[[], Any], type[TautError], str]] = [
-    (
-        "a class",
-        lambda: taut.compile(L.PID, ARM),  # type: ignore[arg-type]
-        UsageError,
-        "compile takes a law such as taut.laws.PID(kp=...), with its gains; got <class 'taut.control.laws.joint.PID'>",
-    ),
-    ("no law", lambda: taut.compile(None, ARM), UsageError,  # type: ignore[arg-type]
-     "compile takes a law such as taut.laws.PID(kp=...), with its gains; got None"),
-    ("a name", lambda: taut.compile(L.PID(kp=1.0), "panda"), UsageError,  # type: ignore[arg-type]
-     "arm must be an Arm from taut.load_arm; got str"),
-    ("rate 0", lambda: taut.compile(L.PID(kp=1.0), ARM, rate=0), RangeError, "rate must be > 0 [Hz]; got 0.0"),
-    ("rate -1", lambda: taut.compile(L.PID(kp=1.0), ARM, rate=-1), RangeError, "rate must be > 0 [Hz]; got -1.0"),
-    ("rate NaN", lambda: taut.compile(L.PID(kp=1.0), ARM, rate=math.nan), RangeError, "rate must be finite [Hz]; got nan"),
-    ("rate inf", lambda: taut.compile(L.PID(kp=1.0), ARM, rate=math.inf), RangeError, "rate must be finite [Hz]; got inf"),
-    ("rate text", lambda: taut.compile(L.PID(kp=1.0), ARM, rate="1"), ShapeError, "rate must be one number [Hz]; got '1'"),  # type: ignore[arg-type]
-    ("rate in seconds", lambda: taut.compile(L.PID(kp=1.0), ARM, rate=0.001), RangeError,
-     "rate must be in ticks per second, >= 1 [Hz]; got 0.001; a period of 0.001 s is rate=1/0.001"),
-    ("engine", lambda: taut.compile(L.PID(kp=1.0), ARM, engine="c"), UsageError,  # type: ignore[arg-type]
-     "engine must be one of 'auto', 'native', 'float'; got 'c'"),
-    ("sensing", lambda: taut.compile(L.PID(kp=1.0), ARM, sensing="difference"), UsageError,  # type: ignore[arg-type]
-     "sensing must be a taut.Sensing; got str"),
-    ("limits", lambda: taut.compile(L.PID(kp=1.0), ARM, limits=5.0), UsageError,  # type: ignore[arg-type]
-     "limits must be a taut.Limits; got float"),
-    ("limits of another arm", lambda: taut.compile(L.PID(kp=1.0), ARM, limits=taut.Limits(tau=[1.0, 2.0, 3.0])), ShapeError,
-     "limits.tau must be a number or (2,) [N m | N] for 2 joints; got shape (3,)"),
-    ("limits on a velocity", lambda: taut.compile(L.VelocityPI(kp=1.0), ARM, limits=taut.Limits(tau=1.0)), MatchError,
-     "limits.tau is for torques, and VelocityPI gives a velocity; leave it out, or give limits with v"),
-    ("adds", lambda: taut.compile(L.PID(kp=1.0), ARM, adds="gravity"), UsageError,
-     "adds must be a tuple of names; got 'gravity'; write ('gravity',)"),
-    ("adds of nothing known", lambda: taut.compile(L.PID(kp=1.0), ARM, adds=("gravit",)), UnknownNameError,
-     "what a plant adds has no component 'gravit'; did you mean 'gravity'?"),
-    ("a torque and a velocity", lambda: taut.compile(L.PID(kp=1.0) + L.VelocityPI(kp=1.0), ARM), MatchError,
-     "the laws of PID + VelocityPI give commands of one kind; these give 'PID' a torque, 'VelocityPI' a velocity"),
+COMPILES: list[tuple[str, Callable[[], Any], type[TautError]]] = [
+    ("a class", lambda: taut.compile(L.PID, ARM), UsageError),
+    ("no law", lambda: taut.compile(None, ARM), UsageError),
+    ("a name", lambda: taut.compile(L.PID(kp=1.0), "panda"), UsageError),
+    ("rate 0", lambda: taut.compile(L.PID(kp=1.0), ARM, rate=0), RangeError),
+    ("rate -1", lambda: taut.compile(L.PID(kp=1.0), ARM, rate=-1), RangeError),
+    ("rate NaN", lambda: taut.compile(L.PID(kp=1.0), ARM, rate=math.nan), RangeError),
+    ("rate inf", lambda: taut.compile(L.PID(kp=1.0), ARM, rate=math.inf), RangeError),
+    ("rate text", lambda: taut.compile(L.PID(kp=1.0), ARM, rate="1"), ShapeError),  # type: ignore[arg-type]
+    ("rate in seconds", lambda: taut.compile(L.PID(kp=1.0), ARM, rate=0.001), RangeError),
+    ("engine", lambda: taut.compile(L.PID(kp=1.0), ARM, engine="c"), UsageError),
+    ("sensing", lambda: taut.compile(L.PID(kp=1.0), ARM, sensing="difference"), UsageError),
+    ("limits", lambda: taut.compile(L.PID(kp=1.0), ARM, limits=5.0), UsageError),
+    ("limits of another arm", lambda: taut.compile(L.PID(kp=1.0), ARM, limits=taut.Limits(tau=[1.0, 2.0, 3.0])), ShapeError),
+    ("limits on a velocity", lambda: taut.compile(L.VelocityPI(kp=1.0), ARM, limits=taut.Limits(tau=1.0)), MatchError),
+    ("adds", lambda: taut.compile(L.PID(kp=1.0), ARM, adds="gravity"), UsageError),
+    ("adds of nothing known", lambda: taut.compile(L.PID(kp=1.0), ARM, adds=("gravit",)), UnknownNameError),
+    ("a torque and a velocity", lambda: taut.compile(L.PID(kp=1.0) + L.VelocityPI(kp=1.0), ARM), MatchError),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("what", "call", "kind", "message"), COMPILES, ids=[case[0] for case in COMPILES])
-def test_what_cannot_be_compiled_gets_one_sentence(
-    what: str, call: Callable[[], Any], kind: type[TautError], message: str
-) -> None:
-    with pytest.raises(kind) as caught:
+@pytest.mark.parametrize(("what", "call", "kind"), COMPILES, ids=[case[0] for case in COMPILES])
+def test_what_cannot_be_compiled_gets_one_sentence(what: str, call: Callable[[], Any], kind: type[TautError]) -> None:
+    with refused(kind):
         call()
-    assert str(caught.value) == message
 
 
 @pytest.mark.filterwarnings("error")
@@ -602,12 +541,8 @@ def test_the_explanation_of_a_sum_names_its_parts() -> None:
 def test_a_controller_is_not_copied_in_silence(engine: Engine) -> None:
     ctrl = taut.compile(L.PID(kp=1.0), ARM, engine=engine)
     for attempt in (copy.copy, copy.deepcopy, pickle.dumps):
-        with pytest.raises(UsageError) as caught:
+        with refused(UsageError):
             attempt(ctrl)
-        assert str(caught.value) == (
-            "a controller holds machine code, so it cannot be copied or pickled; copy its law and compile again: "
-            "taut.compile(ctrl.law, ctrl.arm, rate=ctrl.rate)"
-        )
 
 
 def test_two_controllers_of_one_law_share_nothing() -> None:
@@ -623,7 +558,5 @@ def test_two_controllers_of_one_law_share_nothing() -> None:
 def test_the_arrays_of_a_bound_kernel_are_written_into_and_not_replaced(engine: Engine) -> None:
     k = taut.compile(taut.laws.PID(kp=1.0), ARM, engine=engine).bind()
     for name in ("q", "ref", "command", "tick"):
-        with pytest.raises(
-            UsageError, match=rf"^{name} of a bound kernel .*; write into it: k\.{name}\[:\] = \.\.\.$"
-        ):
+        with refused(UsageError):
             setattr(k, name, np.zeros(2))

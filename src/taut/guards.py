@@ -6,6 +6,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from taut.control.tasks.phase import GuardView as GuardView
     from taut.control.tasks.phase import Lasting as Lasting
+    from taut.control.tasks.phase import collision as collision
     from taut.control.tasks.phase import contact as contact
     from taut.control.tasks.phase import lasting as lasting
     from taut.control.tasks.phase import moved as moved

@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from taut.control.combine import SideBySide as SideBySide
     from taut.control.combine import Sum as Sum
     from taut.control.combine import Wrapper as Wrapper
+    from taut.control.command import MitCommand as MitCommand
     from taut.control.gains import Integral as Integral
     from taut.control.laws.admittance import Admittance as Admittance
     from taut.control.laws.force import ForceControl as ForceControl
@@ -22,15 +23,19 @@ if TYPE_CHECKING:
     from taut.control.laws.joint import GravityCompensation as GravityCompensation
     from taut.control.laws.joint import GravityPID as GravityPID
     from taut.control.laws.joint import RaisedGains as RaisedGains
+    from taut.control.laws.joint import StateFeedback as StateFeedback
     from taut.control.laws.joint import VelocityPI as VelocityPI
     from taut.control.laws.null_space import LimitAvoidance as LimitAvoidance
     from taut.control.laws.null_space import Manipulability as Manipulability
     from taut.control.laws.null_space import Posture as Posture
     from taut.control.laws.other_topics.adaptive import Adaptive as Adaptive
+    from taut.control.laws.other_topics.disturbance import CollisionReflex as CollisionReflex
+    from taut.control.laws.other_topics.disturbance import DisturbanceRejection as DisturbanceRejection
     from taut.control.laws.task import TaskComputedTorque as TaskComputedTorque
     from taut.control.laws.task import TaskPosition as TaskPosition
     from taut.control.laws.task import TaskVelocity as TaskVelocity
     from taut.control.laws.via_joint_space import ViaJointSpace as ViaJointSpace
+    from taut.control.laws.via_mit import ViaMit as ViaMit
     from taut.control.laws.virtual_objects import VirtualBall as VirtualBall
     from taut.control.laws.virtual_objects import VirtualGroove as VirtualGroove
     from taut.control.laws.virtual_objects import VirtualWall as VirtualWall

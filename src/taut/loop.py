@@ -20,7 +20,7 @@ from taut.control.lawside import LawSide
 from taut.control.trajectories.reference import Hold, Reference, as_reference
 from taut.maths.dynamics import pose
 from taut.maths.model import Adds, model_of
-from taut.maths.snapshot import MEASUREMENTS
+from taut.maths.snapshot import ESTIMATES, MEASUREMENTS
 from taut.plant.contact import check_force_feedback
 from taut.plant.environments.environment import COMMAND, of_plant
 from taut.plant.sensors import Sensors
@@ -106,7 +106,7 @@ class HasLawSide(Protocol):
 
 def check_fit(side: LawSide, plant: AnyPlant) -> None:
     """MatchError, ShapeError or RangeError for a controller and a plant that do not fit, or unstable contact."""
-    law, probe = side.title, side.probe
+    law = side.title
     if side.arm.n != plant.arm.n:
         raise ShapeError(
             f"plant '{plant.name}' has {count_of(plant.arm.n, 'joint')} and the controller's arm "
@@ -122,10 +122,11 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
             f"the joints of plant '{plant.name}' are {theirs_in_words}, and those of the controller's arm "
             f"'{side.arm.name}' are {ours_in_words}; both must be the same arm, with its joints in the same order"
         )
-    if probe.kind != plant.takes:
+    if side.gives != plant.takes:
+        wrapped = ", such as taut.laws.ViaMit(law=law)," if (side.gives, plant.takes) == ("torque", "mit") else ""
         raise MatchError(
-            f"{law} gives a {probe.kind} and plant '{plant.name}' takes a {plant.takes}; choose a law for "
-            f"{plant.takes} commands, or a plant that takes '{probe.kind}'",
+            f"{law} gives a {side.gives} and plant '{plant.name}' takes a {plant.takes}; choose a law for "
+            f"{plant.takes} commands,{wrapped[1:]} or a plant that takes '{side.gives}'",
             name="takes",
         )
     for name in side.needs:
@@ -151,9 +152,10 @@ def require_no_reference(side: LawSide, ref: object) -> None:
 
 def sensed_of(side: LawSide, plant: AnyPlant) -> tuple[str, ...]:
     """The law's measurements that a run records as the law saw them: those that differ from the truth or lack it."""
-    used = side.probe.used
     altered = side.sensing.alters | plant.distorts | {"q_motor", "v_motor", "a_tip"}
-    return tuple(name for name in ("q", "v", *MEASUREMENTS) if name in altered and (name == "q" or name in used))
+    used, always = side.probe.used, {"q", *ESTIMATES}
+    names = ("q", "v", *MEASUREMENTS, *ESTIMATES)
+    return tuple(name for name in names if name in altered and (name in always or name in used))
 
 
 def _check_tool(side: LawSide, plant: AnyPlant) -> None:
@@ -192,8 +194,9 @@ def _check_adds(side: LawSide, plant: AnyPlant) -> None:
         brakes = "limits.v_gain" in side.parameters
         counted |= {"gravity"} if brakes or "limits.tau_applied" in side.probe.shapes else set()
         counted |= {"coriolis"} if brakes else set()
+    observed = set() if side.sensing.observer is None else side.sensing.observer.counts_on(side.arm)
     for what in ("gravity", "coriolis", "friction"):
-        if what not in used | counted or (what in left_out.names) == (what in added.names):
+        if what not in used | counted | observed or (what in left_out.names) == (what in added.names):
             continue
         if what in left_out.names:
             raise MatchError(
@@ -201,7 +204,8 @@ def _check_adds(side: LawSide, plant: AnyPlant) -> None:
                 "it; compile with adds=plant.adds",
                 name=what,
             )
-        who = f"the law {side.title} adds it too" if what in used else "the controller's limits count on it too"
+        who = "the observer counts on it too" if what in observed else "the controller's limits count on it too"
+        who = f"the law {side.title} adds it too" if what in used else who
         raise MatchError(
             f"plant '{plant.name}' adds {what} itself and {who}; compile with adds=plant.adds, use a law that does "
             "not add it, or a plant with adds=()",
@@ -306,11 +310,12 @@ class Loop:
         measured = self.measured(plant, inputs, parameters)
         law = {path: value for path, value in memory.items() if not path.startswith("plant.")}
         tick = self.side.tick(measured, self._sample(inputs), law, parameters, dt)
-        command = tick.command + inputs[COMMAND] if COMMAND in inputs else tick.command
+        command = tick.pushed(inputs[COMMAND]) if COMMAND in inputs else tick.sent
         plant = self.plant.command(command, plant, inputs["t"])
         plant = self.plant.advance(plant, {**parameters, **of_plant(inputs)}, dt / self.plant.substeps)
         before = subtree(memory, "plant")
         record = {"q": before["q"], "v": before["v"], "command": tick.command, "tau": plant["tau"]}
+        record |= {} if tick.mit is None else {"mit": tick.mit}
         record |= self.plant.extra(before, plant)
         record |= {name: value for name, value in measured.items() if name.startswith("saturated.")}
         record |= {name: tick.seen[name] for name in self.side.sensing.tells if name not in record}

@@ -6,6 +6,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from taut.base.fields import Choice as Choice
     from taut.base.fields import Field as Field
+    from taut.control.observer import MomentumObserver as MomentumObserver
     from taut.control.sensing import Difference as Difference
     from taut.control.sensing import Kalman as Kalman
     from taut.control.sensing import LowPass as LowPass

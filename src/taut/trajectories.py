@@ -6,6 +6,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from taut.control.trajectories.force_reference import HybridMotion as HybridMotion
     from taut.control.trajectories.joint import Cubic as Cubic
+    from taut.control.trajectories.joint import Fourier as Fourier
     from taut.control.trajectories.joint import JerkLimited as JerkLimited
     from taut.control.trajectories.joint import Quintic as Quintic
     from taut.control.trajectories.joint import Sine as Sine
@@ -16,5 +17,6 @@ if TYPE_CHECKING:
     from taut.control.trajectories.task import Circle as Circle
     from taut.control.trajectories.task import Line as Line
     from taut.control.trajectories.task import Steady as Steady
+    from taut.control.trajectories.transition import Transition as Transition
 
 __getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

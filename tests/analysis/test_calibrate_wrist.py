@@ -10,6 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 from taut.base.types import Float64Array
@@ -238,7 +239,7 @@ YAWS = np.outer([0.0, 0.7, 2.0, -1.0], np.eye(7)[0]) + PANDA.home  # about the v
     ids=["one", "yaw", "line"],
 )
 def test_poses_that_rotate_gravity_too_little_are_refused(q: Array) -> None:
-    with pytest.raises(taut.errors.NumericalError, match=f"the {len(q)} poses must rotate gravity"):
+    with refused(taut.errors.NumericalError):
         calibrated(read_by(q), q)
 
 

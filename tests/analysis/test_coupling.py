@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 
@@ -102,6 +103,5 @@ def test_bad_input_is_refused() -> None:
     with pytest.raises(taut.errors.UsageError):
         coupling_of(arm, kp=300.0, kd=9000.0)
     ctrl = taut.compile(laws.TaskComputedTorque(kp=100.0, kd=20.0), arm)
-    with pytest.raises(taut.errors.UsageError) as caught:
+    with refused(taut.errors.UsageError):
         taut.analysis.coupling(taut.Loop(ctrl, Plant(arm, friction=None), duration=1.0), at=[0.3, 0.5])
-    assert "TaskComputedTorque" in str(caught.value)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.linalg import eigh
 
 import taut
@@ -438,10 +439,10 @@ def test_poses_that_cannot_be_are_refused_by_name() -> None:
     with pytest.raises(taut.errors.RangeError) as outside:
         taut.design(laws.PID, taut.load_arm("panda"), at=np.zeros(7), zeta=1.0, omega_n=5.0)
     assert outside.value.joint == "panda_joint4"
-    with pytest.raises(taut.errors.RangeError, match=r"'planar3' is singular") as singular:
+    with refused(taut.errors.RangeError) as singular:
         taut.design(laws.Impedance, taut.load_arm("planar3"), at=[0.3, 0.0, 0.0], zeta=1.0, K=(100.0, 1.0))
     assert singular.value.name == "at"
-    with pytest.raises(taut.errors.UsageError, match="arm must be an Arm"):
+    with refused(taut.errors.UsageError):
         taut.design(laws.PID, "panda", zeta=1.0, omega_n=5.0)  # type: ignore[arg-type]
 
 

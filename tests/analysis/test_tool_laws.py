@@ -55,6 +55,10 @@ LAWS: dict[str, tuple[Callable[[taut.Arm], taut.Law], str]] = {
         FREE,
     ),
     "Adaptive": (lambda _: laws.Adaptive(lam=10.0, k=10.0, gamma=2.0), FREE),
+    "StateFeedback": (
+        lambda arm: taut.analysis.lqr(arm, Q=[400.0] * arm.n + [1.0] * arm.n, R=0.001, rate=RATE).law,
+        FREE,
+    ),
     "FeedForward + PID": (
         lambda arm: laws.FeedForward() + laws.PID(kp=400.0 * own(arm), kd=40.0 * own(arm)),
         FREE,
@@ -119,6 +123,7 @@ def test_every_law_of_motion_and_force_is_here() -> None:
         "LossOfContact",
         "Manipulability",
         "SideBySide",
+        "ViaMit",
         "VirtualWall",
         "VirtualGroove",
         "VirtualBall",

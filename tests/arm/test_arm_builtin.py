@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arm_oracles import pinocchio_of
+from refusals import refused
 
 from taut.arm.builtin import BUILT_IN, one_joint
 from taut.arm.description import Arm
@@ -92,25 +93,21 @@ def test_home_is_no_singularity(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "message"),
+    "values",
     [
-        (
-            {"M": 0.01},
-            "M must be above m r^2 [kg m^2], which a point mass at r has; got 0.01 with m r^2 = 0.01",
-        ),
-        ({"M": -1.0}, "M must be > 0 [kg m^2]; got -1.0"),
-        ({"m": 0.0}, "m must be > 0 [kg]; got 0.0"),
-        ({"m": float("nan")}, "m must be finite [kg]; got nan"),
-        ({"r": float("inf")}, "r must be finite [m]; got inf"),
-        ({"b": -0.1}, "b must be >= 0 [N m s/rad]; got -0.1"),
+        {"M": 0.01},
+        {"M": -1.0},
+        {"m": 0.0},
+        {"m": float("nan")},
+        {"r": float("inf")},
+        {"b": -0.1},
     ],
 )
-def test_a_link_that_cannot_be_is_refused(values: dict[str, float], message: str) -> None:
-    with pytest.raises(RangeError) as caught:
+def test_a_link_that_cannot_be_is_refused(values: dict[str, float]) -> None:
+    with refused(RangeError):
         one_joint(**values)
-    assert str(caught.value) == message
 
 
 def test_words_for_numbers_are_refused() -> None:
-    with pytest.raises(TautError, match=r"m must be one number \[kg\]; got 'heavy'"):
+    with refused(TautError):
         one_joint(m="heavy")

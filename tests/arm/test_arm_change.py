@@ -13,6 +13,7 @@ from arm_oracles import pinocchio_of, random_q
 from arm_urdf_text import as_urdf
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refused, warned
 
 import taut
 from taut.arm.description import BASE, Arm, Friction, Payload
@@ -102,7 +103,7 @@ def test_two_arms_on_a_torso_are_two_whole_chains() -> None:
     )
     assert [joint.parent for joint in arm.joints] == [BASE, 0, 1, 0, 3]
     assert arm.ancestors(4) == (0, 3, 4)
-    with pytest.raises(UsageError, match=r"2 leaves \('right_lower', 'left_lower'\)"):
+    with refused(UsageError):
         assemble(taut.Arm, torso())
 
 
@@ -159,9 +160,7 @@ def test_a_tool_can_be_another_frame_or_a_new_one() -> None:
     assert arm.with_tool("panda_link8").frame().name == "panda_link8"
     new = arm.with_tool("panda_hand", Pose((0, 0, 0.2)), name="pen")
     np.testing.assert_allclose(new.frame().placement.p, (0, 0, 0.107 + 0.2), atol=1e-15)
-    with pytest.raises(
-        UnknownNameError, match="the arm has no frame 'panda_hand_tpc'; did you mean 'panda_hand_tcp'"
-    ):
+    with refused(UnknownNameError):
         arm.with_tool("panda_hand_tpc")
 
 
@@ -221,47 +220,46 @@ def test_a_flat_body_that_a_file_rounded_stays_possible() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "error", "message"),
+    ("change", "error"),
     [
-        (lambda arm: arm.with_body("joint1", mass=-1.0), ModelError, "planar2: the body of joint 'joint1': mass must be > 0 [kg]; got -1"),
-        (lambda arm: arm.with_body("joint1", mass=math.nan), RangeError, "mass must be finite [kg]; got nan"),
-        (lambda arm: arm.with_body("joint1", com=[0, 0]), ShapeError, "com must have shape (3,) [m]; got shape (2,)"),
-        (lambda arm: arm.with_body("joint1", inertia=np.diag([9.0, 1, 1])), ModelError, "planar2: the body of joint 'joint1': inertia violates the triangle inequality (Ixx 9 > Iyy + Izz 2)"),
-        (lambda arm: arm.with_body("joint1", inertia=[[1, 1, 0], [0, 1, 0], [0, 0, 1]]), ModelError, "planar2: the body of joint 'joint1': inertia must be symmetric"),
-        (lambda arm: arm.with_body("joint9", mass=1.0), UnknownNameError, "arm 'planar2' has no joint 'joint9'; did you mean 'joint2' or 'joint1'?"),
-        (lambda arm: arm.with_joints(friction=1.0), UnknownNameError, "a joint has no field 'friction'; it has 'lower', 'upper', 'velocity', 'effort', 'viscous', 'coulomb', 'static', 'stribeck', 'stribeck_shape', 'load_motor', 'load_external', 'load_motor_static', 'load_external_static', 'gear', 'rotor_inertia'"),
-        (lambda arm: arm.with_joints(viscous=-1.0), RangeError, "viscous[0] (joint 'joint1') must be >= 0; got -1.0"),
-        (lambda arm: arm.with_joints(viscous=[1.0, 2.0, 3.0]), ShapeError, "viscous must be one number or 2, one per joint; got shape (3,)"),
-        (lambda arm: arm.with_joints(viscous="lots"), ShapeError, "viscous must be numbers; got 'lots'"),
-        (lambda arm: arm.with_joints(effort={"joint2": 0.0}), RangeError, "effort[1] (joint 'joint2') must be > 0; got 0.0"),
-        (lambda arm: arm.with_joints(effort={"elbow": 1.0}), UnknownNameError, "arm 'planar2' has no joint 'elbow'; it has 'joint1', 'joint2'"),
-        (lambda arm: arm.with_joints(lower=[0.0, 2.0], upper=[1.0, 1.0]), ModelError, "planar2: joint 'joint2': lower limit 2 must be below upper limit 1; swap them"),
-        (lambda arm: arm.with_joints(rotor_inertia=math.inf), RangeError, "rotor_inertia must be finite; got inf"),
-        (lambda arm: arm.with_joints(velocity=math.nan), RangeError, "velocity must be finite; got nan"),
-        (lambda arm: arm.subset([]), UsageError, "a subset needs one joint at least; got none"),
-        (lambda arm: arm.subset(["joint1", "joint1"]), UsageError, "a subset names each joint once; got ['joint1', 'joint1']"),
-        (lambda arm: arm.subset(["knee"]), UnknownNameError, "arm 'planar2' has no joint 'knee'; it has 'joint1', 'joint2'"),
-        (lambda arm: arm.subset(["joint1"], [0.0]), ShapeError, "q must have shape (2,) (2 joints); got shape (1,)"),
-        (lambda arm: arm.perturbed(seed=1, mass=-0.1), RangeError, "mass must be between 0 and 1 (a spread of 1 is 100 %, or 1 m); got -0.1"),
-        (lambda arm: arm.perturbed(seed=1, com=math.inf), RangeError, "com must be finite; got inf"),
-        (lambda arm: arm.perturbed(seed=1, inertia=50.0), RangeError, "inertia must be between 0 and 1 (a spread of 1 is 100 %, or 1 m); got 50.0"),
-        (lambda arm: arm.perturbed(seed=-1), RangeError, "seed must be a whole number >= 0; got -1"),
-        (lambda arm: arm.perturbed(seed="x"), RangeError, "seed must be a whole number >= 0; got 'x'"),
-        (lambda arm: arm.mounted("here"), UsageError, "T_WB must be a taut.Pose; got str"),
-        (lambda arm: arm.with_payload(-1.0), RangeError, "payload.mass must be >= 0 [kg]; got -1.0"),
-        (lambda arm: arm.with_payload(1.0, inertia=[1, 1, 3, 0, 0, 0]), RangeError, "payload.inertia violates the triangle inequality: principal moments 3 > 1 + 1 [kg m^2]; it is about the centre of mass, in the order xx, yy, zz, xy, xz, yz"),
-        (lambda arm: arm.with_payload(1.0, inertia=[1, 1, 1, 5, 0, 0]), RangeError, "payload.inertia must be positive semidefinite [kg m^2]; its smallest eigenvalue is -4"),
-        (lambda arm: arm.with_tool("tool", Pose(), name="link1"), UsageError, "the arm has a frame 'link1' already; give another name="),
+        (lambda arm: arm.with_body("joint1", mass=-1.0), ModelError),
+        (lambda arm: arm.with_body("joint1", mass=math.nan), RangeError),
+        (lambda arm: arm.with_body("joint1", com=[0, 0]), ShapeError),
+        (lambda arm: arm.with_body("joint1", inertia=np.diag([9.0, 1, 1])), ModelError),
+        (lambda arm: arm.with_body("joint1", inertia=[[1, 1, 0], [0, 1, 0], [0, 0, 1]]), ModelError),
+        (lambda arm: arm.with_body("joint9", mass=1.0), UnknownNameError),
+        (lambda arm: arm.with_joints(friction=1.0), UnknownNameError),
+        (lambda arm: arm.with_joints(viscous=-1.0), RangeError),
+        (lambda arm: arm.with_joints(viscous=[1.0, 2.0, 3.0]), ShapeError),
+        (lambda arm: arm.with_joints(viscous="lots"), ShapeError),
+        (lambda arm: arm.with_joints(effort={"joint2": 0.0}), RangeError),
+        (lambda arm: arm.with_joints(effort={"elbow": 1.0}), UnknownNameError),
+        (lambda arm: arm.with_joints(lower=[0.0, 2.0], upper=[1.0, 1.0]), ModelError),
+        (lambda arm: arm.with_joints(rotor_inertia=math.inf), RangeError),
+        (lambda arm: arm.with_joints(velocity=math.nan), RangeError),
+        (lambda arm: arm.subset([]), UsageError),
+        (lambda arm: arm.subset(["joint1", "joint1"]), UsageError),
+        (lambda arm: arm.subset(["knee"]), UnknownNameError),
+        (lambda arm: arm.subset(["joint1"], [0.0]), ShapeError),
+        (lambda arm: arm.perturbed(seed=1, mass=-0.1), RangeError),
+        (lambda arm: arm.perturbed(seed=1, com=math.inf), RangeError),
+        (lambda arm: arm.perturbed(seed=1, inertia=50.0), RangeError),
+        (lambda arm: arm.perturbed(seed=-1), RangeError),
+        (lambda arm: arm.perturbed(seed="x"), RangeError),
+        (lambda arm: arm.mounted("here"), UsageError),
+        (lambda arm: arm.with_payload(-1.0), RangeError),
+        (lambda arm: arm.with_payload(1.0, inertia=[1, 1, 3, 0, 0, 0]), RangeError),
+        (lambda arm: arm.with_payload(1.0, inertia=[1, 1, 1, 5, 0, 0]), RangeError),
+        (lambda arm: arm.with_tool("tool", Pose(), name="link1"), UsageError),
     ],
 )  # fmt: skip
-def test_impossible_copies_are_refused_in_words(change, error: type[TautError], message: str) -> None:
-    with pytest.raises(error) as caught:
+def test_impossible_copies_are_refused_in_words(change, error: type[TautError]) -> None:
+    with refused(error):
         change(load_arm("planar2"))
-    assert str(caught.value) == message
 
 
 def test_a_continuous_joint_gets_no_position_limits() -> None:
-    with pytest.raises(ModelError, match="a continuous joint has no position limits; make it revolute"):
+    with refused(ModelError):
         load_arm("kinova").with_joints(lower=-1.0, upper=1.0)
     limits = {"j2s6s200_joint_2": 1.0}
     assert load_arm("kinova").with_joints(lower=limits).lower[1] == 1.0
@@ -351,9 +349,9 @@ def test_a_home_that_new_limits_exclude_is_moved_into_them_and_that_is_noted() -
 
 
 def test_a_tool_is_named_by_a_text() -> None:
-    with pytest.raises(UsageError, match=r"^with_tool takes the name of a frame; got None$"):
+    with refused(UsageError):
         load_arm("planar2").with_tool(None)  # type: ignore[arg-type]
-    with pytest.raises(UnknownNameError, match=r"^a joint of .* is named by a text; got 0$"):
+    with refused(UnknownNameError):
         load_arm("planar2").subset([0])  # type: ignore[list-item]
 
 
@@ -369,6 +367,6 @@ def test_friction_at_rest_that_is_as_in_motion_stays_so() -> None:
 
 def test_a_payload_far_from_the_tool_by_any_measure_of_the_arm_is_warned_of() -> None:
     arm = load_arm("panda")
-    with pytest.warns(RuntimeWarning, match="payload.com is 50 m from the tool, which is hard to believe"):
+    with warned(RuntimeWarning):
         assert arm.with_payload(1.0, com=[0.0, 0.0, 50.0]).payload.com[2] == 50.0
     arm.with_payload(1.0, com=[0.0, 0.0, 0.5])

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 from taut.arm.report import check_model
@@ -44,7 +45,7 @@ def test_the_share_of_the_rotors_is_that_of_the_mass_matrix() -> None:
 
 
 def test_only_an_arm_has_rotors() -> None:
-    with pytest.raises(taut.errors.UsageError, match=r"^arm must be an Arm from taut\.load_arm; got str$"):
+    with refused(taut.errors.UsageError):
         taut.drives.rotor_share("panda")  # type: ignore[arg-type]
 
 
@@ -67,34 +68,34 @@ class TestGearsOfSomeJoints:
             np.testing.assert_allclose(changed.rotor_inertia, [900.0 * ROTOR, 0.064, 900.0 * ROTOR])
 
     def test_a_joint_must_be_there(self) -> None:
-        with pytest.raises(UnknownNameError, match="arm 'planar3' has no joint 'joint9'"):
+        with refused(UnknownNameError):
             taut.load_arm("planar3").with_gears({"joint9": 10.0}, ROTOR)
 
 
 class TestWhatIsRefused:
     @pytest.mark.parametrize("ratio", [0.0, -10.0])
     def test_a_ratio_is_above_zero(self, ratio: float) -> None:
-        with pytest.raises(RangeError, match=rf"^ratio must be > 0; got {ratio}"):
+        with refused(RangeError):
             reflected_inertia(ratio, ROTOR)
-        with pytest.raises(RangeError, match=rf"^ratio\[1\] \(joint 'joint2'\) must be > 0; got {ratio}"):
+        with refused(RangeError):
             taut.load_arm("planar2").with_gears({"joint2": ratio}, ROTOR)
 
     def test_an_inertia_is_not_negative(self) -> None:
-        with pytest.raises(RangeError, match=r"^motor_inertia must be >= 0 \[kg m\^2\]; got -1e-05"):
+        with refused(RangeError):
             reflected_inertia(10.0, -1e-5)
-        with pytest.raises(RangeError, match=r"^motor_inertia\[0\] \(joint 'joint1'\) must be >= 0"):
+        with refused(RangeError):
             taut.load_arm("planar2").with_gears(10.0, [-1e-5, 1e-5])
 
     def test_matching_needs_both_inertias(self) -> None:
-        with pytest.raises(RangeError, match=r"^motor_inertia must be > 0 \[kg m\^2\]; got 0.0"):
+        with refused(RangeError):
             matched_ratio(1.0, 0.0)
-        with pytest.raises(RangeError, match=r"^link_inertia must be > 0 \[kg m\^2\]; got -1.0"):
+        with refused(RangeError):
             matched_ratio(-1.0, 1e-3)
 
     def test_what_is_no_number(self) -> None:
-        with pytest.raises(RangeError, match="ratio must be finite"):
+        with refused(RangeError):
             reflected_inertia(math.nan, 1e-3)
-        with pytest.raises(ShapeError, match="ratio must be one number"):
+        with refused(ShapeError):
             reflected_inertia([1.0, 2.0], 1e-3)  # type: ignore[arg-type]
 
 
@@ -107,7 +108,7 @@ class TestDoubts:
         arm = taut.load_arm(name)
         rotor = float(taut.snapshot(arm, arm.home).M[0, 0]) / 100.0**2  # matched at the first joint
         assert not list(rotor_doubts(arm.with_gears(100.0, rotor)))
-        with pytest.warns(RuntimeWarning, match="hard to believe") as told:
+        with pytest.warns(RuntimeWarning) as told:
             doubted = arm.with_gears(100.0, rotor * factor)
         assert len(told) == arm.n
         assert doubted.rotor_inertia[0] == pytest.approx(1e4 * rotor * factor)

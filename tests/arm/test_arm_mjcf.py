@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from arm_models import PAIR
 from arm_oracles import assert_same_as_mujoco
+from refusals import refused
 
 from taut.arm.load import load_arm
 from taut.arm.loaders.mjcf import mjcf_tree
@@ -135,7 +136,7 @@ def test_fr3s_meshes_are_shown_where_they_are(tmp_path: Path) -> None:
 
 def test_the_finger_that_an_equality_ties_is_refused_until_it_is_held(tmp_path: Path) -> None:
     shutil.copy(ASSETS / "fr3.xml", tmp_path)
-    with pytest.raises(ModelError, match="it mimics 'finger_joint2'"):
+    with refused(ModelError):
         load_arm(tmp_path / "fr3.xml", tool="hand")
 
 
@@ -206,7 +207,7 @@ def test_an_include_through_a_link_that_leads_out_is_not_followed(tmp_path: Path
     folder.mkdir()
     (folder / "inside.xml").symlink_to(tmp_path / "outside.xml")
     (folder / "m.xml").write_text(PAIR.replace("<worldbody>", '<include file="inside.xml"/><worldbody>'))
-    with pytest.raises(ModelError, match="it is a link that leads out of the model's folder"):
+    with refused(ModelError):
         load_arm(folder / "m.xml")
 
 
@@ -216,9 +217,7 @@ def test_included_files_are_bounded_together(tmp_path: Path) -> None:
         (tmp_path / name).write_text("<mujocoinclude/>")
     includes = "".join(f'<include file="{name}"/>' for name in names)
     (tmp_path / "m.xml").write_text(PAIR.replace("<worldbody>", f"{includes}<worldbody>"))
-    with pytest.raises(
-        ModelError, match=r"'part49.xml' is one file too many; at most 50 files and 4 MB are included"
-    ):
+    with refused(ModelError):
         load_arm(tmp_path / "m.xml")
 
 
@@ -239,7 +238,7 @@ def test_a_free_base_can_be_held_still(tmp_path: Path) -> None:
     file.write_text(
         PAIR.replace('<body name="upper"', f'{base}<body name="upper"').replace("</worldbody>", "</body></worldbody>")
     )
-    with pytest.raises(ModelError, match="a floating joint is not one of an arm"):
+    with refused(ModelError):
         load_arm(file)
     assert load_arm(file, locked={"root": 0.0}).joint_names == ("shoulder", "elbow")
 

@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 from arm_models import DUO
 from arm_oracles import pinocchio_of
+from refusals import refused
 
 import taut
 from taut.arm.catalogue import CATALOGUE
@@ -81,48 +82,28 @@ def test_a_continuous_joint_about_a_slanted_axis_is_read() -> None:
     np.testing.assert_allclose(arm.joints[1].axis, (0.6, 0, -0.8), atol=1e-15)
 
 
-HOLD = "or hold it still: load_arm(..., locked={'j': 0.0})"
-
-
 @pytest.mark.parametrize(
-    ("joint", "message"),
+    "joint",
     [
-        (
-            pin.JointModelFreeFlyer(),
-            f"a floating joint is not one of an arm; make it fixed, cut the model there, {HOLD}",
-        ),
-        (
-            pin.JointModelPlanar(),
-            f"a planar joint is not one of an arm; write it as two prismatic joints and a revolute one, {HOLD}",
-        ),
-        (pin.JointModelSpherical(), f"a ball joint is not one of an arm; write it as three hinges, {HOLD}"),
-        (pin.JointModelSphericalZYX(), f"a ball joint is not one of an arm; write it as three hinges, {HOLD}"),
-        *(
-            (
-                joint,
-                f"{name} is not one of an arm's joints (hinges and slides); build the model without it: pinocchio.buildReducedModel",
-            )
-            for joint, name in (
-                (pin.JointModelComposite(pin.JointModelRX()), "JointModelComposite"),
-                (pin.JointModelHX(0.1), "JointModelHX"),
-                (pin.JointModelTranslation(), "JointModelTranslation"),
-            )
-        ),
+        pin.JointModelFreeFlyer(),
+        pin.JointModelPlanar(),
+        pin.JointModelSpherical(),
+        pin.JointModelSphericalZYX(),
+        pin.JointModelComposite(pin.JointModelRX()),
+        pin.JointModelHX(0.1),
+        pin.JointModelTranslation(),
     ],
-    ids=lambda value: value.shortname() if hasattr(value, "shortname") else "",
+    ids=lambda joint: joint.shortname(),
 )
-def test_other_joints_are_refused_in_words(joint: pin.JointModel, message: str) -> None:
-    with pytest.raises(ModelError) as caught:
+def test_other_joints_are_refused_in_words(joint: pin.JointModel) -> None:
+    with refused(ModelError):
         load_arm(one_joint(joint))
-    assert str(caught.value) == f"a Pinocchio model: joint 'j': {message}"
 
 
 def test_a_coupled_finger_is_refused() -> None:
     entry = CATALOGUE["panda"]
     file = str(metadata.distribution(entry.package).locate_file(entry.file))
-    with pytest.raises(
-        ModelError, match="joint 'panda_finger_joint2': JointModelMimic is not one of an arm's joints"
-    ):
+    with refused(ModelError):
         load_arm(pin.buildModelFromUrdf(file, mimic=True))
 
 
@@ -150,20 +131,15 @@ def test_gravity_and_limits_are_the_models_own_unless_given() -> None:
 def test_a_model_without_mass_is_refused() -> None:
     model = one_joint(pin.JointModelRX())
     model.inertias[1] = pin.Inertia.Zero()
-    with pytest.raises(ModelError) as caught:
+    with refused(ModelError):
         load_arm(model)
-    assert str(caught.value) == (
-        "a Pinocchio model: link 'j': mass must be > 0 [kg]; got 0; fix its mass and inertia"
-    )
 
 
 def test_several_ends_make_the_tool_a_question() -> None:
     model = one_joint(pin.JointModelRX())
     for name in ("left", "right"):
         model.addFrame(pin.Frame(name, 1, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
-    with pytest.raises(
-        UsageError, match=r"has 2 leaves \('left', 'right'\); say which frame is the tool: tool='left'"
-    ):
+    with refused(UsageError):
         load_arm(model)
     assert load_arm(model, tool="right").tool == "right"
 

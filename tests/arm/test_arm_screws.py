@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arm_oracles import pinocchio_of
+from refusals import refused
 
 from taut.arm.description import Arm
 from taut.base.errors import ModelError, RangeError, ShapeError, TautError
@@ -139,65 +140,23 @@ def swapped_blocks(G_i: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("change", "error", "message"),
+    ("change", "error"),
     [
-        (
-            {"Slist": DOCS_SLIST},
-            ModelError,
-            "screw axes: joint 'joint1': Slist[:, 0]: |omega| must be 1 (revolute) or 0 (prismatic); got 1.41421; "
-            "divide the column by 1.41421: its positions grow by that factor, its torques shrink by it",
-        ),
-        (
-            {"Slist": np.array([[0, 0, 1, 0, 0, 0.1], *SLIST.T[1:]]).T},
-            ModelError,
-            "screw axes: joint 'joint1': Slist[:, 0]: its pitch omega . v must be 0, for an arm has no helical "
-            "joints; got 0.1 m",
-        ),
-        (
-            {"Slist": np.array([[0, 0, 0, 0, 0, 2.0], *SLIST.T[1:]]).T},
-            ModelError,
-            "screw axes: joint 'joint1': Slist[:, 0]: |v| must be 1 where omega is 0 (prismatic); got 2",
-        ),
-        (
-            {"Slist": SLIST.T},
-            ShapeError,
-            "Slist must have shape (6, n), one screw axis (omega, v) in each column; got shape (3, 6)",
-        ),
-        ({"Mlist": MLIST[:3]}, ShapeError, "Mlist must have shape (4, 4, 4); got shape (3, 4, 4)"),
-        ({"Glist": GLIST[:2]}, ShapeError, "Glist must have shape (3, 6, 6); got shape (2, 6, 6)"),
-        ({"Slist": SLIST * np.nan}, RangeError, "Slist[0, 0] must be finite; got nan"),
-        (
-            {"Mlist": MLIST * [[[-1.0], [1], [1], [1]]]},
-            RangeError,
-            "Mlist[0] must be a pose: R must be right-handed; its determinant is -1, so it mirrors; "
-            "change the sign of one axis",
-        ),
-        (
-            {"Glist": [swapped_blocks(G_i) for G_i in GLIST]},
-            RangeError,
-            "Glist[0] must be a spatial inertia, angular part first: [[I, m [c]], [-m [c], m 1]] with I symmetric "
-            "and c the centre of mass, most often diag(Ixx, Iyy, Izz, m, m, m); a matrix with the linear part first "
-            "has its blocks the other way round",
-        ),
-        (
-            {"Glist": -GLIST},
-            ModelError,
-            "screw axes: link 'link1': mass must be finite and >= 0 [kg]; got -3.7; fix its mass and inertia "
-            "(and 2 more: in the error's attribute problems)",
-        ),
-        (
-            {"Glist": GLIST * np.diag([9.0, 1, 1, 1, 1, 1])},
-            ModelError,
-            "screw axes: link 'link1': inertia violates the triangle inequality (Ixx 0.0924 > Iyy + Izz 0.01693); "
-            "fix its mass and inertia (and 2 more: in the error's attribute problems)",
-        ),
-        ({"gravity": [0, 0]}, ShapeError, "gravity must have shape (3,) [m/s^2]; got shape (2,)"),
+        ({"Slist": DOCS_SLIST}, ModelError),
+        ({"Slist": np.array([[0, 0, 1, 0, 0, 0.1], *SLIST.T[1:]]).T}, ModelError),
+        ({"Slist": np.array([[0, 0, 0, 0, 0, 2.0], *SLIST.T[1:]]).T}, ModelError),
+        ({"Slist": SLIST.T}, ShapeError),
+        ({"Mlist": MLIST[:3]}, ShapeError),
+        ({"Glist": GLIST[:2]}, ShapeError),
+        ({"Slist": SLIST * np.nan}, RangeError),
+        ({"Mlist": MLIST * [[[-1.0], [1], [1], [1]]]}, RangeError),
+        ({"Glist": [swapped_blocks(G_i) for G_i in GLIST]}, RangeError),
+        ({"Glist": -GLIST}, ModelError),
+        ({"Glist": GLIST * np.diag([9.0, 1, 1, 1, 1, 1])}, ModelError),
+        ({"gravity": [0, 0]}, ShapeError),
     ],
 )
-def test_lists_that_no_arm_has_are_refused_in_words(
-    change: dict[str, np.ndarray], error: type[TautError], message: str
-) -> None:
+def test_lists_that_no_arm_has_are_refused_in_words(change: dict[str, np.ndarray], error: type[TautError]) -> None:
     given = {"Mlist": MLIST, "Glist": GLIST, "Slist": SLIST, "gravity": np.array(G)} | change
-    with pytest.raises(error) as caught:
+    with refused(error):
         Arm.from_screws(**given)
-    assert str(caught.value) == message

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 from taut import Friction, Servo
@@ -243,42 +244,40 @@ class TestBrokenFiles:
         assert [problem.attribute for problem in told.value.problems] == ["kt", "R", "extra"]
 
     def test_files_that_cannot_be_read(self, tmp_path: Path) -> None:
-        with pytest.raises(FileError, match=r"servo '.*none\.json' does not exist"):
+        with refused(FileError):
             taut.load_servo(tmp_path / "none.json")
-        with pytest.raises(FileError, match="is a folder; name a file in it"):
+        with refused(FileError):
             taut.load_servo(tmp_path)
-        with pytest.raises(FileError, match="is empty"):
+        with refused(FileError):
             taut.load_servo(written(tmp_path, ""))
         file = tmp_path / "latin.json"
         file.write_bytes(b'{"actuator": "\xe9"}')
-        with pytest.raises(ModelError, match="the file is not JSON: its text is damaged"):
+        with refused(ModelError):
             taut.load_servo(file)
 
     def test_a_voltage_is_above_zero(self, tmp_path: Path) -> None:
-        with pytest.raises(RangeError, match=r"voltage must be > 0 \[V\]; got 0.0"):
+        with refused(RangeError):
             taut.load_servo(written(tmp_path, STS3215), voltage=0.0)
 
 
 class TestServosThatCannotBe:
     def test_one_servo_has_one_number_of_each(self) -> None:
-        with pytest.raises(ShapeError, match=r"friction.coulomb must be one number"):
+        with refused(ShapeError):
             Servo(friction=Friction(coulomb=[0.1, 0.2]), rotor_inertia=0.01)
-        with pytest.raises(UsageError, match=r"^friction must be a Friction; got 0\.1$"):
+        with refused(UsageError):
             Servo(friction=0.1, rotor_inertia=0.01)  # type: ignore[arg-type]
-        with pytest.raises(RangeError, match=r"rotor_inertia must be >= 0 \[kg m\^2\]; got -0.01"):
+        with refused(RangeError):
             Servo(friction=Friction(), rotor_inertia=-0.01)
-        with pytest.raises(RangeError, match=r"resistance must be > 0 \[ohm\]; got -2.0"):
+        with refused(RangeError):
             Servo(friction=Friction(), rotor_inertia=0.01, resistance=-2.0)
 
     def test_joints_that_take_no_servo(self) -> None:
         servo = Servo(friction=Friction(), rotor_inertia=0.01)
-        with pytest.raises(UnknownNameError, match="arm 'planar2' has no joint 'joint9'"):
+        with refused(UnknownNameError):
             taut.load_arm("planar2").with_servo({"joint9": servo})
-        with pytest.raises(UsageError, match=r"with_servo takes a taut.Servo, or one by joint name; got Friction"):
+        with refused(UsageError):
             taut.load_arm("planar2").with_servo(Friction())  # type: ignore[arg-type]
-        with pytest.raises(
-            UsageError, match=r"joint '.*' is prismatic, and a servo's numbers are those of a rotation"
-        ):
+        with refused(UsageError):
             taut.Arm.from_screws(
                 [np.eye(4), np.eye(4)], [np.diag([0.1, 0.1, 0.1, 1.0, 1.0, 1.0])], np.array([[0.0, 0, 0, 0, 0, 1]]).T
             ).with_servo(servo)

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arm_models import DUO
+from refusals import refused
 
 from taut.arm.load import load_arm
 from taut.arm.loaders.urdf import urdf_tree
@@ -252,8 +253,7 @@ def test_no_mesh_is_ever_opened(tmp_path: Path) -> None:
 
 def test_every_problem_of_a_file_is_reported_in_the_order_of_its_lines(tmp_path: Path) -> None:
     text = DUO.replace("0.03", "x").replace('effort="20"', 'effort="-20"').replace('type="fixed"', 'type="welded"')
-    with pytest.raises(ModelError) as caught:
+    with refused(ModelError) as caught:
         load_arm(written(tmp_path, text))
     lines = [problem.line for problem in caught.value.problems]
     assert lines == [8, 8, 31, 33]
-    assert str(caught.value).endswith(f" (line 8) (and 3 more: taut check {tmp_path / 'duo.urdf'} lists them)")

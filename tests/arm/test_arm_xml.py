@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from refusals import refused
 
 from taut.arm.load import load_arm
 from taut.arm.loaders import xml
@@ -65,7 +66,7 @@ def test_a_file_too_large_is_refused_before_it_is_parsed(tmp_path: Path) -> None
     with file.open("wb") as stream:
         stream.write(b"<robot>")
         stream.truncate(xml.MAX_BYTES + 10)
-    with pytest.raises(ModelError, match="larger than 4 MB, the most that is read"):
+    with refused(ModelError):
         read_xml(file)
 
 
@@ -127,27 +128,27 @@ def test_a_chain_of_a_thousand_fixed_links_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "count", "message"),
+    ("text", "count"),
     [
-        ("1 2", 3, "must be 3 numbers; got 2 ('1 2')"),
-        ("", 1, "must be one number; got none"),
-        ("1_000", 1, "must be one number; got '1_000'"),
-        ("0x10", 1, "must be one number; got '0x10'"),
-        ("1,5", 1, "must be one number; got '1,5'; separate numbers by blanks"),
-        ("١٢", 1, "must be one number; got '١٢'"),
-        ("nan", 1, "must be finite; got 'nan'"),
-        ("1 -Infinity 2", 3, "must be finite; got '1 -Infinity 2'"),
-        ("nan(ind)", 1, "must be finite; got 'nan(ind)'"),
-        ("1e400", 1, "must be within +-1e+09; got '1e400'"),
-        ("2e9", 1, "must be within +-1e+09; got '2e9'"),
-        ("1 " * 6000, None, "must be numbers; got 12000 characters"),
-        ("x" * 100, 1, f"must be one number; got '{'x' * 57}...'"),
+        ("1 2", 3),
+        ("", 1),
+        ("1_000", 1),
+        ("0x10", 1),
+        ("1,5", 1),
+        ("١٢", 1),
+        ("nan", 1),
+        ("1 -Infinity 2", 3),
+        ("nan(ind)", 1),
+        ("1e400", 1),
+        ("2e9", 1),
+        ("1 " * 6000, None),
+        ("x" * 100, 1),
     ],
+    ids=range(13),
 )
-def test_what_is_no_number_is_refused_in_words(text: str, count: int | None, message: str) -> None:
-    with pytest.raises(BadNumberError) as caught:
+def test_what_is_no_number_is_refused_in_words(text: str, count: int | None) -> None:
+    with refused(BadNumberError):
         numbers(text, count)
-    assert str(caught.value) == message
 
 
 def test_numbers_are_read_as_python_reads_them() -> None:
@@ -160,9 +161,9 @@ def test_empty_files_and_folders_are_file_errors(content: bytes, tmp_path: Path)
     file = tmp_path / "m.urdf"
     file.write_bytes(content)
     if not content:
-        with pytest.raises(FileError, match=r"model '.*m.urdf' is empty"):
+        with refused(FileError):
             read_xml(file)
-    with pytest.raises(FileError, match=r"is a folder; name a file in it"):
+    with refused(FileError):
         read_xml(tmp_path)
 
 

@@ -12,6 +12,7 @@ import pytest
 from base_tools import native_values, traced_value
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refused
 
 from taut import math as tm
 from taut.errors import ShapeError, TraceError
@@ -165,7 +166,7 @@ def test_shapes_of_results_and_of_nothing() -> None:
     assert jacobian(lambda x: x, [1.0, 2.0]).tolist() == [[1.0, 0.0], [0.0, 1.0]]
     assert jacobian(lambda x: np.outer(x, x), [1.0, 2.0]).shape == (2, 2, 2)
     assert jacobian(lambda x: [x[0] > 0.0, x[1]], [1.0, 2.0]).tolist() == [[0.0, 0.0], [0.0, 1.0]]
-    with pytest.raises(ShapeError, match=r"^jacobian differentiates along a vector \(n,\); got shape \(2, 1\)$"):
+    with refused(ShapeError):
         jacobian(lambda x: x, [[1.0], [2.0]])
 
 
@@ -205,23 +206,19 @@ def test_a_value_that_leaves_the_function_is_refused() -> None:
         jacobian(lambda y: caught.append(y[0]) or y[0], x)
         return caught[-1]
 
-    with pytest.raises(
-        TraceError, match=r"^a value from inside a function that jacobian differentiates is used outside"
-    ):
+    with refused(TraceError):
         traced_value(leaks, [1.0])
-    with pytest.raises(
-        TraceError, match=r"^a value from inside a function that jacobian differentiates is used outside"
-    ):
+    with refused(TraceError):
         jacobian(leaks, [1.0])
     jacobian(lambda y: caught.append(y[0]) or y[0], [1.0])
-    with pytest.raises(TraceError, match=r"^a traced value is turned into a plain float"):
+    with refused(TraceError):
         float(caught[-1])
 
 
 def test_branches_in_a_function_to_differentiate_are_refused_on_floats_too() -> None:
-    with pytest.raises(TraceError, match=r"^a traced value decides a branch at .*test_derivative\.py:\d+ "):
+    with refused(TraceError):
         jacobian(lambda x: x[0] if x[0] > 0.0 else 0.0, [1.0])
-    with pytest.raises(TraceError, match=r"^None is used as a number at .*test_derivative\.py:\d+$"):
+    with refused(TraceError):
         jacobian(lambda x: None, [1.0])
 
 

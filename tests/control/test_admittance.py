@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 from taut.control.law import Law
@@ -228,67 +229,58 @@ class TestTheWrench:
     def test_that_is_no_number_is_refused(self) -> None:
         ctrl = taut.compile(law("velocity"), UR10, rate=RATE)
         bad = np.array([0.0, 0.0, np.nan, 0.0, 0.0, 0.0])
-        with pytest.raises(taut.errors.RangeError, match=r"^F_ext\[2\] must be finite; got nan in tick 0$"):
+        with refused(taut.errors.RangeError):
             ctrl.step(UR10.home, np.zeros(6), HOLD, F_ext=bad)
 
     def test_without_a_sensor_is_told(self) -> None:
         ctrl = taut.compile(law("velocity"), UR10, rate=RATE)
         free = taut.RigidPlant(UR10, takes="velocity", actuation=DRIVES)
-        with pytest.raises(
-            taut.errors.MatchError, match=r"^Admittance needs F_ext, which plant 'RigidPlant\(ur10\)' does not"
-        ):
+        with refused(taut.errors.MatchError):
             taut.run(ctrl, free, HOLD, duration=0.1)
-        with pytest.raises(taut.TautError, match="F_ext"):
+        with refused(taut.TautError):
             ctrl.step(UR10.home, np.zeros(6), HOLD)
 
 
 class TestRefused:
     @pytest.mark.parametrize(
-        ("gains", "words"),
+        "gains",
         [
-            ({"D": None}, r"^Admittance needs D \[kg, kg m\^2\]$"),
-            ({"D": (0.0, 1.0)}, r"^D must be > 0 \[kg, kg m\^2\] in every direction"),
-            ({"D": 2.0}, r"^D must be \(linear, angular\), \(6,\) or \(6, 6\)"),
-            ({"B": (1.0, 1.0), "zeta": 0.7}, r"^zeta designs B from K and the inertia; give exactly one of B and zeta"),
-            ({"B": None}, r"^zeta designs B from K and the inertia; give exactly one of B and zeta"),
-            ({"B": None, "zeta": 0.7}, r"^zeta needs a K with stiffness in every direction"),
-            ({"inner": taut.laws.PID(kp=1.0)}, r"^inner must be a law that follows a TaskMotion, such as .*; PID "
-             r"follows a JointMotion$"),
-            ({"inner": 3.0}, r"^inner must be a Law; got 3.0$"),
-            ({"tool": "tool0"}, r"^tool must be that of the inner law, which moves the tool of the arm"),
-            ({"model": "mine"}, r"^model must be one of 'own', 'measured'; got 'mine'$"),
-            ({"frame": "base"}, r"^frame must be one of 'world', 'task', 'tool'; got 'base'$"),
-            ({"error_max": 0.1}, r"^error_max must be \(linear, angular\)"),
-            ({"error_max": (0.0, 0.1)}, r"^error_max\[0\] must be > 0 \[m, rad\]; got 0"),
+            {"D": None},
+            {"D": (0.0, 1.0)},
+            {"D": 2.0},
+            {"B": (1.0, 1.0), "zeta": 0.7},
+            {"B": None},
+            {"B": None, "zeta": 0.7},
+            {"inner": taut.laws.PID(kp=1.0)},
+            {"inner": 3.0},
+            {"tool": "tool0"},
+            {"model": "mine"},
+            {"frame": "base"},
+            {"error_max": 0.1},
+            {"error_max": (0.0, 0.1)},
         ],
     )  # fmt: skip
-    def test_what_has_no_meaning(self, gains: dict[str, Any], words: str) -> None:
+    def test_what_has_no_meaning(self, gains: dict[str, Any]) -> None:
         given = {"D": (D, 1.0), "B": (B, 2.0), "inner": INNER["velocity"]} | gains
-        with pytest.raises(taut.TautError, match=words):
+        with refused(taut.TautError):
             taut.laws.Admittance(**{name: value for name, value in given.items() if value is not None})
 
     def test_an_inertia_that_turns_round_within_a_tick(self) -> None:
-        words = r"^\(B dt / 2 \+ K dt\^2 / 4\) / D at 500 Hz must be <= 1 .*; got 2$"
-        with pytest.raises(taut.errors.RangeError, match=words):
+        with refused(taut.errors.RangeError):
             taut.compile(law("velocity", D=(0.01, 1.0)), UR10, rate=RATE)
         taut.compile(law("velocity", D=(0.0201, 1.0)), UR10, rate=RATE)
         ctrl = taut.compile(law("velocity"), UR10, rate=RATE)
-        with pytest.raises(taut.errors.RangeError, match=words):
+        with refused(taut.errors.RangeError):
             ctrl.parameters["law.D"] = (0.01, 1.0)
 
     def test_the_chapters_form_where_its_sampled_loop_grows(self) -> None:
-        words = r"growth in a tick of model='measured' at 1000 Hz must be <= 1"
-        with pytest.raises(taut.errors.RangeError, match=words):
+        with refused(taut.errors.RangeError):
             taut.compile(law("torque", model="measured", K=(2000.0, 200.0), B=(0.5, 0.05)), UR10)
 
     def test_the_chapters_form_for_a_velocity_drive(self) -> None:
-        with pytest.raises(
-            taut.errors.UsageError, match=r"^model='measured' is for an inner law that gives torques, and Tas"
-        ):
+        with refused(taut.errors.UsageError):
             taut.compile(law("velocity", model="measured"), UR10, rate=RATE)
 
     def test_feedback_that_is_faster_than_the_rate(self) -> None:
-        with pytest.raises(
-            taut.errors.RangeError, match=r"^kp must be <= 500 \[1/s\], the rate, with which the error"
-        ):
+        with refused(taut.errors.RangeError):
             taut.compile(taut.laws.TaskPosition(kp=600.0), UR10, rate=RATE)

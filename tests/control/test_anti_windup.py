@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 from taut.control.gains import GainValue, solved
@@ -150,16 +151,13 @@ class TestTheTrackingRate:
 
     def test_cannot_be_faster_than_the_rate(self) -> None:
         law = L.PID(kp=1.0, integral=taut.laws.Integral(anti_windup="back-calculation", tracking=300.0))
-        text = "tracking must be <= 200 [1/s], or the integral oscillates; got 300"
-        with pytest.raises(taut.errors.RangeError) as caught:
+        with refused(taut.errors.RangeError):
             taut.compile(law, ARM, rate=200.0)
-        assert str(caught.value) == text
         ctrl = taut.compile(law, ARM, rate=1000.0)
-        with pytest.raises(taut.errors.RangeError, match="<= 1000"):
+        with refused(taut.errors.RangeError):
             ctrl.parameters["law.integral.tracking"] = 2000.0
         assert ctrl.parameters["law.integral.tracking"] == 300.0
 
     def test_and_schemes_that_are_unknown_are_told(self) -> None:
-        with pytest.raises(taut.errors.UsageError) as caught:
+        with refused(taut.errors.UsageError):
             L.VelocityPI(kp=1.0, integral=taut.laws.Integral(anti_windup="back"))  # type: ignore[arg-type]
-        assert str(caught.value) == ("anti_windup must be one of 'clamping', 'back-calculation', 'none'; got 'back'")

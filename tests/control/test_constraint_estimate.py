@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 from taut.base.errors import RangeError, UsageError
@@ -209,38 +209,21 @@ def test_loss_of_contact_wraps_an_estimate_and_brakes_against_the_estimated_surf
     assert {"law.lost", "law.normal", "law.lam"} <= set(ctrl.side.recorded)
 
 
-OTHER = (
-    "NormalEstimate is of a surface's normal at the frame that moves, 'panda_hand_tcp': put the surface first, "
-    "of that frame, or leave the estimate out"
-)
 REFUSED = [
-    (
-        lambda: taut.laws.NormalEstimate(law=taut.laws.Posture()),  # type: ignore[arg-type]
-        UsageError,
-        "law must be a HybridMotionForce; got Posture",
-    ),
-    (
-        lambda: around(taut.Constraint.of_joints(lambda q: q[0])),
-        UsageError,
-        "law must have a surface that one frame touches, and a motion of that frame",
-    ),
+    (lambda: taut.laws.NormalEstimate(law=taut.laws.Posture()), UsageError),
+    (lambda: around(taut.Constraint.of_joints(lambda q: q[0])), UsageError),
     (
         lambda: taut.compile(
             around(taut.Constraint(lambda T: T.p[2], frames=("panda_link8",))), taut.load_arm("panda")
         ),
         UsageError,
-        OTHER,
     ),
-    (
-        lambda: taut.compile(around(taut.Constraint(lambda T: T.R[0, 2])), taut.load_arm("panda")),
-        UsageError,
-        OTHER,
-    ),
-    (lambda: taut.laws.NormalEstimate(law=board_law(), most=1.5), RangeError, "most must be <= 1.2 [rad]; got 1.5"),
+    (lambda: taut.compile(around(taut.Constraint(lambda T: T.R[0, 2])), taut.load_arm("panda")), UsageError),
+    (lambda: taut.laws.NormalEstimate(law=board_law(), most=1.5), RangeError),
 ]
 
 
-@pytest.mark.parametrize(("make", "error", "text"), REFUSED)
-def test_what_cannot_be_estimated_is_refused(make: Callable[[], object], error: type[Exception], text: str) -> None:
-    with pytest.raises(error, match=f"^{re.escape(text)}$"):
+@pytest.mark.parametrize(("make", "error"), REFUSED)
+def test_what_cannot_be_estimated_is_refused(make: Callable[[], object], error: type[Exception]) -> None:
+    with refused(error):
         make()

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 from taut.control.laws.force import wrench_of_torques
@@ -264,33 +265,32 @@ def asked(F: Any = F_DES, **more: Any) -> Any:
 
 
 MESSAGES: Any = [
-    (lambda: asked(10.0), "ref.F_app must have shape (6,) [N, N m]; got shape ()"),
-    (lambda: asked([10.0, 1.0]), "ref.F_app must have shape (6,) [N, N m]; got shape (2,)"),
-    (lambda: asked([0, 0, np.nan, 0, 0, 0]), "ref.F_app[2] must be finite [N, N m]; got nan"),
-    (lambda: asked(F_ext=F_DES), "a wrench is F_app=, of the arm on the environment, or F_ext=, of the environment on the arm; got both; give one of them"),
-    (lambda: taut.TaskForce(), "a wrench is F_app=, of the arm on the environment, or F_ext=, of the environment on the arm; got neither; give one of them"),
-    (lambda: asked(frame="body"), "frame must be one of 'world', 'tool'; got 'body'"),
-    (lambda: L.ForceControl(kdamp=(50.0, 1.0)).speed_bound(F_app=F_DES, x=taut.snapshot(PANDA, Q), rate=0.0), "rate must be > 0 [Hz]; got 0"),
-    (lambda: L.ForceControl(kdamp=50.0), "kdamp must be (linear, angular), (6,) or (6, 6) [N s/m, N m s/rad]; got 50 alone"),
-    (lambda: L.ForceControl(e_int_max=20.0), "e_int_max must be (linear, angular) [N s, N m s]; got 20 alone"),
-    (lambda: L.LossOfContact(law=L.ForceControl(), contact=1.0), "contact must be (linear, angular) [N, N m]; got 1 alone"),
-    (lambda: L.ForceControl(e_int_max=[1.0] * 6), "e_int_max must be (linear, angular) [N s, N m s]; got shape (6,)"),
-    (lambda: L.ForceControl(kfp=-0.5), "kfp must be >= 0 [1]; got -0.5"),
-    (lambda: L.ForceControl(feedback="motor"), "feedback must be one of 'wrench', 'joint_torque', 'none'; got 'motor'"),
-    (lambda: L.ForceControl(feedback="none", kfp=0.5), "kfp is for a force that is fed back, and feedback is 'none'; leave it out"),
-    (lambda: L.ForceControl(null=L.PID(kp=1.0)), "null must be a law that follows no reference, such as taut.laws.Posture(); PID follows a JointMotion"),
-    (lambda: taut.compile(L.ForceControl(kfi=3000.0), PANDA), "kfi / (1 + kfp) must be <= 2000 [1/s], twice the rate, or the force oscillates on any contact; a pole of 1 to 20 1/s is usual; got 3000"),
-    (lambda: taut.compile(L.ForceControl(tool="panda_link3"), PANDA), "the wrist sensor of 'panda' is at its tool 'panda_hand_tcp', and 'panda_link3' is on another link, of which it knows nothing; control a frame of the tool's link, or load the arm with that tool"),
-    (lambda: stepped(L.ForceControl(kfp=0.1), F_ext=F_EXT, F_app=F_EXT), "step takes F_ext or F_app, not both: one is minus the other"),
-    (lambda: stepped(L.ForceControl(kfp=0.1)), "step needs F_ext, which the law asks for: pass F_ext= or F_app=; got none"),
-    (lambda: stepped(L.ForceControl(kfp=0.1), F_ext=np.full(6, np.nan)), "F_ext[0] must be finite; got nan in tick 0"),
-    (lambda: stepped(L.ForceControl(kfp=0.1), ref=taut.JointMotion(q=PANDA.home), F_ext=F_EXT), "step needs ref, a taut.TaskForce; got JointMotion"),
-    (lambda: taut.run(taut.compile(L.ForceControl(kfp=0.1), PANDA), taut.RigidPlant(PANDA), duration=0.1), "F_ext"),
+    lambda: asked(10.0),
+    lambda: asked([10.0, 1.0]),
+    lambda: asked([0, 0, np.nan, 0, 0, 0]),
+    lambda: asked(F_ext=F_DES),
+    lambda: taut.TaskForce(),
+    lambda: asked(frame="body"),
+    lambda: L.ForceControl(kdamp=(50.0, 1.0)).speed_bound(F_app=F_DES, x=taut.snapshot(PANDA, Q), rate=0.0),
+    lambda: L.ForceControl(kdamp=50.0),
+    lambda: L.ForceControl(e_int_max=20.0),
+    lambda: L.LossOfContact(law=L.ForceControl(), contact=1.0),
+    lambda: L.ForceControl(e_int_max=[1.0] * 6),
+    lambda: L.ForceControl(kfp=-0.5),
+    lambda: L.ForceControl(feedback="motor"),
+    lambda: L.ForceControl(feedback="none", kfp=0.5),
+    lambda: L.ForceControl(null=L.PID(kp=1.0)),
+    lambda: taut.compile(L.ForceControl(kfi=3000.0), PANDA),
+    lambda: taut.compile(L.ForceControl(tool="panda_link3"), PANDA),
+    lambda: stepped(L.ForceControl(kfp=0.1), F_ext=F_EXT, F_app=F_EXT),
+    lambda: stepped(L.ForceControl(kfp=0.1)),
+    lambda: stepped(L.ForceControl(kfp=0.1), F_ext=np.full(6, np.nan)),
+    lambda: stepped(L.ForceControl(kfp=0.1), ref=taut.JointMotion(q=PANDA.home), F_ext=F_EXT),
+    lambda: taut.run(taut.compile(L.ForceControl(kfp=0.1), PANDA), taut.RigidPlant(PANDA), duration=0.1),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("make", "text"), MESSAGES, ids=lambda x: x[:50] if isinstance(x, str) else "")
-def test_bad_input_is_one_sentence(make: Any, text: str) -> None:
-    with pytest.raises(taut.TautError) as told:
+@pytest.mark.parametrize("make", MESSAGES)
+def test_bad_input_is_one_sentence(make: Any) -> None:
+    with refused(taut.TautError):
         make()
-    assert text in str(told.value)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refused
 
 import taut
 from taut import Friction
@@ -159,14 +160,14 @@ class TestTheLoopThatItLeaves:
 class TestWhatIsRefused:
     @pytest.mark.parametrize("share", [1.2, [0.5, 1.5]])
     def test_more_than_all_of_it(self, share: float) -> None:
-        with pytest.raises(RangeError, match=r"share(\[1\])? must be <= 1 \[1\]; got 1\.[25]"):
+        with refused(RangeError):
             FrictionCompensation(share=share)
 
     def test_more_than_all_of_it_while_it_runs(self) -> None:
         ctrl = taut.compile(FrictionCompensation(), LINK)
-        with pytest.raises(RangeError, match=r"share must be <= 1"):
+        with refused(RangeError):
             ctrl.parameters["law.share"] = 1.1
 
     def test_a_point_that_is_none(self) -> None:
-        with pytest.raises(UsageError, match="at must be one of 'ref', 'meas'; got 'both'"):
+        with refused(UsageError):
             FrictionCompensation(at="both")

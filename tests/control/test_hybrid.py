@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 from taut import Constraint, Pose
@@ -320,163 +321,105 @@ def squared(T: Pose) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("make", "error", "sentence"),
+    ("make", "error"),
     [
-        (
-            lambda: HybridMotionForce(constraint=3, motion=motion()),
-            taut.errors.UsageError,
-            "constraint must be a Constraint; got 3",
-        ),
-        (
-            lambda: HybridMotionForce(constraint=FLOOR, motion=3),
-            taut.errors.UsageError,
-            "motion must be a Law; got 3",
-        ),
-        (lambda: HybridMotionForce(constraint=FLOOR), taut.errors.UsageError, "HybridMotionForce needs motion"),
-        (
-            lambda: HybridMotionForce(constraint=FLOOR, motion=motion(), feedback="eye"),
-            taut.errors.UsageError,
-            "feedback must be",
-        ),
+        (lambda: HybridMotionForce(constraint=3, motion=motion()), taut.errors.UsageError),
+        (lambda: HybridMotionForce(constraint=FLOOR, motion=3), taut.errors.UsageError),
+        (lambda: HybridMotionForce(constraint=FLOOR), taut.errors.UsageError),
+        (lambda: HybridMotionForce(constraint=FLOOR, motion=motion(), feedback="eye"), taut.errors.UsageError),
         (
             lambda: HybridMotionForce(
                 constraint=Constraint.of_joints(lambda q: q[0]), motion=ComputedTorque(kp=1.0, kd=1.0), kfp=0.5
             ),
             taut.errors.UsageError,
-            "feedback 'wrench' is for a constraint of one frame of the tool's link; for one of joints or of several frames take 'joint_torque', or leave kfp and kfi out",
         ),
         (
             lambda: taut.compile(HybridMotionForce(constraint=FLOOR, motion=TaskVelocity(kp=1.0)), ARM),
             taut.errors.UsageError,
-            "motion holds a law that gives torques, and TaskVelocity gives a velocity",
         ),
         (
             lambda: taut.compile(HybridMotionForce(constraint=FLOOR + FLOOR, motion=motion()), ARM),
             taut.errors.RangeError,
-            "the 2 rows of the constraint must be independent, and at the pose of 'panda' there they are not",
         ),
-        (
-            lambda: stepped(squared, taut.pressing(taut.TaskMotion(pose=floor_pose()))),
-            taut.errors.RangeError,
-            "row 0 of the constraint must have a gradient, and it is zero",
-        ),
+        (lambda: stepped(squared, taut.pressing(taut.TaskMotion(pose=floor_pose()))), taut.errors.RangeError),
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose())), np.array(ARM.home)),
             taut.errors.RangeError,
-            r"must start on its constraint, and it is 0\.\d+ off it in row 0, .*; start from taut\.dynamics\.onto",
         ),
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose()), F_app=[0, 3.0, -9.0, 0, 0, 0])),
             taut.errors.RangeError,
-            r"admits \[0.0, 0.0, -9.0, 0.0, 0.0, 0.0\] of \[0.0, 3.0, -9.0, 0.0, 0.0, 0.0\]",
         ),
-        (  # a millionth of it is nothing to speak of
+        (
             lambda: stepped(
                 Constraint.plane(point=[0.0, 0.0, 0.4], normal=[1e-6, 0.0, 1.0]),
                 taut.pressing(taut.TaskMotion(pose=floor_pose()), F_app=[0, 3.0, -9.0, 0, 0, 0]),
             ),
             taut.errors.RangeError,
-            r"admits \[-?0.0, 0.0, -9.0, 0.0, 0.0, 0.0\] of",
         ),
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose()), F_app=[0, 0, 9.0, 0, 0, 0])),
             taut.errors.RangeError,
-            "F_app must press on a contact, .* and pulls at row 0",
         ),
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose()), lam=[4.0])),
             taut.errors.RangeError,
-            r"lam must press on a contact, lam <= 0 \[N\], and pulls at row 0 with lam = 4",
         ),
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=floor_pose()), lam=[-4.0, 1.0])),
             taut.errors.UsageError,
-            "lam must have one entry for each row of the constraint, 1; got 2",
         ),
         (
             lambda: stepped(HINGE, taut.pressing(taut.TaskMotion(pose=floor_pose()), lam=[0.0, 1.0, 2.0])),
             taut.errors.UsageError,
-            "lam must have one entry for each row of the constraint, 5; got 3",
         ),
         (
             lambda: stepped(HINGE, taut.pressing(taut.TaskMotion(pose=floor_pose()), lam=[0.0, 0.0])),
             taut.errors.UsageError,
-            "lam must have one entry for each row of the constraint, 5; got 2",
         ),
-        (
-            lambda: stepped(HINGE, FLOOR_PRESS),
-            taut.errors.UsageError,
-            "press is a force into a surface, and the first row of the constraint is none; put the surface",
-        ),
+        (lambda: stepped(HINGE, FLOOR_PRESS), taut.errors.UsageError),
         (
             lambda: checked(HINGE, taut.pressing(taut.TaskMotion(pose=floor_pose()), lambda t: 5.0 * t)),
             taut.errors.UsageError,
-            "press is a force into a surface, and the first row of the constraint is none",
         ),
-        (
-            lambda: checked(HINGE, taut.chunk([0.0, 1.0], [FLOOR_REF, FLOOR_PRESS])),  # type: ignore[list-item]
-            taut.errors.UsageError,
-            "press is a force into a surface, and the first row of the constraint is none",
-        ),
+        (lambda: checked(HINGE, taut.chunk([0.0, 1.0], [FLOOR_REF, FLOOR_PRESS])), taut.errors.UsageError),
         (
             lambda: stepped(FLOOR, taut.pressing(taut.TaskMotion(pose=Pose(floor_pose().p - [0, 0, 0.05])), 5.0)),
             taut.errors.RangeError,
-            "the motion must keep to the constraint, and at t = 0 s it is 0.05 into it",
         ),
-        (
-            lambda: stepped(FLOOR, taut.TaskMotion(pose=floor_pose())),
-            taut.errors.UsageError,
-            r"taut\.pressing",
-        ),
+        (lambda: stepped(FLOOR, taut.TaskMotion(pose=floor_pose())), taut.errors.UsageError),
         (
             lambda: HybridMotionForce(constraint=FLOOR, motion=motion(), tolerance=float("nan")),
             taut.errors.RangeError,
-            r"tolerance must be finite \[m, rad\]; got nan",
         ),
-        (
-            lambda: HybridMotionForce(constraint=FLOOR, motion=motion(), curvature="no"),
-            taut.errors.UsageError,
-            "curvature must be True or False; got 'no'",
-        ),
+        (lambda: HybridMotionForce(constraint=FLOOR, motion=motion(), curvature="no"), taut.errors.UsageError),
         (
             lambda: HybridMotionForce(
                 constraint=Constraint.of_joints(lambda q: q, rows=7) + Constraint.of_joints(lambda q: q, rows=7),
                 motion=motion(),
             ),
             taut.errors.UsageError,
-            "constraint must have up to 12 rows; it has 14",
         ),
         (
             lambda: taut.compile(HybridMotionForce(constraint=FLOOR, motion=motion(), kfp=0.5, kfi=3300.0), ARM),
             taut.errors.RangeError,
-            r"kfi / \(1 \+ kfp\) must be <= 2000 \[1/s\], twice the rate",
         ),
         (
             lambda: stepped(lambda T: tm.array([T.p[2] - 0.4, T.p[2] - 0.4 + 1e-5 * T.p[0]]), FLOOR_REF),
             taut.errors.RangeError,
-            "the 2 rows of the constraint must be independent",
         ),
         (
             lambda: stepped(Constraint.knife_edge(sideways=[0.0, 1.0, 0.0]) + FLOOR, FLOOR_PRESS),
             taut.errors.UsageError,
-            "press is a force into a surface, and the first row of the constraint is none; put the surface",
         ),
-        (lambda: taut.pressing(3.0), taut.errors.UsageError, "motion must be a Sample or a Trajectory"),  # type: ignore[arg-type]
-        (lambda: taut.pressing(taut.JointMotion(q=[0.0]), -3.0), taut.errors.RangeError, "press must be >= 0"),
-        (
-            lambda: taut.pressing(taut.JointMotion(q=[0.0]), 3.0, lam=[1.0]),
-            taut.errors.UsageError,
-            "press is in place of lam and F_app",
-        ),
-        (
-            lambda: taut.pressing(taut.JointMotion(q=[0.0]), lam=np.ones((2, 2))),
-            taut.errors.ShapeError,
-            "lam must be",
-        ),
+        (lambda: taut.pressing(3.0), taut.errors.UsageError),  # type: ignore[arg-type]
+        (lambda: taut.pressing(taut.JointMotion(q=[0.0]), -3.0), taut.errors.RangeError),
+        (lambda: taut.pressing(taut.JointMotion(q=[0.0]), 3.0, lam=[1.0]), taut.errors.UsageError),
+        (lambda: taut.pressing(taut.JointMotion(q=[0.0]), lam=np.ones((2, 2))), taut.errors.ShapeError),
     ],
 )
-def test_what_makes_no_sense_is_one_sentence(make: Callable[[], Any], error: type[Exception], sentence: str) -> None:
-    with pytest.raises(error, match=sentence):
+def test_what_makes_no_sense_is_one_sentence(make: Callable[[], Any], error: type[Exception]) -> None:
+    with refused(error):
         make()
 
 
@@ -485,7 +428,7 @@ def test_a_run_into_the_surface_is_refused_before_it_starts() -> None:
     ctrl, q = taut.compile(law, ARM), taut.dynamics.onto(FLOOR, ARM, ARM.home)
     T = floor_pose()
     dive = taut.pressing(taut.trajectories.Line(T0=T, T1=Pose(T.p - [0.0, 0.0, 0.1], R=T.R), duration=1.0), 5.0)
-    with pytest.raises(taut.errors.RangeError, match=r"at t = 0\.25\d* s it is 0\.01\d* into it"):
+    with refused(taut.errors.RangeError):
         taut.run(ctrl, taut.RigidPlant(ARM), dive, duration=1.0, q0=q)
 
 
@@ -497,9 +440,9 @@ def test_a_motion_is_looked_at_whichever_way_its_frame_is_named_and_of_a_chunk_e
     down = taut.pressing(taut.TaskMotion(pose=Pose.of(T.R, T.p - [0.0, 0.0, 0.05])), 5.0)
     tilt = taut.pressing(taut.TaskMotion(pose=Pose.of(Pose(rpy=[0.5, 0.0, 0.0]).R @ T.R, T.p)), 5.0)
     chunk = taut.chunk([0.1, 0.5], [taut.pressing(taut.TaskMotion(pose=T), 5.0), down])
-    for constraint, ref, when in ((FLOOR, down, "t = 0 s"), (FLOOR, chunk, "t = 0.5 s"), (flange, tilt, "t = 0 s")):
+    for constraint, ref in ((FLOOR, down), (FLOOR, chunk), (flange, tilt)):
         law = HybridMotionForce(constraint=constraint, motion=motion(tool="panda_hand_tcp"))
-        with pytest.raises(taut.errors.RangeError, match=f"must keep to the constraint, and at {when} it is 0.0"):
+        with refused(taut.errors.RangeError):
             law.check_reference(x, ref, 1000.0)
 
 
@@ -519,9 +462,7 @@ def test_a_wrench_must_lie_in_the_range_of_a_all_the_way() -> None:
 
     law = HybridMotionForce(constraint=BALL, motion=motion())
     law.check_reference(x, taut.pressing(Arc(), 10.0), 1000.0)
-    with pytest.raises(
-        taut.errors.RangeError, match=r"F_app must lie in the range of A\^T, .* at t = 0\.\d+ s it admits"
-    ):
+    with refused(taut.errors.RangeError):
         law.check_reference(x, taut.pressing(Arc(), F_app=[*(-10.0 * n), 0.0, 0.0, 0.0]), 1000.0)
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 from taut import Constraint, Pose
@@ -219,10 +220,7 @@ def test_a_streamed_force_that_the_constraint_does_not_bear_is_told_and_left_out
 
 def test_gains_that_swing_up_on_a_rigid_contact_are_refused_there_and_told_elsewhere() -> None:
     high = taut.compile(law(kfp=1.5), ARM)
-    with pytest.raises(
-        taut.errors.RangeError,
-        match=r"under 1 on a rigid contact, .* or the force loop is unstable; law has 1\.505; lower",
-    ):
+    with refused(taut.errors.RangeError):
         run(high, taut.pressing(STAY, 5.0), contact=BOARD)
     filtered = taut.compile(law(kfp=1.5), ARM, sensing=taut.Sensing(F_ext=taut.sensors.LowPass(cutoff=50.0)))
     assert run(filtered, taut.pressing(STAY, 5.0), contact=BOARD, duration=0.05).outcome.ok

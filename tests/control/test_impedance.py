@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.linalg import eigh
 
 import taut
@@ -199,20 +200,19 @@ def test_a_reference_that_moves_before_a_blocked_arm_fills_no_tank(twist: float)
 
 
 def test_a_wrench_of_another_link_is_refused() -> None:
-    sentence = "the wrist sensor of 'panda' is at its tool 'panda_hand_tcp', and 'panda_link6' is on another link, of"
     inner = taut.laws.TaskVelocity(kp=5.0, tool="panda_link6")
     for law in (
         Impedance(**gains(D=(2.0, 0.2), tool="panda_link6")),
         taut.laws.Admittance(D=(5.0, 0.5), B=(40.0, 4.0), tool="panda_link6", inner=inner),
     ):
-        with pytest.raises(taut.errors.MatchError, match=sentence):
+        with refused(taut.errors.MatchError):
             taut.compile(law, taut.load_arm("panda")).needs  # noqa: B018
     taut.compile(Impedance(**gains(D=(2.0, 0.2), tool="panda_hand")), taut.load_arm("panda"))
 
 
 def test_an_inertia_cannot_become_zero_in_a_run() -> None:
     ctrl = taut.compile(Impedance(**gains(D=(5.0, 0.5))), taut.load_arm("panda"))
-    with pytest.raises(taut.errors.RangeError, match=r"D must be > 0 \[kg, kg m\^2\] in every direction"):
+    with refused(taut.errors.RangeError):
         ctrl.parameters["law.D"] = (0.0, 0.5)
 
 
@@ -236,80 +236,43 @@ def gains(**given: Any) -> dict[str, Any]:
     return {"K": (800.0, 30.0), "zeta": 0.7} | given
 
 
-REFUSED: dict[str, tuple[dict[str, Any], str]] = {
-    "one number for both units": (
-        gains(K=800.0),
-        "K must be (linear, angular), (6,) or (6, 6) [N/m, N m/rad]; got 800 alone",
-    ),
-    "one number of damping": (
-        {"K": (1.0, 1.0), "B": 5.0},
-        "B must be (linear, angular), (6,) or (6, 6) [N s/m, N m s/rad]; got 5 alone",
-    ),
-    "both": (
-        gains(B=(1.0, 1.0)),
-        "zeta designs B from K and the inertia; give exactly one of B and zeta",
-    ),
-    "neither": (
-        {"K": (1.0, 1.0)},
-        "zeta designs B from K and the inertia; give exactly one of B and zeta",
-    ),
-    "negative": (
-        gains(K=(-1.0, 30.0)),
-        "K[0] must be >= 0 [N/m, N m/rad]; got -1.0",
-    ),
-    "zeta of each": (
-        gains(zeta=[0.7, 0.7]),
-        "zeta must be a number [1]; got shape (2,)",
-    ),
-    "no inertia": (
-        gains(D=(0.0, 1.0)),
-        "D must be > 0 [kg, kg m^2] in every direction: wrenches are divided by it",
-    ),
-    "a frame that is none": (
-        gains(frame="hand"),
-        "frame must be one of 'world', 'task', 'tool'; got 'hand'",
-    ),
-    "axes of another error": (
-        gains(frame="tool", error="body"),
-        "frame is for error 'decoupled'; 'body' has axes of its own; leave frame out",
-    ),
-    "feedback without an inertia": (
-        gains(feedback="acceleration"),
-        "feedback 'acceleration' is for an apparent inertia D; give D, or leave feedback out",
-    ),
-    "a damping ratio without a swing": (
-        gains(K=(800.0, 0.0)),
-        "zeta needs a K with stiffness in every direction; give B instead",
-    ),
-    "a null law that follows something": (
-        gains(null=taut.laws.PID(kp=1.0)),
-        "null must be a law that follows no reference, such as taut.laws.Posture(); PID follows a JointMotion",
-    ),
+REFUSED: dict[str, dict[str, Any]] = {
+    "one number for both units": gains(K=800.0),
+    "one number of damping": {"K": (1.0, 1.0), "B": 5.0},
+    "both": gains(B=(1.0, 1.0)),
+    "neither": {"K": (1.0, 1.0)},
+    "negative": gains(K=(-1.0, 30.0)),
+    "zeta of each": gains(zeta=[0.7, 0.7]),
+    "no inertia": gains(D=(0.0, 1.0)),
+    "a frame that is none": gains(frame="hand"),
+    "axes of another error": gains(frame="tool", error="body"),
+    "feedback without an inertia": gains(feedback="acceleration"),
+    "a damping ratio without a swing": gains(K=(800.0, 0.0)),
+    "a null law that follows something": gains(null=taut.laws.PID(kp=1.0)),
 }
 
 
 @pytest.mark.parametrize("case", REFUSED, ids=lambda case: case)
 def test_gains_without_a_meaning_get_one_sentence(case: str) -> None:
-    given, sentence = REFUSED[case]
-    with pytest.raises(taut.TautError) as caught:
+    given = REFUSED[case]
+    with refused(taut.TautError):
         Impedance(**given)
-    assert str(caught.value) == sentence
 
 
 @pytest.mark.parametrize(
-    ("matrix", "words"),
+    "matrix",
     [
-        (np.diag([1.0, 1.0, 1.0, 1.0, 1.0, -1.0]), "positive semidefinite"),
-        (np.eye(6) + np.eye(6, k=1), "symmetric"),
+        np.diag([1.0, 1.0, 1.0, 1.0, 1.0, -1.0]),
+        np.eye(6) + np.eye(6, k=1),
     ],
 )
-def test_a_matrix_must_be_symmetric_and_positive(matrix: Any, words: str) -> None:
-    with pytest.raises(taut.errors.RangeError, match=words):
+def test_a_matrix_must_be_symmetric_and_positive(matrix: Any) -> None:
+    with refused(taut.errors.RangeError):
         Impedance(K=matrix, zeta=1.0)
 
 
 def test_a_frame_that_the_arm_has_not_is_told_with_the_nearest() -> None:
-    with pytest.raises(taut.errors.UnknownNameError, match="did you mean 'panda_hand_tcp'"):
+    with refused(taut.errors.UnknownNameError):
         taut.compile(Impedance(**gains(tool="panda_hand_tpc")), taut.load_arm("panda")).needs  # noqa: B018
 
 
@@ -317,55 +280,50 @@ def test_a_wrench_that_nobody_measures_is_told() -> None:
     arm = taut.load_arm("panda")
     ctrl = taut.compile(Impedance(**gains(D=(2.0, 0.2))), arm)
     ref = TaskMotion(pose=taut.snapshot(arm, arm.home).T())
-    with pytest.raises(taut.errors.UsageError, match="step needs F_ext, which the law asks for"):
+    with refused(taut.errors.UsageError):
         ctrl.step(arm.home, np.zeros(7), ref)
-    with pytest.raises(taut.errors.MatchError, match="Impedance needs F_ext, which plant"):
+    with refused(taut.errors.MatchError):
         taut.run(ctrl, taut.RigidPlant(arm), ref, duration=0.1)
 
 
 def test_a_new_stiffness_is_checked_like_the_first() -> None:
     arm = taut.load_arm("panda")
     ctrl = taut.compile(Impedance(**gains()), arm)
-    with pytest.raises(taut.errors.ShapeError, match=r"law.K must be \(linear, angular\)"):
+    with refused(taut.errors.ShapeError):
         ctrl.parameters["law.K"] = 500.0
     ctrl.parameters["law.K"] = (500.0, 10.0)
     assert ctrl.parameters["law.K"].tolist() == [500.0] * 3 + [10.0] * 3
-    with pytest.raises(taut.errors.RangeError, match=r"law.error_max|no parameter"):
+    with refused(taut.errors.RangeError):
         taut.compile(Impedance(**gains(error_max=(0.1, 0.1))), arm).parameters["law.error_max"] = (0.0, 0.1)
 
 
 def test_three_numbers_are_refused_with_what_is_taken() -> None:
-    with pytest.raises(taut.errors.ShapeError) as caught:
+    with refused(taut.errors.ShapeError):
         taut.compile(Impedance(**gains(K=[1.0, 1.0, 1.0])), taut.load_arm("panda"))
-    assert str(caught.value) == "K must be (linear, angular), (6,) or (6, 6) [N/m, N m/rad]; got shape (3,)"
 
 
 def test_a_function_that_gives_no_gain_is_told_where_a_run_starts() -> None:
     arm = taut.load_arm("panda")
     spring = Impedance(K=(1.0, 1.0), B=(8.0, 1.0))
     law = taut.laws.EnergyTank(law=spring, stiffness=lambda T: [-100.0 + 0.0 * T.p[0], 10.0], capacity=0.1)
-    with pytest.raises(taut.errors.RangeError, match=r"K\[0\] must be >= 0"):
+    with refused(taut.errors.RangeError):
         taut.compile(law, arm).needs  # noqa: B018
 
 
 def test_a_frame_that_lacks_two_directions_is_told() -> None:
-    with pytest.raises(
-        taut.errors.MatchError, match="frame 'panda_link4' of 'panda' is moved by 4 joints, and is asked for 6"
-    ):
+    with refused(taut.errors.MatchError):
         taut.compile(Impedance(**gains(tool="panda_link4")), taut.load_arm("panda")).needs  # noqa: B018
 
 
 def test_a_posture_in_degrees_is_told() -> None:
     arm = taut.load_arm("panda")
     law = Impedance(**gains(null=taut.laws.Posture(q=[0.0, -45.0, 0.0, -135.0, 0.0, 90.0, 45.0])))
-    with pytest.raises(taut.errors.RangeError, match="degrees"):
+    with refused(taut.errors.RangeError):
         taut.compile(law, arm).needs  # noqa: B018
 
 
 def test_a_pose_in_degrees_is_told() -> None:
-    with pytest.raises(
-        taut.errors.RangeError, match=r"rpy\[0\] must be an angle in rad; got 180, which looks like degrees"
-    ):
+    with refused(taut.errors.RangeError):
         taut.Pose([0.0, 0.0, 0.0], rpy=[180.0, 0.0, 90.0])
 
 

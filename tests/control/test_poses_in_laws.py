@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 
@@ -39,5 +40,5 @@ def test_the_matrix_of_a_pose_is_traced_as_a_law_reads_it() -> None:
 
 @pytest.mark.parametrize("engine", ["native", "float"])
 def test_a_law_cannot_change_the_pose_that_others_read(engine: str) -> None:
-    with pytest.raises(taut.errors.UsageError, match="what a law is given is changed in place"):
+    with refused(taut.errors.UsageError):
         taut.compile(Writing(), ARM, engine=engine)  # type: ignore[arg-type]

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 from taut.control.combine import law_classes
@@ -43,6 +44,8 @@ LAWS: dict[str, tuple[taut.Law, dict[str, Any]]] = {
     "LossOfContact": (laws.LossOfContact(law=HYBRID), {"patience": 0.1}),
     "EnergyTank": (laws.EnergyTank(law=laws.Impedance(K=(8.0, 1.0), B=(1.0, 0.1)), capacity=1.0), {"settle": 0.3}),
     "ForceControl": (laws.ForceControl(kfp=0.5, kfi=3.0), {"kfi": 4.0}),
+    "StateFeedback": (laws.StateFeedback(K_q=[[1.0]], K_v=[[2.0]], tau_0=0.0), {"tau_0": 1.0}),
+    "ViaMit": (laws.ViaMit(law=laws.PID(kp=1.0, kd=2.0)), {"kp_motor": 0.5}),
     "VirtualWall": (laws.VirtualWall(point=[0, 0, 0.1], normal=[0, 0, 1], K=1000.0), {"K": 500.0}),
     "VirtualGroove": (
         laws.VirtualGroove(point=[0, 0, 0.1], direction=[0, 0, 1], K=1000.0),
@@ -90,5 +93,5 @@ def test_a_part_is_replaced_as_a_whole() -> None:
     clamped = dataclasses.replace(held, integral=laws.Integral())
     assert "integral.tracking" not in clamped.parameters()
     for wrong in ({"anti_windup": "back-calculation"}, {"tracking": 4.0}):
-        with pytest.raises(taut.errors.UsageError, match="tracking is for anti_windup 'back-calculation'"):
+        with refused(taut.errors.UsageError):
             laws.Integral(**wrong)  # type: ignore[arg-type]

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.signal
+from refusals import refused
 
 import taut
 from taut.base.types import Float64Array
@@ -214,48 +215,44 @@ def test_its_numbers_are_parameters_that_act_without_a_compile(
             ctrl.reset()
 
 
-REFUSED: list[tuple[taut.Sensing, str, Any, type[taut.TautError], str]] = [
-    (SENSINGS["difference and low-pass"], "velocity.cutoff", 0.0, taut.errors.RangeError, "sensing.velocity.cutoff must be > 0 [Hz]; got 0.0; leave it out for no low-pass"),
-    (SENSINGS["difference and low-pass"], "velocity.cutoff", 500.0, taut.errors.RangeError, "sensing.velocity.cutoff must be < 500 [Hz], half the controller's rate of 1000 Hz; got 500.0; make it lower, or the rate higher"),
-    (SENSINGS["difference and low-pass"], "velocity.cutoff", [1.0, 2.0], taut.errors.ShapeError, "sensing.velocity.cutoff was compiled with shape (); got shape (2,); for another shape, compile the law or make the plant again"),
-    (SENSINGS["low-pass"], "velocity.cutoff", [30.0, 700.0], taut.errors.RangeError, "sensing.velocity.cutoff[1] (joint 'joint2') must be < 500 [Hz], half the controller's rate of 1000 Hz; got 700.0; make it lower, or the rate higher"),
-    (SENSINGS["low-pass"], "velocity.cutoff", [1.0, 2.0, 3.0], taut.errors.ShapeError, "sensing.velocity.cutoff must be a number or (2,) [Hz] for 2 joints; got shape (3,)"),
-    (SENSINGS["low-pass"], "velocity.cutoff", np.nan, taut.errors.RangeError, "sensing.velocity.cutoff must be finite [Hz]; got nan"),
-    (SENSINGS["notch"], "notch.frequency", 0.0, taut.errors.RangeError, "sensing.notch.frequency must be > 0 [Hz]; got 0.0; leave the notch out for none"),
-    (SENSINGS["notch"], "notch.width", 600.0, taut.errors.RangeError, "sensing.notch.width must be < 500 [Hz], half the controller's rate of 1000 Hz; got 600.0; make it lower, or the rate higher"),
-    (SENSINGS["kalman"], "velocity.position_noise", [1.0, -1.0], taut.errors.RangeError, "sensing.velocity.position_noise[1] (joint 'joint2') must be > 0 [rad | m]; got -1.0"),
+REFUSED: list[tuple[taut.Sensing, str, Any, type[taut.TautError]]] = [
+    (SENSINGS["difference and low-pass"], "velocity.cutoff", 0.0, taut.errors.RangeError),
+    (SENSINGS["difference and low-pass"], "velocity.cutoff", 500.0, taut.errors.RangeError),
+    (SENSINGS["difference and low-pass"], "velocity.cutoff", [1.0, 2.0], taut.errors.ShapeError),
+    (SENSINGS["low-pass"], "velocity.cutoff", [30.0, 700.0], taut.errors.RangeError),
+    (SENSINGS["low-pass"], "velocity.cutoff", [1.0, 2.0, 3.0], taut.errors.ShapeError),
+    (SENSINGS["low-pass"], "velocity.cutoff", np.nan, taut.errors.RangeError),
+    (SENSINGS["notch"], "notch.frequency", 0.0, taut.errors.RangeError),
+    (SENSINGS["notch"], "notch.width", 600.0, taut.errors.RangeError),
+    (SENSINGS["kalman"], "velocity.position_noise", [1.0, -1.0], taut.errors.RangeError),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("sensing", "path", "value", "kind", "message"), REFUSED, ids=range(len(REFUSED)))
+@pytest.mark.parametrize(("sensing", "path", "value", "kind"), REFUSED, ids=range(len(REFUSED)))
 def test_a_number_that_it_cannot_have_is_refused_when_it_is_given_in_a_run_too(
-    sensing: taut.Sensing, path: str, value: Any, kind: type[taut.TautError], message: str
+    sensing: taut.Sensing, path: str, value: Any, kind: type[taut.TautError]
 ) -> None:
     ctrl = taut.compile(ShowV(), ARM, sensing=sensing, engine="float")
-    with pytest.raises(kind) as caught:
+    with refused(kind):
         ctrl.parameters[f"sensing.{path}"] = value
-    assert str(caught.value) == message
 
 
 @pytest.mark.parametrize(
-    ("make", "kind", "message"),
+    ("make", "kind"),
     [
-        (lambda: taut.Sensing(velocity=3.0), taut.errors.UsageError, "velocity must be 'measured', 'difference', a LowPass, Difference or Kalman; got 3.0"),
-        (lambda: taut.Sensing(notch=taut.sensors.LowPass(cutoff=3.0)), taut.errors.UsageError, "notch must be a Notch; got LowPass"),
-        (lambda: taut.Sensing(F_ext=30.0), taut.errors.UsageError, "F_ext must be a LowPass; got 30.0"),
-        (lambda: taut.compile(ShowV(), ARM, rate=50.0, sensing=SENSINGS["difference and low-pass"]), taut.errors.RangeError, "sensing.velocity.cutoff must be < 25 [Hz], half the controller's rate of 50 Hz; got 30.0; make it lower, or the rate higher"),
-        (lambda: taut.compile(ShowV(), ARM, sensing=taut.Sensing(notch=taut.sensors.Notch(frequency=[1.0] * 3, width=1.0))), taut.errors.ShapeError, "sensing.notch.frequency must be a number or (2,) [Hz] for 2 joints; got shape (3,)"),
-        (lambda: taut.compile(ShowForce(), ARM, sensing=taut.Sensing(F_ext=taut.sensors.LowPass(cutoff=[1.0, 1.0]))), taut.errors.ShapeError, "sensing.F_ext.cutoff must be a number or (6,) [Hz]; got shape (2,)"),
-        (lambda: taut.compile(ShowV(), ARM, sensing=taut.Sensing(F_ext=taut.sensors.LowPass(cutoff=9.0))), taut.errors.UsageError, "sensing changes F_ext, which ShowV does not use; leave F_ext out of the sensing"),
+        (lambda: taut.Sensing(velocity=3.0), taut.errors.UsageError),
+        (lambda: taut.Sensing(notch=taut.sensors.LowPass(cutoff=3.0)), taut.errors.UsageError),
+        (lambda: taut.Sensing(F_ext=30.0), taut.errors.UsageError),
+        (lambda: taut.compile(ShowV(), ARM, rate=50.0, sensing=SENSINGS["difference and low-pass"]), taut.errors.RangeError),
+        (lambda: taut.compile(ShowV(), ARM, sensing=taut.Sensing(notch=taut.sensors.Notch(frequency=[1.0] * 3, width=1.0))), taut.errors.ShapeError),
+        (lambda: taut.compile(ShowForce(), ARM, sensing=taut.Sensing(F_ext=taut.sensors.LowPass(cutoff=[1.0, 1.0]))), taut.errors.ShapeError),
+        (lambda: taut.compile(ShowV(), ARM, sensing=taut.Sensing(F_ext=taut.sensors.LowPass(cutoff=9.0))), taut.errors.UsageError),
     ],
     ids=range(7),
 )  # fmt: skip
-def test_what_does_not_fit_is_refused_in_words(
-    make: Callable[[], Any], kind: type[taut.TautError], message: str
-) -> None:
-    with pytest.raises(kind) as caught:
+def test_what_does_not_fit_is_refused_in_words(make: Callable[[], Any], kind: type[taut.TautError]) -> None:
+    with refused(kind):
         make()
-    assert str(caught.value) == message
 
 
 def test_explain_says_what_it_does_and_prints_its_numbers_with_units() -> None:
@@ -292,16 +289,15 @@ def test_a_sensor_that_gives_nan_stops_its_tick_and_leaves_nothing_behind(sensin
             for wrong in (np.nan, np.inf):
                 bad = {**good, name: good[name].copy()}
                 bad[name][1] = wrong
-                who = " (joint 'joint2')" if len(bad[name]) == 2 else ""
+                who = (name, "joint2" if len(bad[name]) == 2 else None)
                 with pytest.raises(taut.errors.RangeError) as caught:
                     tick(ctrl, bad)
-                assert str(caught.value) == f"{name}[1]{who} must be finite; got {wrong!r} in tick {k}"
-                assert caught.value.joint == ("joint2" if who else None)
+                assert (caught.value.name, caught.value.joint) == who
                 for path in ("q", *ctrl.side.takes):
                     getattr(bound, path)[:] = bad[path]
                 with pytest.raises(taut.errors.RangeError) as caught:
                     bound.tick()
-                assert str(caught.value) == f"{name}[1]{who} must be finite; got {wrong!r} in tick {k}"
+                assert (caught.value.name, caught.value.joint) == who
         np.testing.assert_array_equal(tick(ctrl, good), tick(twin, good))
         assert ctrl.ticks == twin.ticks == k + 1
 
@@ -315,7 +311,7 @@ def test_a_force_with_as_many_axes_as_joints_is_not_blamed_on_a_joint(engine: An
     arm = taut.load_arm("ur5")
     ctrl = taut.compile(Feels(), arm, engine=engine)
     F = np.array([0.0, np.nan, 0.0, 0.0, 0.0, 0.0])
-    with pytest.raises(taut.errors.RangeError, match=r"^F_ext\[1\] must be finite; got nan in tick 0$"):
+    with refused(taut.errors.RangeError):
         ctrl.step(arm.home, np.zeros(6), taut.JointMotion(q=arm.home), F_ext=F)
 
 
@@ -331,25 +327,23 @@ def test_a_law_sees_the_motor_side_and_the_tip_as_they_are_given(engine: Any) ->
     for name, entry in (("q_motor", "q_motor"), ("v_motor", "v_motor"), ("a", "a_tip")):
         np.testing.assert_array_equal(ctrl.terms[name], given[entry][:2])
     for name in ("q_motor", "v_motor", "a_tip"):
-        with pytest.raises(taut.errors.UsageError) as caught:
+        with refused(taut.errors.UsageError):
             tick(ctrl, {key: value for key, value in given.items() if key != name})
-        assert str(caught.value) == f"step needs {name}, which the law asks for: pass {name}=; got none"
-    with pytest.raises(taut.errors.ShapeError, match=r"^a_tip must have shape \(3,\); got shape \(2,\)$"):
+    with refused(taut.errors.ShapeError):
         tick(ctrl, {**given, "a_tip": np.zeros(2)})
 
 
 @pytest.mark.parametrize(
-    ("name", "provider"),
+    "name",
     [
-        ("q_motor", "encoders on the motors: pass q_motor= to step, or use a plant that measures it"),
-        ("v_motor", "tachometers on the motors: pass v_motor= to step, or use a plant that measures it"),
-        ("a_tip", "an accelerometer at the tool: pass a_tip= to step, or use a plant that measures it"),
+        "q_motor",
+        "v_motor",
+        "a_tip",
     ],
 )
-def test_a_snapshot_says_what_would_measure_what_it_lacks(name: str, provider: str) -> None:
-    with pytest.raises(taut.errors.MatchError) as caught:
+def test_a_snapshot_says_what_would_measure_what_it_lacks(name: str) -> None:
+    with refused(taut.errors.MatchError):
         getattr(taut.snapshot(ARM, [0.0, 0.0]), name)
-    assert str(caught.value) == f"the law asks for {name}, which is not measured; it needs {provider}"
 
 
 def test_at_rest_a_law_is_tried_with_the_weight_at_its_tip() -> None:

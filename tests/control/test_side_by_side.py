@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 
@@ -83,39 +84,39 @@ def test_a_trajectory_and_a_sample_go_together(baxter: taut.Arm) -> None:
 def test_joints_that_carry_two_parts_are_refused() -> None:
     arm = taut.load_arm("panda")
     law = taut.SideBySide(a=held("x", tool="panda_hand_tcp"), b=held("x", tool="panda_link4"))
-    with pytest.raises(taut.errors.MatchError, match="joint 'panda_joint1' of 'panda' belongs to a and to b"):
+    with refused(taut.errors.MatchError):
         taut.compile(law, arm).needs  # noqa: B018
 
 
 def test_joints_without_a_law_are_refused(baxter: taut.Arm) -> None:
-    with pytest.raises(taut.errors.MatchError, match="joint 'right_s0' of 'baxter' belongs to no law"):
+    with refused(taut.errors.MatchError):
         taut.compile(taut.SideBySide(left=held("left")), baxter).needs  # noqa: B018
 
 
 @pytest.mark.parametrize(
-    ("laws", "sentence"),
+    "laws",
     [
-        ({}, "SideBySide needs laws by name"),
-        ({"left": 3.0}, "left must be a law, or"),
-        ({"left": taut.laws.PID(kp=1.0)}, "left must name its joints"),
+        {},
+        {"left": 3.0},
+        {"left": taut.laws.PID(kp=1.0)},
     ],
 )
-def test_what_is_no_law_is_refused(laws: dict[str, Any], sentence: str) -> None:
-    with pytest.raises(taut.errors.UsageError, match=sentence):
+def test_what_is_no_law_is_refused(laws: dict[str, Any]) -> None:
+    with refused(taut.errors.UsageError):
         taut.SideBySide(**laws)
 
 
 def test_references_side_by_side_must_be_references() -> None:
-    with pytest.raises(taut.errors.UsageError, match="left must be a sample or a trajectory; got int"):
+    with refused(taut.errors.UsageError):
         taut.together(left=3)  # type: ignore[arg-type]
-    with pytest.raises(taut.errors.UsageError, match="a hold needs its sample here"):
+    with refused(taut.errors.UsageError):
         taut.together(left=taut.hold())
 
 
 def test_parts_of_two_kinds_of_command_are_refused(baxter: taut.Arm) -> None:
     right = tuple(name for name in baxter.joint_names if name.startswith("right"))
     law = taut.SideBySide(left=held("left"), right=(taut.laws.VelocityPI(kp=1.0), right))
-    with pytest.raises(taut.errors.MatchError, match="'left' a torque, 'right' a velocity"):
+    with refused(taut.errors.MatchError):
         taut.compile(law, baxter).needs  # noqa: B018
 
 
@@ -123,17 +124,9 @@ def test_references_of_other_names_are_told_with_both_lists(baxter: taut.Arm) ->
     pose = taut.snapshot(baxter, baxter.home).T("left_gripper")
     still = taut.TaskMotion(pose=pose)
     ctrl = taut.compile(taut.SideBySide(left=held("left"), right=held("right")), baxter)
-    for given, sentence in (
-        (
-            taut.together(left=still, rihgt=still),
-            "the law follows Together(left=TaskMotion, right=TaskMotion); the reference gives "
-            "Together(left=TaskMotion, rihgt=TaskMotion)",
-        ),
-        (
-            taut.together(left=taut.trajectories.Line(T0=pose, T1=pose, duration=1.0)),
-            "the law follows Together(left=TaskMotion, right=TaskMotion); the reference gives Together(left=TaskMotion)",
-        ),
+    for given in (
+        taut.together(left=still, rihgt=still),
+        taut.together(left=taut.trajectories.Line(T0=pose, T1=pose, duration=1.0)),
     ):
-        with pytest.raises(taut.errors.UsageError) as caught:
+        with refused(taut.errors.UsageError):
             taut.run(ctrl, taut.RigidPlant(baxter), given, duration=0.01)
-        assert str(caught.value) == sentence

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 
@@ -168,7 +169,7 @@ class TestRaisedGains:
         ctrl.parameters["law.inner.kp"] = 20.0
         ctrl.parameters["law.factor"] = 2.0
         np.testing.assert_allclose(ctrl.step(Q, np.zeros(2), REF), 40.0 * (REF.q - Q))
-        with pytest.raises(taut.errors.RangeError, match=r"law\.factor must be >= 1 \[1\]; got 0\.5"):
+        with refused(taut.errors.RangeError):
             ctrl.parameters["law.factor"] = 0.5
 
     @pytest.mark.parametrize("factor", [2.0, 5.0])
@@ -186,47 +187,25 @@ class TestRaisedGains:
         assert "law.width" in text
 
 
-REFUSED: dict[str, tuple[Callable[[], object], str]] = {
-    "a dither that is too fast": (
-        lambda: taut.compile(L.PID(kp=1.0) + L.Dither(amplitude=1.0, frequency=600.0), ARM),
-        "Dither.frequency must be < 500 [Hz], half the controller's rate of 1000 Hz; got 600.0; make it lower, or the rate higher",
-    ),
-    "at half the rate": (
-        lambda: taut.compile(L.Dither(amplitude=1.0, frequency=[1.0, 100.0]), ARM, rate=200.0),
-        "Dither.frequency[1] must be < 100 [Hz], half the controller's rate of 200 Hz; got 100.0; make it lower, or the rate higher",
-    ),
-    "a negative amplitude": (lambda: L.Dither(amplitude=-1.0, frequency=1.0), "amplitude must be >= 0 [N m | N]; got -1.0"),
-    "a matrix of frequencies": (
-        lambda: L.Dither(amplitude=1.0, frequency=np.eye(2)),
-        "frequency must be a number or (n,) [Hz]; got shape (2, 2)",
-    ),
-    "a dither without": (lambda: L.Dither(amplitude=1.0), "Dither needs frequency [Hz]"),
-    "a factor below one": (lambda: L.RaisedGains(inner=L.PID(kp=1.0), factor=0.5), "factor must be >= 1 [1]; got 0.5"),
-    "a matrix of factors": (
-        lambda: L.RaisedGains(inner=L.PID(kp=1.0), factor=2.0 * np.eye(2)),
-        "factor must be a number or (n,) [1]; got shape (2, 2)",
-    ),
-    "a width of zero": (
-        lambda: L.RaisedGains(inner=L.PID(kp=1.0), factor=2.0, width=0.0),
-        "width must be > 0 [rad/s | m/s]; got 0.0",
-    ),
-    "no gains": (
-        lambda: L.RaisedGains(inner=L.FeedForward(), factor=2.0),
-        "inner must have kp or kd, which are raised; FeedForward has neither",
-    ),
-    "no law": (
-        lambda: L.RaisedGains(inner=5.0, factor=2.0),  # type: ignore[arg-type]
-        "inner must be a Law; got 5.0",
-    ),
+REFUSED: dict[str, Callable[[], object]] = {
+    "a dither that is too fast": lambda: taut.compile(L.PID(kp=1.0) + L.Dither(amplitude=1.0, frequency=600.0), ARM),
+    "at half the rate": lambda: taut.compile(L.Dither(amplitude=1.0, frequency=[1.0, 100.0]), ARM, rate=200.0),
+    "a negative amplitude": lambda: L.Dither(amplitude=-1.0, frequency=1.0),
+    "a matrix of frequencies": lambda: L.Dither(amplitude=1.0, frequency=np.eye(2)),
+    "a dither without": lambda: L.Dither(amplitude=1.0),
+    "a factor below one": lambda: L.RaisedGains(inner=L.PID(kp=1.0), factor=0.5),
+    "a matrix of factors": lambda: L.RaisedGains(inner=L.PID(kp=1.0), factor=2.0 * np.eye(2)),
+    "a width of zero": lambda: L.RaisedGains(inner=L.PID(kp=1.0), factor=2.0, width=0.0),
+    "no gains": lambda: L.RaisedGains(inner=L.FeedForward(), factor=2.0),
+    "no law": lambda: L.RaisedGains(inner=5.0, factor=2.0),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("what", REFUSED)
 def test_what_cannot_be_is_refused_in_words(what: str) -> None:
-    make, message = REFUSED[what]
-    with pytest.raises(taut.TautError) as caught:
+    make = REFUSED[what]
+    with refused(taut.TautError):
         make()
-    assert str(caught.value) == message
 
 
 class TestRaisedBackCalculation:
@@ -248,15 +227,14 @@ class TestRaisedBackCalculation:
 
 def test_a_frequency_is_checked_when_it_changes_too() -> None:
     ctrl = taut.compile(L.PID(kp=1.0) + L.Dither(amplitude=1.0, frequency=60.0), ARM)
-    with pytest.raises(taut.errors.RangeError, match="half the controller's rate of 1000 Hz; got 700"):
+    with refused(taut.errors.RangeError):
         ctrl.parameters["law.Dither.frequency"] = 700.0
     assert ctrl.parameters["law.Dither.frequency"] == 60.0
     event = taut.Event(t=0.1, set={"law.Dither.frequency": 700.0})
-    with pytest.raises(taut.errors.RangeError, match="half the controller"):
+    with refused(taut.errors.RangeError):
         taut.run(ctrl, taut.RigidPlant(ARM), duration=0.2, events=[event])
 
 
 def test_a_dither_without_a_frequency_is_refused() -> None:
-    with pytest.raises(taut.errors.RangeError) as caught:
+    with refused(taut.errors.RangeError):
         taut.laws.Dither(amplitude=1.0, frequency=0.0)
-    assert str(caught.value) == "frequency must be > 0 [Hz]; got 0.0"

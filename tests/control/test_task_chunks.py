@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.spatial.transform import Rotation, Slerp
 from task_motion_tools import POSES, START, assert_exact_rates
 
@@ -120,26 +121,16 @@ class TestChunks:
             assert not ahead.at(t).acceleration.any()
 
     @pytest.mark.parametrize(
-        ("make", "words"),
+        "make",
         [
-            (
-                lambda: taut.chunk([0.0], [START, START]),
-                "targets must have one sample for each time; got 2 for 1 times",
-            ),
-            (
-                lambda: taut.chunk([0.0, 0.1], [START, taut.TaskMotion(pose=START)]),
-                "targets must be numbers [rad | m] in a rectangular array; got",
-            ),
-            (
-                lambda: taut.chunk([0.0, 0.1], [taut.JointMotion(q=[0.0]), taut.TaskMotion(pose=START)]),
-                "the samples of a reference must be of one kind and size",
-            ),
+            lambda: taut.chunk([0.0], [START, START]),
+            lambda: taut.chunk([0.0, 0.1], [START, taut.TaskMotion(pose=START)]),
+            lambda: taut.chunk([0.0, 0.1], [taut.JointMotion(q=[0.0]), taut.TaskMotion(pose=START)]),
         ],
     )
-    def test_targets_that_do_not_fit_are_refused(self, make: Any, words: str) -> None:
-        with pytest.raises(taut.errors.ShapeError) as caught:
+    def test_targets_that_do_not_fit_are_refused(self, make: Any) -> None:
+        with refused(taut.errors.ShapeError):
             make()
-        assert str(caught.value).startswith(words)
 
 
 class TestFades:
@@ -192,14 +183,9 @@ def test_a_reference_of_ones_own_that_gives_no_rotation_is_refused() -> None:
             return TaskMotion.of({"p": START.p, "R": R, "twist": np.zeros(6), "acceleration": np.zeros(6)})
 
     times = np.linspace(0.0, 1.0, 5)
-    with pytest.raises(
-        taut.errors.RangeError,
-        match=r"^ref.R must be orthonormal; at t = 0.75 s R\^T R differs from the identity by 0.21$",
-    ):
+    with refused(taut.errors.RangeError):
         sample_rows(Mine(), times, TaskMotion, 7)
-    with pytest.raises(
-        taut.errors.RangeError, match=r"^ref.R\[1, 2\] must be finite; the reference gives nan at t = 0 s$"
-    ):
+    with refused(taut.errors.RangeError):
         sample_rows(Broken(), times, TaskMotion, 7)
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.spatial.transform import Rotation, Slerp
 from task_motion_tools import AXIS, POSES, START, assert_exact_rates, away
 
@@ -186,122 +187,49 @@ class TestSamples:
 
 POINT = {"T0": START, "T1": START}
 NOT_A_POSE: Any = [0.4, 0.0, 0.3]
-REFUSED: list[tuple[Any, type[Exception], str]] = [
-    (
-        lambda: taut.trajectories.Line(T0=NOT_A_POSE, T1=START, duration=1.0),
-        taut.errors.UsageError,
-        "T0 must be a Pose; got list",
-    ),
-    (
-        lambda: taut.trajectories.Line(**POINT),
-        taut.errors.UsageError,
-        "Line needs duration [s], or velocity and acceleration, each (linear, angular)",
-    ),
-    (
-        lambda: taut.trajectories.Line(**POINT, velocity=(1.0, 1.0)),
-        taut.errors.UsageError,
-        "Line needs duration [s], or velocity and acceleration, each (linear, angular)",
-    ),
-    (
-        lambda: ring(acceleration=(1.0, 1.0)),
-        taut.errors.UsageError,
-        "Circle needs duration [s], or velocity and acceleration, each (linear, angular)",
-    ),
-    (
-        lambda: taut.trajectories.Line(**POINT, velocity=0.5, acceleration=(1.0, 1.0)),
-        taut.errors.ShapeError,
-        "velocity must be (linear, angular) [m/s, rad/s]; got 0.5",
-    ),
-    (
-        lambda: taut.trajectories.Line(**POINT, velocity=(0.5, 0.0), acceleration=(1.0, 1.0)),
-        taut.errors.RangeError,
-        "velocity[1] must be > 0 [m/s, rad/s]; got 0.0",
-    ),
-    (
-        lambda: taut.trajectories.Line(**POINT, duration=0.0),
-        taut.errors.RangeError,
-        "duration must be > 0 [s]; got 0.0",
-    ),
-    (
-        lambda: taut.trajectories.Line(**POINT, duration=1.0, scaling="min-jerk"),
-        taut.errors.UsageError,
-        "scaling must be one of 'quintic', 'cubic', 'trapezoidal'; got 'min-jerk'",
-    ),
+REFUSED: list[tuple[Any, type[Exception]]] = [
+    (lambda: taut.trajectories.Line(T0=NOT_A_POSE, T1=START, duration=1.0), taut.errors.UsageError),
+    (lambda: taut.trajectories.Line(**POINT), taut.errors.UsageError),
+    (lambda: taut.trajectories.Line(**POINT, velocity=(1.0, 1.0)), taut.errors.UsageError),
+    (lambda: ring(acceleration=(1.0, 1.0)), taut.errors.UsageError),
+    (lambda: taut.trajectories.Line(**POINT, velocity=0.5, acceleration=(1.0, 1.0)), taut.errors.ShapeError),
+    (lambda: taut.trajectories.Line(**POINT, velocity=(0.5, 0.0), acceleration=(1.0, 1.0)), taut.errors.RangeError),
+    (lambda: taut.trajectories.Line(**POINT, duration=0.0), taut.errors.RangeError),
+    (lambda: taut.trajectories.Line(**POINT, duration=1.0, scaling="min-jerk"), taut.errors.UsageError),
     (
         lambda: straight(POSES["pure translation"], duration=0.1, velocity=(0.1, 1.0), acceleration=(1.0, 1.0)),
         taut.errors.UsageError,
-        "Line needs duration [s], or velocity and acceleration",
     ),
-    (lambda: ring(axis=[0.0, 0.0, 0.0]), taut.errors.RangeError, "axis must have a direction; got zeros"),
-    (
-        lambda: ring(centre=START.p),
-        taut.errors.RangeError,
-        "centre is where the circle starts, so that it has no radius; give another point",
-    ),
-    (
-        lambda: ring(centre=[0.41, 0.0, 0.3]),
-        taut.errors.RangeError,
-        "centre must be in the plane through T0 that the axis is normal to; it is 0.01 m off",
-    ),
-    (
-        lambda: ring(angle=-360),
-        taut.errors.RangeError,
-        "angle must be in radians; got -360; if it is in degrees, np.radians(-360) converts it",
-    ),
-    (
-        lambda: ring(orientation="free"),
-        taut.errors.UsageError,
-        "orientation must be one of 'keep', 'turn'; got 'free'",
-    ),
-    (lambda: straight(START).at(np.nan), taut.errors.RangeError, "t must be finite [s]; got nan"),
-    (
-        lambda: taut.trajectories.TaskSamples(times=[0.0], poses=[NOT_A_POSE]),
-        taut.errors.UsageError,
-        "poses must be a Pose; got list",
-    ),
-    (
-        lambda: taut.trajectories.TaskSamples(times=[0.0, 1.0], poses=[START]),
-        taut.errors.ShapeError,
-        "poses must have one pose for each time, and two at least; got 1 for 2 times",
-    ),
-    (
-        lambda: taut.trajectories.TaskSamples(times=[0.0, 0.0], poses=[START, START]),
-        taut.errors.RangeError,
-        "times must increase; times[1] = 0 follows 0",
-    ),
-    (
-        lambda: taut.trajectories.TaskSamples(times=[], poses=[]),
-        taut.errors.ShapeError,
-        "times must be a vector (k,); got shape (0,)",
-    ),
+    (lambda: ring(axis=[0.0, 0.0, 0.0]), taut.errors.RangeError),
+    (lambda: ring(centre=START.p), taut.errors.RangeError),
+    (lambda: ring(centre=[0.41, 0.0, 0.3]), taut.errors.RangeError),
+    (lambda: ring(angle=-360), taut.errors.RangeError),
+    (lambda: ring(orientation="free"), taut.errors.UsageError),
+    (lambda: straight(START).at(np.nan), taut.errors.RangeError),
+    (lambda: taut.trajectories.TaskSamples(times=[0.0], poses=[NOT_A_POSE]), taut.errors.UsageError),
+    (lambda: taut.trajectories.TaskSamples(times=[0.0, 1.0], poses=[START]), taut.errors.ShapeError),
+    (lambda: taut.trajectories.TaskSamples(times=[0.0, 0.0], poses=[START, START]), taut.errors.RangeError),
+    (lambda: taut.trajectories.TaskSamples(times=[], poses=[]), taut.errors.ShapeError),
 ]
 
 
-@pytest.mark.parametrize(("make", "kind", "words"), REFUSED, ids=[words[:60] for _, _, words in REFUSED])
-def test_bad_input_is_refused_in_one_sentence(make: Any, kind: type[Exception], words: str) -> None:
-    with pytest.raises(kind) as caught:
+@pytest.mark.parametrize(("make", "kind"), REFUSED, ids=range(len(REFUSED)))
+def test_bad_input_is_refused_in_one_sentence(make: Any, kind: type[Exception]) -> None:
+    with refused(kind):
         make()
-    assert str(caught.value).startswith(words)
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    "text",
     [
-        ("x, y\n", "the columns must be t, x, y, z, qx, qy, qz, qw; got x, y"),
-        ("t, x, y, z\n0, 1, 2, 3\n", "the columns must be t, x, y, z, qx, qy, qz, qw; got t, x, y, z"),
-        (
-            "t, x, y, z, roll, pitch\n",
-            "the columns must be t, x, y, z, roll, pitch, yaw; got t, x, y, z, roll, pitch",
-        ),
-        (
-            "t, x, y, z, qx, qy, qz, qw\n0, 1, 2, 3, 0, 0, 0, 2\n",
-            "sample 1: xyzw must have length 1; its length is 2; divide it by its length",
-        ),
+        "x, y\n",
+        "t, x, y, z\n0, 1, 2, 3\n",
+        "t, x, y, z, roll, pitch\n",
+        "t, x, y, z, qx, qy, qz, qw\n0, 1, 2, 3, 0, 0, 0, 2\n",
     ],
 )
-def test_a_csv_file_that_holds_no_poses_is_refused(text: str, words: str, tmp_path: Path) -> None:
+def test_a_csv_file_that_holds_no_poses_is_refused(text: str, tmp_path: Path) -> None:
     file = tmp_path / "way.csv"
     file.write_text(text)
-    with pytest.raises(taut.errors.FileError) as caught:
+    with refused(taut.errors.FileError):
         taut.trajectories.TaskSamples.from_csv(file)
-    assert str(caught.value).endswith(words)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 from taut.control.gains import GainValue
@@ -44,27 +45,17 @@ class TestTerms:
         "add", [lambda t: t + P, lambda t: P + t, lambda t: t - 1.0, lambda t: np.add(P, t)], ids=range(4)
     )
     def test_an_unnamed_array_is_added_only_with_a_name(self, add: object) -> None:
-        with pytest.raises(
-            taut.errors.UsageError,
-            match=r"an unnamed (ndarray|float) is added to named terms at .*\.py:\d+; "
-            r"give it a name: \+ Terms\(friction=\.\.\.\)",
-        ):
+        with refused(taut.errors.UsageError):
             add(terms())  # type: ignore[operator]
 
     def test_what_is_not_linear_cannot_go_through(self) -> None:
-        with pytest.raises(
-            taut.errors.UsageError, match=r"np\.sin is no linear map, so it cannot go through named terms at"
-        ):
+        with refused(taut.errors.UsageError):
             np.sin(terms())  # type: ignore[call-overload]
 
     def test_a_command_takes_named_terms_only(self) -> None:
-        with pytest.raises(
-            taut.errors.UsageError,
-            match=r"Torque takes named terms at .*; got an unnamed ndarray; "
-            r"write Torque\(feedforward=\.\.\.\)",
-        ):
+        with refused(taut.errors.UsageError):
             taut.Torque(P)  # type: ignore[arg-type]
-        with pytest.raises(taut.errors.UsageError, match="Terms needs one named term at least; got none"):
+        with refused(taut.errors.UsageError):
             taut.Torque()
         np.testing.assert_allclose(taut.Torque(terms(), gravity=P).total, 2.0 * P + D)
 
@@ -90,15 +81,11 @@ class TestGains:
     def test_times_works_entry_by_entry_and_is_refused_for_a_matrix(self) -> None:
         np.testing.assert_allclose(GainValue(np.array([2.0, 5.0]), "kp") * P, [2.0, 10.0])
         for wrong in (lambda: GainValue(M, "kp") * P, lambda: P * GainValue(M, "kp")):
-            with pytest.raises(
-                taut.errors.UsageError,
-                match=r"kp is a matrix and np\.multiply works entry by entry, at "
-                r".*\.py:\d+; gains act by @: write kp @ e",
-            ):
+            with refused(taut.errors.UsageError):
                 wrong()
 
     def test_a_gain_of_another_size_names_both(self) -> None:
-        with pytest.raises(taut.errors.ShapeError, match=r"kp has 3 entries and is applied to 2 at "):
+        with refused(taut.errors.ShapeError):
             GainValue(np.ones(3), "kp") @ P
 
     def test_a_scalar_gain_reads_as_a_number(self) -> None:
@@ -127,7 +114,7 @@ class TestALawOfOnesOwn:
     def test_it_is_a_frozen_dataclass_with_defaults_from_its_class(self) -> None:
         law = Spring(k=2.0)
         np.testing.assert_array_equal(law.rest.as_array(), [0.1, 0.2])
-        with pytest.raises(AttributeError, match="cannot assign to field 'k'"):
+        with refused(AttributeError):
             law.k = 3.0  # type: ignore[misc]
 
     @pytest.mark.parametrize("engine", ["native", "float"])
@@ -139,7 +126,7 @@ class TestALawOfOnesOwn:
             np.testing.assert_allclose(tau, 0.9**k * 2.0 * np.array([0.1, 0.2]), rtol=1e-14)
 
     def test_its_units_stand_in_messages_and_in_the_explanation(self, capsys: pytest.CaptureFixture[str]) -> None:
-        with pytest.raises(taut.errors.RangeError, match=r"k must be >= 0 \[N m/rad\]; got -1\.0"):
+        with refused(taut.errors.RangeError):
             Spring(k=-1.0)
         taut.compile(Spring(k=2.0), self.arm).explain()
         assert "law.k                    2  [N m/rad]" in capsys.readouterr().out
@@ -151,7 +138,7 @@ class TestALawOfOnesOwn:
         ctrl.parameters["law.k"] = 4.0
         ctrl.reset()
         np.testing.assert_allclose(ctrl.step(np.zeros(2), np.zeros(2), ref), 2.0 * first)
-        with pytest.raises(taut.errors.ShapeError, match=r"law\.k was compiled with shape \(\); got shape \(2,\)"):
+        with refused(taut.errors.ShapeError):
             ctrl.parameters["law.k"] = [1.0, 2.0]
         ctrl.parameters["law.rest"] = 0.5
         np.testing.assert_array_equal(ctrl.parameters["law.rest"], [0.5, 0.5])
@@ -168,19 +155,13 @@ class TestALawOfOnesOwn:
 def test_two_laws_that_both_compensate_gravity_do_not_add() -> None:
     arm = taut.load_arm("planar2")
     both = taut.laws.GravityPID(kp=1.0, kd=1.0) + taut.laws.GravityCompensation()
-    with pytest.raises(taut.errors.MatchError) as caught:
+    with refused(taut.errors.MatchError):
         taut.compile(both, arm)
-    assert str(caught.value) == (
-        "GravityPID + GravityCompensation: both compensate gravity, so it would be added twice; use one law that "
-        "does not (PID instead of GravityPID or ComputedTorque)"
-    )
 
 
 def test_commands_of_two_kinds_do_not_add() -> None:
     arm = taut.load_arm("planar2")
-    with pytest.raises(
-        taut.errors.MatchError, match="of one kind; these give 'PID' a torque, 'VelocityPI' a velocity"
-    ):
+    with refused(taut.errors.MatchError):
         taut.compile(taut.laws.PID(kp=1.0) + taut.laws.VelocityPI(kp=1.0), arm)
 
 
@@ -193,10 +174,6 @@ def test_equal_laws_in_a_sum_keep_gains_of_their_own() -> None:
 
 def test_a_law_of_the_tool_and_one_of_the_joints_do_not_add() -> None:
     tool = taut.laws.TaskComputedTorque(kp=100.0, kd=20.0)
-    with pytest.raises(taut.errors.UsageError) as caught:
+    with refused(taut.errors.UsageError):
         tool + taut.laws.FrictionCompensation()
-    assert str(caught.value) == (
-        "TaskComputedTorque follows TaskMotion and FrictionCompensation JointMotion; only laws that follow the same "
-        "kind of reference add; taut.via_joint_space(law) makes one of joint motion follow a TaskMotion"
-    )
     assert isinstance(tool + taut.via_joint_space(taut.laws.FrictionCompensation()), taut.laws.Sum)

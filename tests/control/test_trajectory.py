@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 from taut.base.types import Float64Array
@@ -136,89 +137,59 @@ class TestSamples:
         np.testing.assert_array_equal(samples.a, given["a"] if "a" in rates else np.gradient(v, self.times, axis=0))
 
     @pytest.mark.parametrize(
-        ("text", "message"),
+        "text",
         [
-            ("", "is empty"),
-            ("q1,q2\n0,1\n", "the columns must be t, q1, q2; got q1, q2"),
-            ("t,q1,v2\n0,1,2\n", "the columns must be t, q1, v1; got t, q1, v2"),
-            ("t,q1,q1\n0,1,2\n", "the columns must be t, q1, q2; got t, q1, q1"),
-            ("t,q1,a1,v1\n0,1,2,3\n", "the columns must be t, q1, v1, a1; got t, q1, a1, v1"),
-            ("t,q1,q2,a1\n0,1,2,3\n", "the columns must be t, q1, q2, a1, a2; got t, q1, q2, a1"),
-            ("t,q1,tau1\n0,1,2\n", "the columns must be t, q1; got t, q1, tau1"),
-            ("t,q1,\n0,1,2\n", "the columns must be t, q1; got t, q1, "),
-            ("t,v1,a1\n0,1,2\n", "the columns must be t, q1, v1, a1; got t, v1, a1"),
-            ("t\n0\n", "the columns must be t, q1; got t"),
-            ("t,q1\n0,x\n", "could not convert string 'x'"),
-            ("t,q1\n0,1,2\n", "2 numbers are needed in a row; got 3"),
-            ("t,q1\n", "there are no samples below the header"),
-            ("t,q1\n0,1\n0,2\n", "times must increase; times[1] = 0 follows 0"),
-            ("t,q1\n0,nan\n", "q[0, 0] must be finite [rad | m]; got nan"),
+            "",
+            "q1,q2\n0,1\n",
+            "t,q1,v2\n0,1,2\n",
+            "t,q1,q1\n0,1,2\n",
+            "t,q1,a1,v1\n0,1,2,3\n",
+            "t,q1,q2,a1\n0,1,2,3\n",
+            "t,q1,tau1\n0,1,2\n",
+            "t,q1,\n0,1,2\n",
+            "t,v1,a1\n0,1,2\n",
+            "t\n0\n",
+            "t,q1\n0,x\n",
+            "t,q1\n0,1,2\n",
+            "t,q1\n",
+            "t,q1\n0,1\n0,2\n",
+            "t,q1\n0,nan\n",
         ],
     )
-    def test_a_wrong_csv_file_is_refused_in_words(self, tmp_path: Path, text: str, message: str) -> None:
+    def test_a_wrong_csv_file_is_refused_in_words(self, tmp_path: Path, text: str) -> None:
         file = tmp_path / "path.csv"
         file.write_text(text)
-        with pytest.raises(taut.TautError) as caught:
+        with refused(taut.TautError):
             taut.trajectories.Samples.from_csv(file)
-        assert message in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("make", "message"),
+    "make",
     [
-        (lambda: taut.trajectories.Quintic(q0=[0.0], q1=[1.0], duration=0.0), "duration must be > 0 [s]; got 0.0"),
-        (
-            lambda: taut.trajectories.Quintic(q0=[0.0], q1=[1.0, 2.0], duration=1.0),
-            "q1 must have shape (1,), like the others; got (2,)",
-        ),
-        (
-            lambda: taut.trajectories.Quintic(q0=[np.nan], q1=[1.0], duration=1.0),
-            "q0[0] must be finite [rad | m]; got nan",
-        ),
-        (
-            lambda: taut.trajectories.Trapezoidal(q0=[0.0], q1=[1.0], velocity=0.0, acceleration=1.0),
-            "velocity must be > 0 [rad/s | m/s]; got 0.0",
-        ),
-        (
-            lambda: taut.trajectories.Spline(times=[0.0, 0.0], points=[[0.0], [1.0]]),
-            "times must increase; times[1] = 0 follows 0",
-        ),
-        (
-            lambda: taut.trajectories.Spline(times=[0.0], points=[[0.0]]),
-            "points must have a row for each time, and two at least; got 1 for 1 times",
-        ),
-        (
-            lambda: taut.trajectories.Samples(times=[0.0, 1.0], q=[[0.0]]),
-            "q must have shape (2, 1), a row for each of the times; got (1, 1)",
-        ),
-        (lambda: taut.chunk([0.0, 0.1], [[0.0]]), "targets must have one sample for each time; got 1 for 2 times"),
-        (lambda: taut.chunk([0.1, 0.0], [[0.0], [1.0]]), "times must increase; times[1] = 0 follows 0.1"),
-        (lambda: taut.stream(period=0.0), "period must be > 0 [s]; got 0.0"),
-        (
-            lambda: taut.hold([0.0]),
-            "sample must be a Sample; got list",
-        ),
-        (lambda: taut.JointMotion(q=[[0.0]]), "ref.q must be a vector (n,); got shape (1, 1)"),
-        (
-            lambda: taut.JointMotion(q=[0.0], v=[1.0, 2.0]),
-            "ref.v must have shape (1,) [rad/s | m/s]; got shape (2,)",
-        ),
+        lambda: taut.trajectories.Quintic(q0=[0.0], q1=[1.0], duration=0.0),
+        lambda: taut.trajectories.Quintic(q0=[0.0], q1=[1.0, 2.0], duration=1.0),
+        lambda: taut.trajectories.Quintic(q0=[np.nan], q1=[1.0], duration=1.0),
+        lambda: taut.trajectories.Trapezoidal(q0=[0.0], q1=[1.0], velocity=0.0, acceleration=1.0),
+        lambda: taut.trajectories.Spline(times=[0.0, 0.0], points=[[0.0], [1.0]]),
+        lambda: taut.trajectories.Spline(times=[0.0], points=[[0.0]]),
+        lambda: taut.trajectories.Samples(times=[0.0, 1.0], q=[[0.0]]),
+        lambda: taut.chunk([0.0, 0.1], [[0.0]]),
+        lambda: taut.chunk([0.1, 0.0], [[0.0], [1.0]]),
+        lambda: taut.stream(period=0.0),
+        lambda: taut.hold([0.0]),
+        lambda: taut.JointMotion(q=[[0.0]]),
+        lambda: taut.JointMotion(q=[0.0], v=[1.0, 2.0]),
     ],
 )
-def test_what_makes_no_reference_is_refused_in_words(make: object, message: str) -> None:
-    with pytest.raises(taut.TautError) as caught:
+def test_what_makes_no_reference_is_refused_in_words(make: object) -> None:
+    with refused(taut.TautError):
         make()  # type: ignore[operator]
-    assert str(caught.value) == message
 
 
 def test_without_ruckig_the_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "ruckig", None)
-    with pytest.raises(taut.errors.MissingExtraError) as caught:
+    with refused(taut.errors.MissingExtraError):
         taut.trajectories.JerkLimited(q0=[0.0], q1=[1.0], velocity=1.0, acceleration=1.0, jerk=1.0)
-    assert str(caught.value) == (
-        "a jerk-limited trajectory needs the package 'ruckig', which is not installed; "
-        'pip install -e ".[ruckig]" installs it'
-    )
 
 
 def test_a_chunk_blends_samples_and_then_holds() -> None:
@@ -264,10 +235,10 @@ def test_a_time_that_is_none_is_refused(t: Any) -> None:
         taut.trajectories.Cubic(q0=[0.0], q1=[1.0], duration=1.0),
         taut.trajectories.Sine(center=0.0, amplitude=[1.0], frequency=1.0),
     ):
-        with pytest.raises(taut.TautError, match=r"^t must be"):
+        with refused(taut.TautError):
             motion.at(t)
 
 
 def test_limits_that_ruckig_cannot_work_with_are_told() -> None:
-    with pytest.raises(taut.errors.NumericalError, match=r"^Ruckig found no jerk-limited trajectory"):
+    with refused(taut.errors.NumericalError):
         taut.trajectories.JerkLimited(q0=[0.0], q1=[1e300], velocity=1e-300, acceleration=1e-300, jerk=1e-300)

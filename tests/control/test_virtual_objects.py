@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 from taut.control.law import Law
@@ -140,9 +141,7 @@ class TestAddedToOthers:
         ctrl.parameters["law.VirtualWall.K"] = 1800.0
         ctrl.step(PANDA.home, np.zeros(7), ref)
         np.testing.assert_allclose(ctrl.terms["wall"], 2.0 * first, rtol=1e-12)
-        with pytest.raises(
-            taut.errors.RangeError, match=r"normal must be a direction, of any length but zero; got \[0\.0"
-        ):
+        with refused(taut.errors.RangeError):
             ctrl.parameters["law.VirtualWall.normal"] = [0.0, 0.0, 0.0]
 
     def test_a_hand_slides_along_a_groove_and_not_out_of_it(self) -> None:

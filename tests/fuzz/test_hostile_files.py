@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from fuzz_kinds import MJCF, SERVOS, runs
 from fuzz_logs import chunk, record, with_chunks, write_log
+from refusals import refused
 
 import taut
 from taut.arm.catalogue import CATALOGUE, installed_package
@@ -235,7 +236,7 @@ def test_an_outcome_of_other_types_is_none(tmp_path: Path) -> None:
 def test_a_run_without_a_rate_says_so() -> None:
     import dataclasses
 
-    with pytest.raises(taut.errors.UsageError, match="rate"):
+    with refused(taut.errors.UsageError):
         taut.doctor(dataclasses.replace(plain(), info=RunInfo()))
 
 
@@ -263,6 +264,7 @@ def test_a_table_is_bounded(tmp_path: Path) -> None:
         "[" + "a." * 90_000 + "a]",
         "x = { " + "a . " * 90_000 + "a = 1 }",
     ],
+    ids=range(4),
 )
 def test_a_dotted_key_is_refused_before_it_is_read(
     text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -274,7 +276,7 @@ def test_a_dotted_key_is_refused_before_it_is_read(
 
     monkeypatch.setattr(tomllib, "loads", never)
     (tmp_path / "case.toml").write_text(text)
-    with pytest.raises(taut.errors.ScenarioError, match="in each other"):
+    with refused(taut.errors.ScenarioError):
         load_scenario(str(tmp_path / "case.toml"))
 
 
@@ -291,7 +293,7 @@ def test_the_cases_of_a_scenario_are_counted(tmp_path: Path) -> None:
     text = '[arm]\nmodel = "one_joint"\n[laws.PID]\nlaw = "PID"\nkp = 1\n[run]\nduration = 1\n'
     text += '[plant]\n[reference]\nkind = "hold"\n'
     (tmp_path / "case.toml").write_text(text + "".join(f"[cases.c{i}.run]\n" for i in range(201)))
-    with pytest.raises(taut.errors.ScenarioError, match="201"):
+    with refused(taut.errors.ScenarioError):
         load_scenario(str(tmp_path / "case.toml"))
 
 

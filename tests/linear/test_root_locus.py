@@ -11,6 +11,7 @@ from typing import Any
 import control
 import numpy as np
 import pytest
+from refusals import refused
 from servo_runs import Servo
 
 import taut
@@ -97,10 +98,9 @@ def test_values_that_do_not_increase_are_refused(values: object) -> None:
 
 @pytest.mark.parametrize("given", [3, lambda *values: 3.0, taut.error_dynamics(kp=1.0)])
 def test_what_gives_no_linear_system_is_refused_in_a_sentence(given: Any) -> None:
-    sentence = r"^system_of must be a function that gives a taut\.LinearSystem; got .+$"
-    with pytest.raises(taut.errors.UsageError, match=sentence):
+    with refused(taut.errors.UsageError):
         taut.analysis.root_locus(given, [1.0, 2.0])
-    with pytest.raises(taut.errors.UsageError, match=sentence):
+    with refused(taut.errors.UsageError):
         taut.analysis.stability_map(given, [1.0, 2.0], [1.0, 2.0])
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from maths_oracles import Array, Oracle, oracle_of
+from refusals import refused
 
 import taut
 from taut import Constraint, Pose
@@ -204,7 +205,7 @@ def test_a_plane_that_sways_goes_where_it_says_and_comes_back() -> None:
         assert swaying.of_pose(Pose(T0.p + np.array([0.0, 0.0, way]), R=T0.R), t) == pytest.approx([0.0], abs=1e-12)
     assert swaying.of_twist(T0, 0.5)[1] == pytest.approx([-np.pi * 0.06 / 2.0])  # its fastest
     assert rows_at(swaying, np.zeros(6)).bias == pytest.approx([-0.5 * 0.06 * np.pi**2])
-    with pytest.raises(taut.errors.RangeError, match=r"period must be > 0 \[s\]; got 0"):
+    with refused(taut.errors.RangeError):
         Constraint.plane(point=T0.p, normal=[0, 0, 1], sway=[0, 0, 0.1], period=0.0)
 
 
@@ -250,9 +251,7 @@ def test_the_tool_and_its_name_are_one_frame() -> None:
         np.testing.assert_allclose(rows.A @ x.J(), rows.A_q, atol=1e-12)
         assert both.of_pose(x.T()).tolist() == pytest.approx(list(rows.phi))
     elsewhere = CONSTRAINTS["plane"] + Constraint.line(point=CENTER, axis=U, frame="panda_link5")
-    with pytest.raises(
-        taut.errors.UsageError, match=r"the arm's tool, which is 'panda_hand_tcp', and another of 'panda_link5'; say"
-    ):
+    with refused(taut.errors.UsageError):
         elsewhere.at(taut.snapshot(arm, arm.home))
     several = Constraint.line(point=CENTER, axis=U, frame="panda_hand_tcp") + Constraint.line(
         point=CENTER, axis=U, frame="panda_link5"
@@ -345,7 +344,7 @@ def test_a_knife_edge_goes_ahead_and_turns_and_does_not_slip_sideways() -> None:
     h = 1e-6  # turning while it goes ahead needs a force
     ahead, behind = (edge.at(taut.snapshot(arm, q + s * v, v)).A_q @ v for s in (h, -h))
     assert (ahead - behind) / (2.0 * h) == pytest.approx(rows.bias, abs=1e-6)
-    with pytest.raises(taut.errors.RangeError, match="sideways must have a length"):
+    with refused(taut.errors.RangeError):
         Constraint.knife_edge(sideways=[0.0, 0.0, 0.0])
 
 
@@ -358,55 +357,53 @@ def test_onto_finds_the_nearest_state_and_says_when_there_is_none() -> None:
         Constraint.plane(point=taut.snapshot(arm, arm.home).T().p, normal=[0, 0, 1]), arm, arm.home
     )
     assert np.abs(near - arm.home).max() < 1e-12
-    with pytest.raises(taut.errors.RangeError, match="no state of 'panda' near q keeps to the constraint"):
+    with refused(taut.errors.RangeError):
         taut.dynamics.onto(Constraint.plane(point=[0, 0, 9.0], normal=[0, 0, 1]), arm, arm.home)
-    with pytest.raises(taut.errors.UsageError, match=r"constraint must be a taut\.Constraint; got function"):
+    with refused(taut.errors.UsageError):
         taut.dynamics.onto(lambda T: T.p[2], arm, arm.home)  # type: ignore[arg-type]
-    with pytest.raises(taut.errors.UsageError, match=r"arm must be an Arm from taut\.load_arm; got str"):
+    with refused(taut.errors.UsageError):
         taut.dynamics.onto(CONSTRAINTS["plane"], "panda", arm.home)  # type: ignore[arg-type]
 
 
-WRONG: dict[str, tuple[Callable[[], Constraint], type[Exception], str]] = {
-    "no function": (lambda: Constraint(0.3), taut.errors.UsageError, "must be a function"),  # type: ignore[arg-type]
-    "a constant": (lambda: Constraint(lambda T: 0.3), taut.errors.UsageError, "this one is constant"),
-    "a constant row": (lambda: Constraint(lambda T: [T.p[2], 1.0]), taut.errors.UsageError, "constant in its row 1"),
-    "a condition": (lambda: Constraint(lambda T: T.p[2] > 0.4), taut.errors.UsageError, "this one is a condition"),
-    "nothing": (lambda: Constraint(lambda T: None), taut.errors.ShapeError, "got NoneType"),
-    "a pose": (lambda: Constraint(lambda T: T), taut.errors.ShapeError, "got Pose"),
-    "a matrix": (lambda: Constraint(lambda T: T.R), taut.errors.ShapeError, "up to 6 of them"),
-    "too many arguments": (
-        lambda: Constraint(lambda T, a, b: T.p[2]),
-        taut.errors.UsageError,
-        "must take 1 argument",
-    ),
-    "no names": (lambda: Constraint(lambda T: T.p[2], frames="hand"), taut.errors.UsageError, "names of frames"),
-    "few sides": (lambda: Constraint(lambda T: T.p, one_sided=[True]), taut.errors.ShapeError, "one_sided must be"),
-    "no bool": (lambda: Constraint(lambda T: T.p[2], one_sided=np.True_), taut.errors.ShapeError, "one_sided must"),  # type: ignore[arg-type]
-    "no length": (lambda: Constraint.plane(point=U, normal=[0, 0, 0]), taut.errors.RangeError, "must have a length"),
-    "no radius": (lambda: Constraint.sphere(center=U, radius=-1.0), taut.errors.RangeError, "radius must be > 0"),
-    "no pose": (lambda: Constraint.hinge(point=U, axis=U, T=3), taut.errors.UsageError, "must be a taut.Pose"),  # type: ignore[arg-type]
-    "no A": (lambda: Constraint.pfaffian(lambda T: T.p), taut.errors.ShapeError, r"A, \(6,\) or \(k, 6\)"),
-    "A = 0": (lambda: Constraint.pfaffian(lambda T: np.zeros(6)), taut.errors.UsageError, "which forbids nothing"),
-    "no directions": (lambda: Constraint.pin("a", "b", directions=[1.0, 0.0]), taut.errors.ShapeError, r"\(k, 3\)"),
-    "no signature": (lambda: Constraint(max), taut.errors.UsageError, "does not tell its arguments"),
-    "it raises": (lambda: Constraint(lambda T: {}["x"]), taut.errors.UsageError, r"'x' at .*test_constraint\.py:\d+"),
-    "no grasp": (lambda: Constraint.grasp("a", "b", T=3), taut.errors.UsageError, "T must be a taut.Pose"),  # type: ignore[arg-type]
-    "no sum": (lambda: CONSTRAINTS["plane"] + 3, TypeError, "unsupported operand"),  # type: ignore[operator]
+WRONG: dict[str, tuple[Callable[[], Constraint], type[Exception]]] = {
+    "no function": (lambda: Constraint(0.3), taut.errors.UsageError),  # type: ignore[arg-type]
+    "a constant": (lambda: Constraint(lambda T: 0.3), taut.errors.UsageError),
+    "a constant row": (lambda: Constraint(lambda T: [T.p[2], 1.0]), taut.errors.UsageError),
+    "a condition": (lambda: Constraint(lambda T: T.p[2] > 0.4), taut.errors.UsageError),
+    "nothing": (lambda: Constraint(lambda T: None), taut.errors.ShapeError),
+    "a pose": (lambda: Constraint(lambda T: T), taut.errors.ShapeError),
+    "a matrix": (lambda: Constraint(lambda T: T.R), taut.errors.ShapeError),
+    "too many arguments": (lambda: Constraint(lambda T, a, b: T.p[2]), taut.errors.UsageError),
+    "no names": (lambda: Constraint(lambda T: T.p[2], frames="hand"), taut.errors.UsageError),
+    "few sides": (lambda: Constraint(lambda T: T.p, one_sided=[True]), taut.errors.ShapeError),
+    "no bool": (lambda: Constraint(lambda T: T.p[2], one_sided=np.True_), taut.errors.ShapeError),  # type: ignore[arg-type]
+    "no length": (lambda: Constraint.plane(point=U, normal=[0, 0, 0]), taut.errors.RangeError),
+    "no radius": (lambda: Constraint.sphere(center=U, radius=-1.0), taut.errors.RangeError),
+    "no pose": (lambda: Constraint.hinge(point=U, axis=U, T=3), taut.errors.UsageError),  # type: ignore[arg-type]
+    "no A": (lambda: Constraint.pfaffian(lambda T: T.p), taut.errors.ShapeError),
+    "A = 0": (lambda: Constraint.pfaffian(lambda T: np.zeros(6)), taut.errors.UsageError),
+    "no directions": (lambda: Constraint.pin("a", "b", directions=[1.0, 0.0]), taut.errors.ShapeError),
+    "no signature": (lambda: Constraint(max), taut.errors.UsageError),
+    "it raises": (lambda: Constraint(lambda T: {}["x"]), taut.errors.UsageError),
+    "no grasp": (lambda: Constraint.grasp("a", "b", T=3), taut.errors.UsageError),  # type: ignore[arg-type]
 }
 
 
 @pytest.mark.parametrize("case", WRONG)
 def test_a_wrong_constraint_is_one_sentence(case: str) -> None:
-    make, error, sentence = WRONG[case]
-    with pytest.raises(error, match=sentence):
+    make, error = WRONG[case]
+    with refused(error):
         make()
+
+
+def test_a_number_is_no_constraint_to_add() -> None:
+    with pytest.raises(TypeError):
+        CONSTRAINTS["plane"] + 3  # type: ignore[operator]
 
 
 def test_rows_of_joints_that_are_not_as_many_as_said_are_told() -> None:
     constraint = Constraint.of_joints(lambda q: tm.array([q[0], q[1]]))
-    with pytest.raises(
-        taut.errors.ShapeError, match=r"of 1 row must give numbers of shape \(1,\) everywhere; got \(2,\); say rows=2"
-    ):
+    with refused(taut.errors.ShapeError):
         constraint.at(taut.snapshot(taut.load_arm("planar2"), [0.1, 0.2]))
 
 

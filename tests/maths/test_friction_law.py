@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refused
 
 from taut import Friction
 from taut import math as tm
@@ -211,27 +212,17 @@ def test_numbers_and_symbols_give_the_same() -> None:
         np.testing.assert_allclose(graph.evaluate(nodes, x.tolist()), limit(x), rtol=SAME)
 
 
-MISTAKES: dict[str, tuple[Callable[[], object], str]] = {
-    "nothing": (lambda: Friction(coulomb=None), "friction.coulomb must be numbers [N m | N]; got None"),  # type: ignore[arg-type]
-    "no numbers": (lambda: Friction(viscous=[]), "friction.viscous must be one number or one per joint; got shape (0,)"),
-    "two sizes": (
-        lambda: Friction(viscous=[1.0, 1.0], coulomb=[0.5, 0.5, 0.5]),
-        "the numbers of a friction are for one arm; got some for [2, 3] joints",
-    ),
-    "two sizes at rest": (
-        lambda: Friction(coulomb=[0.5, 0.5], static=[1.0, 1.0, 1.0]),
-        "the numbers of a friction are for one arm; got some for [2, 3] joints",
-    ),
-    "two sizes of one": (
-        lambda: Friction(coulomb=[0.5], load_motor=[0.1, 0.1]),
-        "the numbers of a friction are for one arm; got some for [1, 2] joints",
-    ),
+MISTAKES: dict[str, Callable[[], object]] = {
+    "nothing": lambda: Friction(coulomb=None),  # type: ignore[arg-type]
+    "no numbers": lambda: Friction(viscous=[]),
+    "two sizes": lambda: Friction(viscous=[1.0, 1.0], coulomb=[0.5, 0.5, 0.5]),
+    "two sizes at rest": lambda: Friction(coulomb=[0.5, 0.5], static=[1.0, 1.0, 1.0]),
+    "two sizes of one": lambda: Friction(coulomb=[0.5], load_motor=[0.1, 0.1]),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", MISTAKES)
 def test_friction_of_joints_is_numbers_for_the_same_joints(name: str) -> None:
-    make, message = MISTAKES[name]
-    with pytest.raises(ShapeError) as caught:
+    make = MISTAKES[name]
+    with refused(ShapeError):
         make()
-    assert str(caught.value) == message

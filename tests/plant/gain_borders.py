@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg import expm
-from scipy.optimize import brentq, fsolve
+from scipy.optimize import brentq
 
 import taut
 from taut.base.types import Float64Array
@@ -272,42 +272,38 @@ TEETH = {"stiffness": 200.0, "damping": 1.0, "backlash": 0.02}
 KD_PLAY, COULOMB = 4.0, 0.2  # [N m s/rad] on the motor's tachometer, [N m] at the motor
 
 
-def harmonic(amplitude: float, omega: float, n: int = 1024) -> complex:
-    """Describing function of elastic teeth with play: first harmonic of their torque, by that of the wind-up."""
-    phase = 2.0 * np.pi * np.arange(n) / n
-    delta, rate, half = amplitude * np.sin(phase), amplitude * omega * np.cos(phase), 0.5 * TEETH["backlash"]
-    beyond = delta - np.clip(delta, -half, half)
+def teeth(deflection: Float64Array, rate: Float64Array) -> Float64Array:
+    """Torque of elastic teeth with play, which push and never pull."""
+    half = 0.5 * TEETH["backlash"]
+    beyond = deflection - np.clip(deflection, -half, half)
     torque = TEETH["stiffness"] * beyond + np.where(beyond != 0.0, TEETH["damping"] * rate, 0.0)
-    torque = np.where(beyond > 0.0, np.maximum(torque, 0.0), np.minimum(torque, 0.0))  # teeth push, never pull
-    return complex(2.0j * np.fft.fft(torque)[1] / (n * amplitude))
+    return np.where(beyond > 0.0, np.maximum(torque, 0.0), np.minimum(torque, 0.0))
 
 
 @cache
 def cycle_predicted(kp: float, coulomb: float = COULOMB) -> tuple[float, float] | None:
     """Amplitude of the link [rad] and period [s] of the limit cycle by harmonic balance; None if there is none.
 
-    Link M s^2 q = N delta, motor (B s^2 + (b + 4 coulomb / (pi V)) s) q_m = -N delta - hold (kp q + kd s q_m) with
-    delta = q_m - q, the play as N(amplitude of delta), Coulomb friction by the amplitude V of the motor's speed.
+    Link M s^2 q = teeth, motor (B s^2 + (b + kd) s) q_m = -teeth - coulomb sgn(v_m) - kp q.
     """
-    for share in (1.1, 1.3, 1.6, 2.0, 3.0):
-        start = np.log([0.5 * share * TEETH["backlash"], math.sqrt(kp / M)])
-        x, _, found, _ = fsolve(lambda x: _unbalanced(x, kp, coulomb), start, full_output=True)
-        A, omega = np.exp(x)
-        if found == 1:
-            return float(A * abs(harmonic(A, omega)) / (M * omega**2)), 2.0 * math.pi / float(omega)
-    return None
-
-
-def _unbalanced(x: Float64Array, kp: float, coulomb: float) -> list[float]:
-    A, omega = np.exp(x)
-    s = 1j * omega
-    N = harmonic(A, omega)
-    q = N / (M * s * s)  # of a wind-up of one
-    q_m = q + 1.0
-    drag = b + 4.0 * coulomb / (math.pi * abs(s * q_m) * A)
-    hold = np.exp(-0.5 * s / RATE)
-    left = (B * s * s + drag * s) * q_m + N + hold * (kp * q + KD_PLAY * s * q_m)
-    return [left.real / TEETH["stiffness"], left.imag / TEETH["stiffness"]]
+    joint = taut.LinearSystem(
+        A=[[0, 1, 0, 0], [0, 0, 0, 0], [0, 0, 0, 1], [-kp / B, 0, 0, -(KD_PLAY + b) / B]],
+        B=[[0, 0], [1 / M, 0], [0, 0], [-1 / B, 1 / B]],
+        C=[[-1, 0, 1, 0], [0, 0, 0, 1]],
+        inputs=("teeth", "friction"),
+        outputs=("deflection", "v_motor"),
+    )
+    elements = {
+        "teeth": ("deflection", teeth),
+        "friction": ("v_motor", lambda v, _: -coulomb * np.sign(v)),
+    }
+    found = taut.analysis.limit_cycles(joint, elements, amplitudes=(0.501 * TEETH["backlash"], 0.2)).cycles
+    if not found:
+        return None
+    phase = 2.0 * np.pi * np.arange(1024) / 1024
+    A, omega = found[0].amplitudes["deflection"], found[0].omega
+    torque = np.fft.fft(teeth(A * np.sin(phase), A * omega * np.cos(phase)))[1] / 512
+    return float(abs(torque) / (M * omega**2)), found[0].period
 
 
 def backlash_formula(coulomb: float = COULOMB) -> float:

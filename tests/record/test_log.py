@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +14,7 @@ import pytest
 from mcap.reader import NonSeekingReader, SeekingReader, make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_ros2.decoder import DecoderFactory
+from refusals import refused
 
 import taut
 from taut.record.info import RunInfo
@@ -191,7 +191,7 @@ def test_a_log_cut_anywhere_gives_the_chunks_that_are_whole(noisy_run: taut.Run,
     for length in cuts:
         cut.write_bytes(whole[:length])
         if length < first:
-            with pytest.raises(taut.errors.FileError, match="no description of a run"):
+            with refused(taut.errors.FileError):
                 taut.load_run(cut)
             kept.append(-1)
             continue
@@ -317,50 +317,28 @@ def test_every_wrong_file_to_read_gets_one_sentence(tmp_path: Path, noisy_run: t
         writer = Writer(out)
         writer.start(library="somebody 1.0")
         writer.finish()
-    said = {}
     for name in ("none.mcap", "empty.mcap", "text.mcap", "folder.mcap", "foreign.mcap", "nul\0.mcap"):
-        with pytest.raises(taut.errors.FileError) as refused:
+        with refused(taut.errors.FileError) as caught:
             taut.load_run(tmp_path / name)
-        said[name] = str(refused.value).replace(f"{tmp_path}{os.sep}", "").replace(str(tmp_path), "HERE")
-        assert isinstance(refused.value, OSError)
-    assert said == {
-        "none.mcap": "log 'none.mcap' does not exist; 'HERE' has 'empty.mcap', 'folder.mcap', 'foreign.mcap', "
-        "'text.mcap'",
-        "empty.mcap": "log 'empty.mcap' is empty",
-        "text.mcap": "log 'text.mcap' cannot be read: it is no MCAP file, as it starts with b'hello, t'",
-        "folder.mcap": "log 'folder.mcap' is a folder; name a file in it",
-        "foreign.mcap": "log 'foreign.mcap' cannot be read: it has no description of a run; it is cut off or damaged, or "
-        "taut did not write it",
-        "nul\0.mcap": "log 'nul\\x00.mcap' does not exist; 'HERE' has 'empty.mcap', 'folder.mcap', 'foreign.mcap', "
-        "'text.mcap'",
-    }
-    with pytest.raises(taut.errors.UsageError, match=r"load_run takes the path of a \.mcap file; got int"):
+        assert isinstance(caught.value, OSError)
+    with refused(taut.errors.UsageError):
         taut.load_run(3)  # type: ignore[arg-type]
 
 
 def test_every_wrong_place_to_write_gets_one_sentence(tmp_path: Path, noisy_run: taut.Run) -> None:
     (tmp_path / "folder.mcap").mkdir()
-    said = {}
     for name in ("run.bag", "run", "folder.mcap", "no/run.mcap", "nul\0.mcap"):
-        with pytest.raises(taut.errors.FileError) as refused:
+        with refused(taut.errors.FileError):
             noisy_run.save(tmp_path / name)
-        said[name] = str(refused.value).replace(f"{tmp_path}{os.sep}", "")
         with pytest.raises(taut.errors.FileError):
             open_log(tmp_path / name)
-    assert said == {
-        "run.bag": "the log's name must end in .mcap; got 'run.bag'",
-        "run": "the log's name must end in .mcap; got 'run'",
-        "folder.mcap": "log 'folder.mcap' is a folder; name a file in it",
-        "no/run.mcap": "log 'no/run.mcap' needs the folder 'no', which does not exist; create it first",
-        "nul\0.mcap": "log 'nul\\x00.mcap' is no name of a file; it holds a NUL character",
-    }
-    with pytest.raises(taut.errors.UsageError, match="the log needs the path of a file; got NoneType"):
+    with refused(taut.errors.UsageError):
         noisy_run.save(None)  # type: ignore[arg-type]
 
 
 def test_info_that_is_no_plain_value_is_refused_and_leaves_no_file(make_run: Any, tmp_path: Path) -> None:
     run = make_run([0.0], [[0.0]], info=RunInfo(rate=1.0, law=object()))  # type: ignore[arg-type]
-    with pytest.raises(taut.errors.UsageError, match=r"the info of a run holds numbers.* got object"):
+    with refused(taut.errors.UsageError):
         run.save(tmp_path / "run.mcap")
     assert not list(tmp_path.iterdir())
 
@@ -388,16 +366,14 @@ def test_a_hostile_header_is_refused(noisy_run: taut.Run, tmp_path: Path) -> Non
             writer.start()
             writer.add_metadata("taut.run", sealed(json.dumps(values)))
             writer.finish()
-        with pytest.raises(taut.errors.FileError) as refused:
+        with refused(taut.errors.FileError):
             taut.load_run(path)
-        assert str(refused.value).startswith("log '")
-        assert "\n" not in str(refused.value)
 
 
 def test_a_closed_log_takes_no_more_ticks(noisy_run: taut.Run, tmp_path: Path) -> None:
     with open_log(tmp_path / "run.mcap") as file:
         file.write(noisy_run)
         file.finish(noisy_run.outcome)
-        with pytest.raises(taut.errors.FileError, match=r"log '.*run.mcap' is closed; open another one"):
+        with refused(taut.errors.FileError):
             file.write(noisy_run)
     assert_same(noisy_run, taut.load_run(tmp_path / "run.mcap"))

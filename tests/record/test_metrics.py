@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.optimize import brentq
 
 import taut
@@ -327,12 +328,12 @@ def test_a_metric_of_a_user_is_one_function(panda_run: taut.Run, make_run: Any, 
 
 def test_a_metric_that_cannot_be_is_refused(make_run: Any) -> None:
     for taken in ("rms_error", "overall"):
-        with pytest.raises(UsageError, match=f"a run has '{taken}' already"):
+        with refused(UsageError):
             taut.analysis.Metric(unit="m", name=taken)(lambda _: 0.0)
     one = Metric(name="two", unit="m", doc="", compute=lambda _: np.zeros(2))
-    with pytest.raises(ShapeError, match=r"metric 'two' must give one number of a run; got shape \(2,\)"):
+    with refused(ShapeError):
         one.of(make_run([0.0, 1.0], [0.0, 1.0]))
-    with pytest.raises(AttributeError, match="no metric 'rms_eror'; did you mean 'rms_error'"):
+    with refused(AttributeError):
         make_run([0.0, 1.0], [0.0, 1.0]).metrics.rms_eror  # noqa: B018
 
 

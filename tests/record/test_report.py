@@ -16,6 +16,7 @@ import matplotlib.figure
 import matplotlib.image
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 from taut.analysis import Content, Result, Table
@@ -382,13 +383,10 @@ def test_what_prints_has_a_report_whose_title_says_what_it_is(run: taut.Run, tmp
 
 
 def test_what_has_no_report_is_told(run: taut.Run, tmp_path: Path) -> None:
-    for x, name in ((3.0, "float"), (taut.Run, "Run"), (None, "NoneType")):
-        with pytest.raises(
-            UsageError,
-            match=f"a report is of a taut.Run or of a result, which has content\\(\\); got {name}",
-        ):
+    for x in (3.0, taut.Run, None):
+        with refused(UsageError):
             taut.report(x, tmp_path / "x.html")
     (tmp_path / "y.html").mkdir()
-    with pytest.raises(FileError, match="is a folder; name a file in it"):
+    with refused(FileError):
         taut.report(run, tmp_path / "y.html")
     assert [path.name for path in tmp_path.iterdir()] == ["y.html"]

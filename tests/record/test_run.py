@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 
@@ -38,11 +39,11 @@ def test_a_stretch_of_a_run_has_its_ticks_and_metrics(noisy_run: taut.Run) -> No
 
 def test_a_stretch_without_ticks_is_refused(noisy_run: taut.Run, make_run: Any) -> None:
     for start, end in ((0.2, 0.1), (5.0, 6.0), (0.1, 0.1)):
-        with pytest.raises(taut.errors.RangeError, match=r"the run has no ticks from .* s; it has 0 to 0.249"):
+        with refused(taut.errors.RangeError):
             noisy_run.between(start, end)
-    with pytest.raises(taut.errors.RangeError, match="it has no ticks"):
+    with refused(taut.errors.RangeError):
         make_run([], np.zeros((0, 1))).between(0.0, 1.0)
-    with pytest.raises(taut.errors.RangeError, match="start must be finite"):
+    with refused(taut.errors.RangeError):
         noisy_run.between(np.nan, 1.0)
 
 

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 from PIL import Image
+from refusals import refused
 
 import taut
 from taut.maths import dynamics
@@ -92,10 +93,10 @@ def test_a_film_shows_the_arm_moving_in_real_time(moving: Any, tmp_path: Path) -
 def test_without_opengl_there_is_one_sentence_and_no_file(moving: Any, tmp_path: Path) -> None:
     run = moving(taut.load_arm("panda"), 0.3)
     path = tmp_path / "run.gif"
-    with pytest.raises(taut.errors.MissingExtraError) as refused:
+    with pytest.raises(
+        taut.errors.MissingExtraError, match=r"needs OpenGL, and none works here \(off: .*; install EGL or"
+    ):
         run.video(path, size=(200, 150))
-    assert str(refused.value).startswith(f"video '{path}' needs OpenGL, and none works here (off: ")
-    assert str(refused.value).endswith("; install EGL or OSMesa")
     assert not list(tmp_path.iterdir())
 
 
@@ -143,8 +144,7 @@ def test_a_backend_that_fails_is_named_and_the_next_is_tried(
 ) -> None:
     run = moving(taut.load_arm("one_joint"), 0.1)
     monkeypatch.setattr(render, "backends", lambda: ["nonsense", "off"])
-    reason = r"\(nonsense: .*invalid value for environment variable MUJOCO_GL: nonsense.*; off: "
-    with pytest.raises(taut.errors.MissingExtraError, match=reason):
+    with pytest.raises(taut.errors.MissingExtraError, match=r"\(nonsense: .*MUJOCO_GL: nonsense.*; off: "):
         run.video(tmp_path / "run.gif", size=(32, 32))
 
 
@@ -170,7 +170,7 @@ def test_a_renderer_that_dies_leaves_no_half_film(
         raise render.NoRendererError("killed")
 
     monkeypatch.setattr(render, "opened", lambda *_: contextlib.nullcontext(dying()))
-    with pytest.raises(taut.errors.FileError, match=r"video '.*run.gif' broke off: killed; try again"):
+    with refused(taut.errors.FileError):
         moving(taut.load_arm("one_joint")).video(tmp_path / "run.gif", size=(32, 32))
     assert not list(tmp_path.iterdir())
 
@@ -258,32 +258,29 @@ def test_every_wrong_request_gets_one_sentence(moving: Any, tmp_path: Path) -> N
     run = moving(taut.load_arm("one_joint"))
     bare = dataclasses.replace(run, arm=None)
     path = tmp_path / "run.gif"
-    wrong: list[tuple[Any, dict[str, Any], str]] = [
-        (run, {"path": tmp_path / "run.avi"}, "the video's name must end in .gif; got 'run.avi'"),
-        (run, {"path": tmp_path / "no" / "run.gif"}, "needs the folder"),
-        (run, {"path": tmp_path}, "the video's name must end in .gif"),
-        (bare, {}, "the run does not know its arm; pass arm=taut.load_arm(...)"),
-        (run, {"arm": taut.load_arm("planar2")}, "arm 'planar2' does not have the joints of the run: joint1, joint2 "
-         "against joint1"),
-        (run, {"arm": "panda"}, "arm must be an Arm from taut.load_arm; got str"),
-        (run, {"camera": (10.0,)}, "camera must have shape (2,) [deg]; got shape (1,)"),
-        (run, {"fps": 0}, "fps must be a whole number from 1 to 50; got 0"),
-        (run, {"fps": 60}, "fps must be a whole number from 1 to 50; got 60"),
-        (run, {"fps": 29.97}, "fps must be a whole number from 1 to 50; got 29.97"),
-        (run, {"size": 640}, "size must be width and height in pixels, from 16 to 4096; got 640"),
-        (run, {"size": (640, 8)}, "from 16 to 4096; got (640, 8)"),
-        (run, {"speed": 0.0}, "speed must be > 0; got 0.0"),
+    wrong: list[tuple[Any, dict[str, Any]]] = [
+        (run, {"path": tmp_path / "run.avi"}),
+        (run, {"path": tmp_path / "no" / "run.gif"}),
+        (run, {"path": tmp_path}),
+        (bare, {}),
+        (run, {"arm": taut.load_arm("planar2")}),
+        (run, {"arm": "panda"}),
+        (run, {"camera": (10.0,)}),
+        (run, {"fps": 0}),
+        (run, {"fps": 60}),
+        (run, {"fps": 29.97}),
+        (run, {"size": 640}),
+        (run, {"size": (640, 8)}),
+        (run, {"speed": 0.0}),
     ]  # fmt: skip
-    for one, request, sentence in wrong:
-        with pytest.raises(taut.TautError) as refused:
+    for one, request in wrong:
+        with refused(taut.TautError):
             one.video(**({"path": path} | request))
-        assert sentence in str(refused.value)
-        assert "\n" not in str(refused.value)
     assert not list(tmp_path.iterdir())
 
 
 def test_a_run_without_ticks_cannot_be_filmed(make_run: Any, tmp_path: Path) -> None:
     arm = taut.load_arm("one_joint")
     run = make_run([], np.zeros((0, 1)), arm=arm, joint_names=arm.joint_names)
-    with pytest.raises(taut.errors.UsageError, match="there is nothing to film: the run has no ticks"):
+    with refused(taut.errors.UsageError):
         run.video(tmp_path / "run.gif")

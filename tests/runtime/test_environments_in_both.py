@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 
@@ -89,10 +90,7 @@ class TestBothPlants:
 
     def test_too_long_steps_are_refused_in_mujoco_with_its_word(self) -> None:
         wall = taut.environments.StiffWall(point=tool().p, normal=[0, 0, 1], stiffness=3e7)
-        with pytest.raises(
-            taut.errors.RangeError,
-            match=r"too fast for steps of 0.001 s; give the plant steps of 0\.000\d+",
-        ):
+        with refused(taut.errors.RangeError):
             run(taut.MujocoPlant(PANDA, environment=wall))
 
     def test_the_scene_keeps_its_own_contacts(self) -> None:
@@ -159,7 +157,7 @@ class TestEvents:
 
     def test_that_no_environment_knows_are_refused(self, plant: str) -> None:
         made = PLANTS[plant](PANDA, environment=taut.environments.Environments(push=taut.environments.Push()))
-        with pytest.raises(taut.errors.UnknownNameError, match=r"no parameter 'environment\.t'"):
+        with refused(taut.errors.UnknownNameError):
             run(made, duration=0.1, events=[taut.Event.push(t=0.05)])
         run(made, duration=0.1, events=[taut.Event.push(t=0.05, peak=[1.0, 0.0, 0.0], of="environment.push")])
 
@@ -189,5 +187,5 @@ def test_an_environment_that_goes_wrong_in_mujoco_is_told() -> None:
     ctrl = taut.compile(taut.laws.GravityPID(kp=1.0, kd=1.0), PANDA)
     out = taut.run(ctrl, taut.MujocoPlant(PANDA, environment=Wild()), duration=0.1)
     assert "gave numbers that are not finite" in out.outcome.message
-    with pytest.raises(taut.errors.UsageError, match="environment must be an Environment"):
+    with refused(taut.errors.UsageError):
         taut.MujocoPlant(PANDA, environment=3.0)  # type: ignore[arg-type]

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 from runtime_laws import Array, HandPlant
 
 import taut
@@ -107,48 +108,43 @@ def test_the_float_engine_does_the_same() -> None:
 
 
 @pytest.mark.parametrize(
-    ("make", "message"),
+    "make",
     [
-        (lambda: taut.Event(t=-0.1, set={"law.kp": 1.0}), "event.t must be >= 0 [s]; got -0.1"),
-        (lambda: taut.Event(t=np.nan, set={"law.kp": 1.0}), "event.t must be finite [s]; got nan"),
-        (lambda: taut.Event(t=True, set={"law.kp": 1.0}), "event.t must be one number [s]; got True"),
-        (lambda: taut.Event(t=1.0, set={}), "an event sets one parameter at least: set={'law.kp': 150.0}; got {}"),
-        (
-            lambda: taut.Event(t=1.0, set=["law.kp"]),  # type: ignore[arg-type]
-            "an event sets one parameter at least: set={'law.kp': 150.0}; got ['law.kp']",
-        ),
-        (lambda: listed([{"t": 1.0}]), "events must be a list of taut.Event(t=, set=); got {'t': 1.0} in it"),
-        (lambda: listed(5), "events must be a list of taut.Event(t=, set=); got 5 in it"),
+        lambda: taut.Event(t=-0.1, set={"law.kp": 1.0}),
+        lambda: taut.Event(t=np.nan, set={"law.kp": 1.0}),
+        lambda: taut.Event(t=True, set={"law.kp": 1.0}),
+        lambda: taut.Event(t=1.0, set={}),
+        lambda: taut.Event(t=1.0, set=["law.kp"]),
+        lambda: listed([{"t": 1.0}]),
+        lambda: listed(5),
     ],
     ids=range(7),
 )
-def test_what_is_no_event_is_refused_in_words(make: Callable[[], object], message: str) -> None:
-    with pytest.raises(taut.TautError) as caught:
+def test_what_is_no_event_is_refused_in_words(make: Callable[[], object]) -> None:
+    with refused(taut.TautError):
         make()
-    assert str(caught.value) == message
 
 
-BAD: list[tuple[taut.Event, type[taut.TautError], str]] = [
-    (taut.Event(t=0.005, set={"law.levl": 1.0}), taut.errors.UnknownNameError, "has no parameter 'law.levl'; did you mean 'law.level'?"),
-    (taut.Event(t=0.005, set={"law.level": -1.0}), taut.errors.RangeError, "law.level must be >= 0 [N m]; got -1.0"),
-    (taut.Event(t=0.005, set={"law.level": np.nan}), taut.errors.RangeError, "law.level must be finite [N m]; got nan"),
-    (taut.Event(t=0.0101, set={"law.level": 1.0}), taut.errors.RangeError, "an event at t = 0.0101 s would never act: the run ends at 0.01 s; leave it out, or make the run longer"),
-    (taut.Event(t=0.005, set={"law.level": 1.0, "plant.none": 1.0}), taut.errors.UnknownNameError, "has no parameter 'plant.none'"),
-    (taut.Event.push(t=0.005, peak=[5.0, 0.0, 0.0]), taut.errors.UnknownNameError, "the loop has no parameter 'environment.t'"),
+BAD: list[tuple[taut.Event, type[taut.TautError]]] = [
+    (taut.Event(t=0.005, set={"law.levl": 1.0}), taut.errors.UnknownNameError),
+    (taut.Event(t=0.005, set={"law.level": -1.0}), taut.errors.RangeError),
+    (taut.Event(t=0.005, set={"law.level": np.nan}), taut.errors.RangeError),
+    (taut.Event(t=0.0101, set={"law.level": 1.0}), taut.errors.RangeError),
+    (taut.Event(t=0.005, set={"law.level": 1.0, "plant.none": 1.0}), taut.errors.UnknownNameError),
+    (taut.Event.push(t=0.005, peak=[5.0, 0.0, 0.0]), taut.errors.UnknownNameError),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize("plant", PLANTS.values(), ids=PLANTS)
-@pytest.mark.parametrize(("event", "kind", "message"), BAD, ids=range(len(BAD)))
+@pytest.mark.parametrize(("event", "kind"), BAD, ids=range(len(BAD)))
 def test_a_wrong_event_is_refused_before_anything_happens(
-    plant: Callable[[], Any], event: taut.Event, kind: type[taut.TautError], message: str, tmp_path: Any
+    plant: Callable[[], Any], event: taut.Event, kind: type[taut.TautError], tmp_path: Any
 ) -> None:
     made = plant()
     ctrl = taut.compile(Level(), ARM, adds=made.adds)
     log = tmp_path / "run.mcap"
-    with pytest.raises(kind) as caught:
+    with refused(kind):
         taut.run(ctrl, made, ONES, duration=0.01, events=[at(0.0, 1.0), event], log=log)
-    assert message in str(caught.value)
     assert not log.exists()
     assert ctrl.parameters["law.level"] == 0.0
     if isinstance(made, HandPlant):
@@ -158,6 +154,6 @@ def test_a_wrong_event_is_refused_before_anything_happens(
 def test_a_plants_own_parameter_is_checked_before_the_run_too() -> None:
     made = HandPlant()
     ctrl = taut.compile(Level(), ARM, adds=made.adds)
-    with pytest.raises(taut.errors.RangeError, match=r"plant\.mass must be > 0; got 0\.0"):
+    with refused(taut.errors.RangeError):
         taut.run(ctrl, made, ONES, duration=0.01, events=[taut.Event(t=0.005, set={"plant.mass": 0.0})])
     assert not made.commands

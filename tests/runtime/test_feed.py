@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 from runtime_laws import TINY, Array, AtOnly, HandPlant, Seen, Spring, TorqueOf, seen
 
 import taut
@@ -310,15 +311,13 @@ def test_a_reference_that_does_not_fit_is_refused_in_words(
         assert (len(out), out.outcome.kind) == (10, "stopped")
         assert out.outcome.message == f"stopped at t = 0.01 s (tick 10): {message}"
         return
-    with pytest.raises(kind) as caught:
+    with refused(kind):
         run(plant(), ref)
-    assert str(caught.value) == message
 
 
 def test_rows_that_are_not_as_many_as_the_times_are_refused_in_words() -> None:
-    with pytest.raises(taut.errors.ShapeError) as caught:
+    with refused(taut.errors.ShapeError):
         run(HandPlant(), Rows(None))
-    assert str(caught.value) == "rows(times) must give one row per time; it gives 3 for 21 times"
 
 
 def test_a_chunk_of_samples_of_different_sizes_is_refused_when_it_is_made() -> None:

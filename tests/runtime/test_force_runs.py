@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 
@@ -332,9 +333,7 @@ def test_on_a_rigid_contact_a_force_that_swings_up_is_refused_and_one_that_settl
     assert last(bare, 0.9, 1.0) < 0.1
     assert last(bare, 0.5, 900.0) < 0.1
     for kfp, kfi in ((1.05, 0.0), (0.5, 1100.0)):
-        with pytest.raises(
-            taut.errors.RangeError, match=r"must be under 1 on a rigid contact, .* law has 1\.05;"
-        ) as caught:
+        with refused(taut.errors.RangeError) as caught:
             last(bare, kfp, kfi)
         assert caught.value.name == "law.kfp"
     if frame == "world":

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from impedance_tools import Kick, Shaker, deviation, inertia, poses_of
+from refusals import refused
 from scipy.linalg import expm
 
 import taut
@@ -166,9 +167,7 @@ def test_the_acceleration_of_the_tick_before_serves_below_twice_the_inertia_and_
         run = taut.run(taut.compile(law, arm), plant, ref, duration=4.0)
         assert run.outcome.ok
         assert np.abs(run.v[-1]).max() <= 0.02 * np.abs(run.v).max()
-    with pytest.raises(
-        taut.errors.RangeError, match=r"at this pose they are 2\.1\d* to 2\.\d+; make D and B smaller"
-    ):
+    with refused(taut.errors.RangeError):
         taut.compile(impedance(K=(200.0, 2.0), D=2.1 * Lam, feedback="acceleration"), arm).needs  # noqa: B018
 
 
@@ -182,13 +181,13 @@ def test_a_new_inertia_that_the_loop_does_not_bear_is_refused_where_the_arm_is()
     ctrl.parameters["law.D"] = 3.0 * Lam  # nobody knows yet where the arm will be
     ctrl.parameters["law.D"] = Lam
     ctrl.step(arm.home, np.zeros(7), ref)
-    with pytest.raises(taut.errors.RangeError, match=r"they are 3 to 3\.\d+; make D and B smaller"):
+    with refused(taut.errors.RangeError):
         ctrl.parameters["law.D"] = 3.0 * Lam
     assert np.array_equal(ctrl.parameters["law.D"], Lam)
     share = 0.6
     ctrl.parameters["law.B"] = share * np.array([30.0] * 3 + [0.3] * 3)
     ctrl.parameters["law.D"] = share * 3.0 * Lam
-    with pytest.raises(taut.errors.RangeError, match=r"eigenvalues of Lambda\^-1 \(D \+ B dt / 2\)"):
+    with refused(taut.errors.RangeError):
         ctrl.parameters["law.B"] = np.full(6, 2e4)
     ctrl.reset()
     ctrl.parameters["law.B"] = np.full(6, 2e4)
@@ -204,7 +203,7 @@ def test_an_event_that_asks_for_it_ends_the_run_before_it_and_keeps_what_was(pla
     run = taut.run(ctrl, plant(arm, friction=None), ref, duration=0.1, events=[taut.Event(t=0.05, set=change)])
     assert (run.outcome.kind, len(run), run.outcome.tick) == ("stopped", 50, 49)
     assert run.outcome.message.startswith("stopped at t = 0.05 s, before the event that sets law.D: feedback=")
-    with pytest.raises(taut.errors.RangeError, match="make D and B smaller"):
+    with refused(taut.errors.RangeError):
         taut.run(ctrl, plant(arm, friction=None), ref, duration=0.1, events=[taut.Event(t=0.0, set=change)])
     allowed = [taut.Event(t=0.05, set={"law.D": 1.5 * Lam})]
     assert taut.run(ctrl, plant(arm, friction=None), ref, duration=0.1, events=allowed).outcome.ok

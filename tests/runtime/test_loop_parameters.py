@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 from runtime_laws import Spring
 
 import taut
@@ -101,42 +102,41 @@ def test_a_number_that_is_kept_is_a_copy() -> None:
     assert loop.parameters["law.kp"][0] == 1.0
 
 
-CASES: list[tuple[str, Any, type[taut.TautError], str]] = [
-    ("law.kpp", 1.0, taut.errors.UnknownNameError, "the loop has no parameter 'law.kpp'; did you mean 'law.kp' or 'law.ki'?"),
-    ("plant.payload.maas", 1.0, taut.errors.UnknownNameError, "the loop has no parameter 'plant.payload.maas'; did you mean 'plant.payload.mass' or 'plant.payload.com'?"),
-    ("law.kp", [1.0, -1.0], taut.errors.RangeError, "law.kp[1] must be >= 0 [N m/rad | N/m]; got -1.0"),
-    ("law.kp", np.nan, taut.errors.RangeError, "law.kp must be finite [N m/rad | N/m]; got nan"),
-    ("law.kd", [1.0, 2.0], taut.errors.ShapeError, "law.kd was compiled with shape (); got shape (2,); for another shape, compile the law or make the plant again"),
-    ("law.ki", [[1.0, 0.5], [0.0, 1.0]], taut.errors.RangeError, "law.ki must be a symmetric matrix [N m/(rad s) | N/(m s)]; it differs from its transpose by 0.5"),
-    ("limits.tau", 0.0, taut.errors.RangeError, "limits.tau must be > 0 [N m | N]; got 0.0"),
-    ("plant.payload.mass", -1.0, taut.errors.RangeError, "plant.payload.mass must be >= 0 [kg]; got -1.0"),
-    ("plant.payload.mass", [1.0, 2.0], taut.errors.ShapeError, "plant.payload.mass must be one number [kg]; got [1.0, 2.0]"),
-    ("plant.payload.com", [0.1, 0.2], taut.errors.ShapeError, "plant.payload.com must have shape (3,) [m]; got shape (2,)"),
-    ("plant.payload.inertia", 1.0, taut.errors.ShapeError, "plant.payload.inertia must have shape (6,) [kg m^2]; got shape ()"),
-    ("plant.payload.inertia", [1.0, 0.1, 0.1, 0.0, 0.0, 0.0], taut.errors.RangeError, "payload.inertia violates the triangle inequality: principal moments 1 > 0.1 + 0.1 [kg m^2]; it is about the centre of mass, in the order xx, yy, zz, xy, xz, yz"),
-    ("model.payload.inertia", [-1.0, -1.0, -1.0, 0.0, 0.0, 0.0], taut.errors.RangeError, "payload.inertia must be positive semidefinite [kg m^2]; its smallest eigenvalue is -1"),
-    ("plant.friction.viscous", [0.1, -0.2], taut.errors.RangeError, "plant.friction.viscous[1] (joint 'joint2') must be >= 0; got -0.2"),
-    ("plant.friction.coulomb", [1.0, 2.0, np.nan], taut.errors.RangeError, "plant.friction.coulomb[2] must be finite; got nan"),
-    ("plant.friction.coulomb", [1.0, 2.0, 3.0], taut.errors.ShapeError, "plant.friction.coulomb was compiled with shape (2,); got shape (3,); for another shape, compile the law or make the plant again"),
-    ("actuation.bandwidth", 0.0, taut.errors.RangeError, "actuation.bandwidth must be > 0 [rad/s]; got 0.0; for an ideal torque drive leave it out"),
-    ("sensors.position.resolution", -1e-3, taut.errors.RangeError, "sensors.position.resolution must be > 0 [rad | m]; got -0.001"),
-    ("sensors.position.resolution", 0.0, taut.errors.RangeError, "sensors.position.resolution must be > 0 [rad | m]; got 0.0; leave it out where there are no steps"),
-    ("sensors.position.noise", [0.0, -1.0], taut.errors.RangeError, "sensors.position.noise[1] (joint 'joint2') must be >= 0 [rad | m]; got -1.0"),
-    ("sensors.position.resolution", [0.1, 0.1], taut.errors.ShapeError, "sensors.position.resolution was compiled with shape (); got shape (2,); for another shape, compile the law or make the plant again"),
-    ("environment.k", np.inf, taut.errors.RangeError, "environment.k must be finite [N/m]; got inf"),
-    ("environment.k", "stiff", taut.errors.ShapeError, "environment.k must be numbers [N/m]; got 'stiff'"),
+CASES: list[tuple[str, Any, type[taut.TautError]]] = [
+    ("law.kpp", 1.0, taut.errors.UnknownNameError),
+    ("plant.payload.maas", 1.0, taut.errors.UnknownNameError),
+    ("law.kp", [1.0, -1.0], taut.errors.RangeError),
+    ("law.kp", np.nan, taut.errors.RangeError),
+    ("law.kd", [1.0, 2.0], taut.errors.ShapeError),
+    ("law.ki", [[1.0, 0.5], [0.0, 1.0]], taut.errors.RangeError),
+    ("limits.tau", 0.0, taut.errors.RangeError),
+    ("plant.payload.mass", -1.0, taut.errors.RangeError),
+    ("plant.payload.mass", [1.0, 2.0], taut.errors.ShapeError),
+    ("plant.payload.com", [0.1, 0.2], taut.errors.ShapeError),
+    ("plant.payload.inertia", 1.0, taut.errors.ShapeError),
+    ("plant.payload.inertia", [1.0, 0.1, 0.1, 0.0, 0.0, 0.0], taut.errors.RangeError),
+    ("model.payload.inertia", [-1.0, -1.0, -1.0, 0.0, 0.0, 0.0], taut.errors.RangeError),
+    ("plant.friction.viscous", [0.1, -0.2], taut.errors.RangeError),
+    ("plant.friction.coulomb", [1.0, 2.0, np.nan], taut.errors.RangeError),
+    ("plant.friction.coulomb", [1.0, 2.0, 3.0], taut.errors.ShapeError),
+    ("actuation.bandwidth", 0.0, taut.errors.RangeError),
+    ("sensors.position.resolution", -1e-3, taut.errors.RangeError),
+    ("sensors.position.resolution", 0.0, taut.errors.RangeError),
+    ("sensors.position.noise", [0.0, -1.0], taut.errors.RangeError),
+    ("sensors.position.resolution", [0.1, 0.1], taut.errors.ShapeError),
+    ("environment.k", np.inf, taut.errors.RangeError),
+    ("environment.k", "stiff", taut.errors.ShapeError),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("path", "value", "kind", "message"), CASES, ids=range(len(CASES)))
+@pytest.mark.parametrize(("path", "value", "kind"), CASES, ids=range(len(CASES)))
 def test_a_wrong_value_is_refused_in_words_and_nothing_changes(
-    path: str, value: Any, kind: type[taut.TautError], message: str
+    path: str, value: Any, kind: type[taut.TautError]
 ) -> None:
     loop = loop_of(**FULL)
     before = {name: number.tolist() for name, number in loop.parameters.items()}
-    with pytest.raises(kind) as caught:
+    with refused(kind):
         loop.parameters[path] = value
-    assert str(caught.value) == message
     assert {name: number.tolist() for name, number in loop.parameters.items()} == before
 
 
@@ -160,17 +160,13 @@ def test_a_path_can_be_asked_for_without_knowing_whether_it_is_there() -> None:
 def test_values_that_do_not_go_together_are_refused_and_nothing_changes() -> None:
     arm = taut.load_arm("planar2").with_friction(taut.Friction(coulomb=0.3, static=0.5))
     loop = taut.Loop(taut.compile(taut.laws.PID(kp=1.0), arm), taut.RigidPlant(arm), duration=0.1)
-    with pytest.raises(taut.errors.RangeError) as caught:
+    with refused(taut.errors.RangeError):
         loop.parameters["plant.friction.coulomb"] = 0.6
-    assert str(caught.value) == (
-        "plant.friction.static[0] must be >= plant.friction.coulomb: friction at rest is no less than in motion; got "
-        "0.5 < 0.6 [N m | N]"
-    )
     loop.parameters["plant.friction.static"] = 0.8
     loop.parameters["plant.friction.coulomb"] = 0.6
     together = taut.Event(t=0.05, set={"plant.friction.coulomb": 1.6, "plant.friction.static": 1.8})
     assert taut.run(loop, events=[together]).outcome.ok
-    with pytest.raises(taut.errors.RangeError, match="friction at rest is no less than in motion"):
+    with refused(taut.errors.RangeError):
         taut.run(loop, events=[taut.Event(t=0.05, set={"plant.friction.coulomb": 1.6})])
 
 
@@ -182,14 +178,12 @@ def test_a_spring_that_a_parameter_makes_too_stiff_for_the_steps_is_refused_when
     )
     assert taut.run(loop).outcome.ok
     loop.parameters["actuation.transmission.stiffness"] = 1e6
-    with pytest.raises(
-        taut.errors.RangeError, match=r"too fast for steps of 0\.000333333 s; give the plant steps of"
-    ):
+    with refused(taut.errors.RangeError):
         taut.run(loop)
 
 
 def test_a_parameter_cannot_be_removed() -> None:
-    with pytest.raises(taut.errors.UsageError, match=r"parameter 'law.kp' cannot be removed; set it"):
+    with refused(taut.errors.UsageError):
         del loop_of().parameters["law.kp"]
 
 

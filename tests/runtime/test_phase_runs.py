@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 
@@ -122,15 +123,12 @@ def test_where_nothing_is_touched_the_task_stops_and_says_so() -> None:
     run = taut.run(task, plant, duration=0.5)
     assert not run.outcome.ok
     assert str(run.outcome) == "stopped: 501 ticks, 0.5 s; phases: approach to 0.2 s (timeout), stopped at 0.2 s"
-    with pytest.raises(
-        taut.errors.RangeError,
-        match="phase 'approach' acted 1 times in this run, so that there is no visit 1; what acted is approach, stop",
-    ):
+    with refused(taut.errors.RangeError):
         run.phase("approach", 1)
-    with pytest.raises(taut.errors.UnknownNameError, match="the run has no phase 'aproach'; did you mean 'approach'"):
+    with refused(taut.errors.UnknownNameError):
         run.phase("aproach")
     plain = taut.run(taut.compile(task[0].law, arm), taut.RigidPlant(arm), duration=0.01)
-    with pytest.raises(taut.errors.UsageError, match="the run has no phases: its law is not a task"):
+    with refused(taut.errors.UsageError):
         plain.phases  # noqa: B018
 
 
@@ -197,7 +195,7 @@ def test_a_reference_that_fails_ends_the_run_in_words_with_its_record(
     np.testing.assert_array_equal(again.q, run.q)
     first = taut.Phase(phase.law, phase.reference, name="go")
     if began:  # where it is the first phase, nothing has happened, and there is no record to keep
-        with pytest.raises(taut.TautError, match="phase 'go'"):
+        with refused(taut.TautError):
             taut.run([first], plant, duration=0.1, q0=HERE)
 
 

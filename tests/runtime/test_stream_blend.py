@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 from runtime_laws import HandPlant, TorqueOf
 
 import taut
@@ -106,7 +107,6 @@ def test_samples_one_by_one_are_blended_too() -> None:
 
 
 def test_a_blend_that_is_none_is_refused() -> None:
-    for blend, words in ((0.0, "blend must be > 0 [s]; got 0.0"), (np.nan, "blend must be finite [s]; got nan")):
-        with pytest.raises(taut.errors.RangeError) as caught:
+    for blend in (0.0, np.nan):
+        with refused(taut.errors.RangeError):
             taut.stream(period=0.1, blend=blend)
-        assert str(caught.value) == words

@@ -9,6 +9,7 @@ import shlex
 from pathlib import Path
 
 import pytest
+from refusals import refused
 
 import taut
 from taut.base.errors import TautError
@@ -90,7 +91,7 @@ def test_the_examples_of_the_help_succeed(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_a_plant_that_dry_friction_holds_is_refused() -> None:
     arm = taut.load_arm("one_joint").with_joints(coulomb=0.5)
-    with pytest.raises(TautError, match="dry friction"):
+    with refused(TautError):
         taut.design(taut.laws.PID, arm, zeta=1.0, omega_n=10.0, plant=taut.RigidPlant(arm))
 
 

@@ -7,6 +7,7 @@ import types
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 from taut.base.types import Float64Array
@@ -142,28 +143,26 @@ class TestSimulateControl:
 class TestWhatIsRefused:
     def test_in_one_sentence(self) -> None:
         cases = [
-            ({"eint": 0.2, "Kp": -1.0}, "kp must be >= 0"),
-            ({"eint": 0.2, "Ki": np.nan}, "Ki must be finite; got nan"),
-            ({"eint": 0.2, "S": SLIST.T}, "Slist must have shape (6, n)"),
+            {"eint": 0.2, "Kp": -1.0},
+            {"eint": 0.2, "Ki": np.nan},
+            {"eint": 0.2, "S": SLIST.T},
         ]
-        for given, text in cases:
-            with pytest.raises(taut.TautError) as told:
+        for given in cases:
+            with refused(taut.TautError):
                 torque(**given)
-            assert text in str(told.value)
         changes = [
-            (3, TIP[:5], "Ftipmat must have shape (12, 6); got shape (5, 6)"),
-            (7, np.zeros((ROWS, 2)), "thetamatd must have shape (12, 3); got shape (12, 2)"),
-            (16, 0.0, "dt must be > 0 [s]; got 0.0"),
-            (17, 0, "intRes must be a whole number from 1 to 100000; got 0"),
-            (17, 2.5, "intRes must be a whole number from 1 to 100000; got 2.5"),
-            (10, [1.0, 2.0], "the model (with a tilde): g must have shape (3,) [m/s^2]; got shape (2,)"),
-            (11, MLIST[:2], "Mlist must have shape (4, 4, 4); got shape (2, 4, 4)"),
-            (12, -GLIST, "link 'link1': mass must be finite and >= 0 [kg]; got -3.7"),
-            (13, 1e9, "the arm is gone in row 2 of 12: steps of 0.00606 s are too long for these gains; make intRes"),
+            (3, TIP[:5]),
+            (7, np.zeros((ROWS, 2))),
+            (16, 0.0),
+            (17, 0),
+            (17, 2.5),
+            (10, [1.0, 2.0]),
+            (11, MLIST[:2]),
+            (12, -GLIST),
+            (13, 1e9),
         ]
-        for place, value, text in changes:
+        for place, value in changes:
             args = list(arguments(UNIT, 0.0))
             args[place] = value
-            with pytest.raises(taut.TautError) as told:
+            with refused(taut.TautError):
                 taut.textbook.SimulateControl(*args)
-            assert text in str(told.value)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 from taut.base.errors import RangeError, ScenarioError, ShapeError, UsageError
@@ -89,26 +89,22 @@ def test_the_tips_of_a_scenario_and_its_press_are_read() -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "text"),
+    ("old", "new"),
     [
-        ("press = 10.0", "press = -1.0", "press must be >= 0 [N]; got -1"),
-        ("press = 10.0", "", "the law follows HybridMotion of a TaskMotion"),
-        (
-            "stiffness = 1000",
-            "stiffness = 0",
-            "[plant.tip] stiffness must be > 0 [N/m]; got 0.0; for a rigid tool leave the tip out",
-        ),
-        ("stiffness = 1000, ", "", "needs the key 'stiffness'"),
+        ("press = 10.0", "press = -1.0"),
+        ("press = 10.0", ""),
+        ("stiffness = 1000", "stiffness = 0"),
+        ("stiffness = 1000, ", ""),
     ],
 )
-def test_what_is_wrong_in_it_is_said(tmp_path: Path, old: str, new: str, text: str) -> None:
+def test_what_is_wrong_in_it_is_said(tmp_path: Path, old: str, new: str) -> None:
     source = built_in_scenarios()[TITLE]
     (tmp_path / "tilted_board.xml").write_text(source.with_name("tilted_board.xml").read_text())
     changed = source.read_text()
     assert old in changed
     file = tmp_path / "case.toml"
     file.write_text(changed.replace(old, new))
-    with pytest.raises(ScenarioError, match=re.escape(text)):
+    with refused(ScenarioError):
         load_scenario(str(file))
 
 
@@ -126,9 +122,9 @@ def test_rows_of_a_pressing_motion_are_its_samples() -> None:
 
 def test_tips_that_are_none_are_refused() -> None:
     arm = taut.load_arm("panda")
-    with pytest.raises(UsageError, match=r"^tip must be a taut.environments.SpringTip; got float$"):
+    with refused(UsageError):
         taut.MujocoPlant(arm, tip=1000.0)  # type: ignore[arg-type]
-    with pytest.raises(RangeError, match=r"^travel must be > 0 \[m\]; got -1.0$"):
+    with refused(RangeError):
         taut.environments.SpringTip(stiffness=1.0, travel=-1.0)
-    with pytest.raises(ShapeError, match=r"^stiffness must be a number \[N/m\]; got shape \(2,\)$"):
+    with refused(ShapeError):
         taut.environments.SpringTip(stiffness=[1.0, 2.0])

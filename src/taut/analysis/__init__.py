@@ -1,4 +1,4 @@
-"""Analyses of loops and runs: stiffness, constraints, design, diagnosis, comparison, tuning."""
+"""Analyses of loops and runs: stiffness, constraints, design, diagnosis, comparison, tuning, identification."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ from taut.base.front_door import lazy_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from taut.analysis.attraction import Attraction as Attraction
+    from taut.analysis.attraction import region_of_attraction as region_of_attraction
+    from taut.analysis.collision import collision_threshold as collision_threshold
     from taut.analysis.comparison import Comparison as Comparison
     from taut.analysis.comparison import WrongModel as WrongModel
     from taut.analysis.constraints import ConstraintRow as ConstraintRow
@@ -22,6 +25,16 @@ if TYPE_CHECKING:
     from taut.analysis.diagnosis.checks import CHECKS as CHECKS
     from taut.analysis.diagnosis.diagnosis import Diagnosis as Diagnosis
     from taut.analysis.grading import Grade as Grade
+    from taut.analysis.harmonic_balance import LimitCycle as LimitCycle
+    from taut.analysis.harmonic_balance import LimitCycles as LimitCycles
+    from taut.analysis.harmonic_balance import limit_cycles as limit_cycles
+    from taut.analysis.identification.excitation import excitation as excitation
+    from taut.analysis.identification.identify import Estimate as Estimate
+    from taut.analysis.identification.identify import Identification as Identification
+    from taut.analysis.identification.identify import Verdict as Verdict
+    from taut.analysis.identification.identify import identify as identify
+    from taut.analysis.identification.payload import PayloadEstimate as PayloadEstimate
+    from taut.analysis.identification.payload import payload_estimate as payload_estimate
     from taut.analysis.impedance_at_tool import ToolImpedance as ToolImpedance
     from taut.analysis.impedance_at_tool import tool_impedance as tool_impedance
     from taut.analysis.loci import RootLocus as RootLocus
@@ -30,8 +43,8 @@ if TYPE_CHECKING:
     from taut.analysis.loci import root_locus as root_locus
     from taut.analysis.loci import routh as routh
     from taut.analysis.loci import stability_map as stability_map
-    from taut.analysis.payload import PayloadEstimate as PayloadEstimate
-    from taut.analysis.payload import payload_estimate as payload_estimate
+    from taut.analysis.lqr import Lqr as Lqr
+    from taut.analysis.lqr import lqr as lqr
     from taut.analysis.several_joints import Coupling as Coupling
     from taut.analysis.several_joints import Lyapunov as Lyapunov
     from taut.analysis.several_joints import coupling as coupling

@@ -390,8 +390,8 @@ def check_stiffness(
         Colgate and Schenkel, Passivity of a class of sampled-data systems (1997). Chapter, section 10.5.1.
     """
     instance_of("ctrl", ctrl, Controller, "a controller from taut.compile")
-    if ctrl.side.probe.kind != "torque" or "F_ext" in ctrl.side.needs:
-        why = f"commands a {ctrl.side.probe.kind}" if ctrl.side.probe.kind != "torque" else "reads the wrist sensor"
+    if ctrl.kind != "torque" or "F_ext" in ctrl.side.needs:
+        why = f"commands a {ctrl.kind}" if ctrl.kind != "torque" else "reads the wrist sensor"
         raise UsageError(
             f"check_stiffness is for laws from joint motion to torque, and {type(ctrl.law).__name__} {why}; judge "
             "the whole loop with taut.linearise",

@@ -183,7 +183,7 @@ def tune(
     """
     evaluations = whole_number("evaluations", evaluations, minimum=1)
     if not seeds:
-        raise UsageError("seeds must have one number at least", name="seeds")
+        raise UsageError("seeds must have one number at least; got none", name="seeds")
     if limits is not None and not isinstance(limits, Limits):
         raise UsageError(
             f"limits must be taut.Limits(...), such as taut.Limits.of(arm); got {type(limits).__name__}",
@@ -191,7 +191,7 @@ def tune(
         )
     named = _named(loops)
     if not named:
-        raise UsageError("tune needs a loop at least", name="loops")
+        raise UsageError("tune needs one loop at least; got none", name="loops")
     return _Problem(
         space=_Space(next(iter(named.values())), paths, bounds or {}),
         loops=named,
@@ -233,7 +233,7 @@ class _Space:
             )
         for path in bounds:
             if path not in paths:
-                raise unknown_name("paths", "parameter to bound", path, paths)
+                raise unknown_name("paths", "parameter", path, paths)
         self.start = {path: np.array(loop.parameters[path]) for path in paths}
         pairs = [_bounds_of(path, value, bounds.get(path)) for path, value in self.start.items()]
         self._low, self._high = (np.concatenate(column) for column in zip(*pairs, strict=True))

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from taut.arm.description import Arm
 
 JointKind = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar", "ball"]
-CommandKind = Literal["torque", "velocity", "position"]
+CommandKind = Literal["torque", "velocity", "position", "mit"]
 Shape = Literal["mesh", "box", "cylinder", "sphere"]
 COMMANDS: Final[tuple[CommandKind, ...]] = ("torque", "velocity", "position")
 BASE: Final = -1

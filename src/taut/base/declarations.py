@@ -159,7 +159,7 @@ class Field(Declaration[Any]):
             self.name,
             given,
             unit=self.unit,
-            joints=joints if isinstance(joints, Sequence) else None,
+            joints=joints if isinstance(joints, Sequence) and self.shape == "n" else None,
             maximum=self.maximum,
             infinite=self.infinite,
             hint=self.hint,

@@ -11,7 +11,7 @@ from taut.arm.description import Arm
 from taut.base.errors import MatchError, UsageError, unknown_name
 from taut.base.fields import Declared, Part
 from taut.base.types import Vector
-from taut.control.command import Command, one_kind
+from taut.control.command import Command, MitCommand, of_kind, one_kind, rows_of
 from taut.control.gains import MemoryView
 from taut.control.law import Law, call
 from taut.control.trajectories.compound import joined, require_part_name, together_kind
@@ -80,7 +80,11 @@ class Sum(Law):
                 owner[what] = name
             x.used.update(own.used)
         first, *others = (command.terms for command in commands.values())
-        return one_kind(commands, f"the laws of {' + '.join(self.parts)}")(sum(others, start=first)), after
+        who = f"the laws of {' + '.join(self.parts)}"
+        kind = one_kind(commands, who)
+        if kind is MitCommand:
+            raise MatchError(f"{who} each give a MitCommand; wrap their sum: ViaMit(law=law + law)", name="law")
+        return kind(sum(others, start=first)), after
 
     def __repr__(self) -> str:
         return " + ".join(repr(law) for law in self.parts.values())
@@ -184,8 +188,12 @@ class SideBySide(Law):
         for name, law in self.parts.items():
             law.check_size(len(places[name]))
             commands[name], after[name] = call(law, seen[name], getattr(ref, name), memory[name], dt)
-        whole = [c.terms.mapped(partial(_spread, places=places[name], n=x.n)) for name, c in commands.items()]
-        return one_kind(commands, "laws side by side")(sum(whole[1:], start=whole[0])), after
+        spread = {name: partial(_spread, places=places[name], n=x.n) for name in commands}
+        whole = [c.terms.mapped(spread[name]) for name, c in commands.items()]
+        rows: dict[str, Any] = {}
+        for name, command in commands.items():
+            rows |= {row: rows.get(row, 0.0) + spread[name](values) for row, values in rows_of(command).items()}
+        return of_kind(one_kind(commands, "laws side by side"), sum(whole[1:], start=whole[0]), rows), after
 
     def __repr__(self) -> str:
         return f"SideBySide({', '.join(f'{name}={law!r}' for name, law in self.parts.items())})"

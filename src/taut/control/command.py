@@ -7,8 +7,9 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from taut.base.errors import MatchError, TraceError, UsageError, user_location
+from taut.base.errors import MatchError, ShapeError, TraceError, UsageError, user_location
 from taut.base.types import Array, Float64Array
+from taut.trace import math as tm
 from taut.trace.array import has_symbols, traced_array
 
 
@@ -159,7 +160,7 @@ def _final(value: Any) -> UsageError:
 
 
 class Command:
-    """What a law returns: named terms of one kind of command. Abstract: use Torque, Velocity or Position."""
+    """Named terms of one kind of command, as a law returns them: Torque, Velocity, Position or MitCommand."""
 
     __slots__ = ("terms",)
     kind: ClassVar[str]
@@ -214,12 +215,75 @@ class Position(Command):
     unit = "rad | m"
 
 
+class MitCommand(Command):
+    """Five numbers for each joint, of which its motor makes the torque by itself between ticks (MIT-type motors).
+
+    Law:          tau_motor(t) = kp (q - q(t)) + kd (v - v(t)) + tau, at the motor's own rate
+
+    Limits, records and named terms are those of the torque in the instant of the tick: of the law's terms, which are
+    those of tau, with P and D of the motor's gains.
+
+    Args:
+        q: (n,) position that the motor's spring pulls to [rad | m].
+        v: (n,) velocity that its damper pulls to [rad/s | m/s].
+        kp: (n,) or scalar, stiffness of the motor [N m/rad | N/m].
+        kd: (n,) or scalar, its damping [N m s/rad | N s/m].
+        tau: Feed-forward torque, as `Terms` or as an array (n,) [N m | N].
+
+    Example:
+        >>> command = MitCommand(q=[0.5], v=[0.0], kp=20.0, kd=1.0, tau=Terms(gravity=[2.0]))
+        >>> command.total.tolist(), command.kp.tolist()
+        ([2.0], [20.0])
+    """
+
+    __slots__ = ("kd", "kp", "q", "v")
+    q: Array
+    v: Array
+    kp: Array
+    kd: Array
+    kind = "mit"
+    unit = "N m | N"
+
+    def __init__(self, *, q: Any, v: Any, kp: Any, kd: Any, tau: Any) -> None:
+        super().__init__(tau if isinstance(tau, Terms) else Terms(feedforward=tau))
+        for name, value in {"q": q, "v": v, "kp": kp, "kd": kd}.items():
+            array = as_array(value, name)
+            if array.shape not in ((), self.total.shape):
+                raise ShapeError(
+                    f"MitCommand: {name} must have shape {self.total.shape}, as tau; got {array.shape}", name=name
+                )
+            setattr(self, name, array * np.ones(self.total.shape))
+
+    @property
+    def rows(self) -> dict[str, Array]:
+        """What it has besides the terms of its torque, each (n,)."""
+        return {name: getattr(self, name) for name in self.__slots__}
+
+    def feedback(self, x: Any) -> Terms:
+        """The torque of the motor's gains at a snapshot."""
+        return Terms(P=self.kp * x.difference(self.q), D=self.kd * (self.v - x.v))
+
+    def sent(self, x: Any, tau: Array) -> Array:
+        """(5, n) q, v, kp, kd and feed-forward torque with which the motors give tau (n,) at a snapshot."""
+        return tm.stack([self.q, self.v, self.kp, self.kd, tau - self.feedback(x).total])
+
+
+def of_kind(kind: type[Command], terms: Terms, rows: Mapping[str, Array]) -> Command:
+    """A command of some kind: of its terms, and of the rows that a MitCommand has besides."""
+    return MitCommand(tau=terms, **rows) if kind is MitCommand else kind(terms)
+
+
+def rows_of(command: Command) -> dict[str, Array]:
+    """The rows that a MitCommand has besides its terms; none of others."""
+    return command.rows if isinstance(command, MitCommand) else {}
+
+
 def one_kind(commands: Mapping[str, Command], who: str) -> type[Command]:
     """The kind of command that all of several laws give; MatchError where they give several."""
     kind, *others = {type(command) for command in commands.values()}
     if others:
         words = ", ".join(f"'{name}' a {command.kind}" for name, command in commands.items())
-        raise MatchError(f"{who} give commands of one kind; these give {words}", name=who)
+        raise MatchError(f"{who} must give commands of one kind; these give {words}", name=who)
     return kind
 
 

@@ -16,14 +16,14 @@ from taut.base.errors import MatchError, NumericalError, RangeError, ShapeError,
 from taut.base.paths import flatten, subtree, unflatten
 from taut.base.types import Array, ArrayLike, Float64Array, Vector
 from taut.control.combine import all_laws, title
-from taut.control.command import Command, Terms, Torque, as_array
+from taut.control.command import Command, MitCommand, Terms, Torque, as_array
 from taut.control.law import Law, call
 from taut.control.limits import Limits, anew, fresh_blend, limited
 from taut.control.sensing import Sensing
 from taut.control.trajectories.reference import Reference, Sample
 from taut.maths import dynamics as dyn
 from taut.maths.model import Adds, Model, PayloadValues, model_of
-from taut.maths.snapshot import AT_TOOL, MEASUREMENTS, Snapshot, measurement_shapes
+from taut.maths.snapshot import AT_TOOL, ESTIMATES, MEASUREMENTS, Snapshot, measurement_shapes
 from taut.trace import math as tm
 from taut.trace.graph import LARGEST
 
@@ -47,6 +47,16 @@ class Tick:
     named: Terms  # before limits
     seen: Mapping[str, Vector]  # what the law saw, by measurement
     limiting: Mapping[str, Vector]  # (n,) what limits added to it, by name
+    mit: Array | None = None  # (5, n) for motors with a loop of their own, whose torque in the tick is the command
+
+    @property
+    def sent(self) -> Array:
+        """What the plant takes: the command, or (5, n) that of motors with a loop of their own."""
+        return self.command if self.mit is None else self.mit
+
+    def pushed(self, by: Vector) -> Array:
+        """What the plant takes with a disturbance (n,) of it."""
+        return self.command + by if self.mit is None else tm.stack([*self.mit[:4], self.mit[4] + by])
 
     @property
     def terms(self) -> dict[str, Vector]:
@@ -58,7 +68,8 @@ class Tick:
 class Probe:
     """What a first run at the home pose shows of a law."""
 
-    kind: str  # of the command
+    kind: str  # of the command; "torque" for motors with a loop of their own, as it is in the tick
+    mit: bool  # whether it is for motors with a loop of their own
     used: frozenset[str]  # measurements and compensations that it asks for
     shapes: Mapping[str, tuple[int, ...]]  # of the memory, by path
     terms: tuple[str, ...]
@@ -170,23 +181,33 @@ class LawSide:
             elsewhere = self.arm.home + 0.1 * np.cos(np.arange(self.arm.n))
             self.check_start(elsewhere, self._own_parameters)  # a law that knows why says it better
             x, command, after = self._first_run(elsewhere)
+        mit = isinstance(command, MitCommand)
+        command = _in_tick(command, x)
         self.check_start(x.q, self._own_parameters)
         total = as_array(command.total, f"the command of {type(self.law).__name__}")
         torque = isinstance(command, Torque)
         if torque and "gravity" in x.used:
             self._check_gravity_once(np.asarray(total), np.asarray(x.g))
-        self.sensing.check_used(x.used, self.title)
+        used = set(x.used)
+        if self.sensing.observer is not None:
+            self.sensing.observer.check_command(MitCommand.kind if mit else command.kind, self.title)
+            used |= {"v", *self.sensing.observer.needs}
+        self.sensing.check_used(used, self.title)
         added = () if self.limits is None else self.limits.terms(command, self.title)
-        at_rest = self.sensing_at_start(self.measurements_at_rest(self.arm.home), self._own_parameters)
+        measured = self.measurements_at_rest(self.arm.home)
+        at_rest = self.sensing_at_start(measured, self._own_parameters)
+        at_rest |= self._observer_at_start(measured, np.zeros(self.arm.n), self._own_parameters)
         limits: dict[str, Any] = fresh_blend(self.arm.n) if "blend" in added else {}
-        if (torque and "tau_applied" in x.used) or {"rate_limit", "blend"} & set(added):
+        follows = "tau_applied" in x.used or self.sensing.observer is not None
+        if (torque and follows) or {"rate_limit", "blend"} & set(added):
             limits["tau_applied"] = np.zeros(self.arm.n)
         if self.limits is not None and "tau_cut" in x.used:
             limits["tau_cut"] = np.zeros(self.arm.n)
         memory = flatten({"law": after, "sensing": at_rest, "limits": limits})
-        used = x.used | ({"v"} if "speed_limit" in added and torque else set())
+        used |= {"v"} if "speed_limit" in added and torque else set()
         return Probe(
             kind=command.kind,
+            mit=mit,
             used=frozenset(used),
             shapes={path: np.shape(as_array(value, path)) for path, value in memory.items()},
             terms=(*command.terms.parts, *added),
@@ -211,6 +232,11 @@ class LawSide:
         _, after = call(law, x, ref, law.initial_memory(x, ref), self.dt)
         command, after = call(law, x, ref, after, self.dt)
         return x, command, after
+
+    @property
+    def gives(self) -> str:
+        """The kind of command that a plant must take."""
+        return MitCommand.kind if self.probe.mit else self.probe.kind
 
     def at_rest(self, q: Float64Array) -> Sample:
         """The sample that asks to stay at joint positions q."""
@@ -251,12 +277,13 @@ class LawSide:
     @property
     def takes(self) -> tuple[str, ...]:
         """What a tick is given, beyond positions: all that is needed, and velocities where sensing reads them."""
-        velocity = ("v",) if self.sensing.needs_velocity else ()
-        return (*velocity, *(name for name in MEASUREMENTS if name in self.probe.used))
+        velocity, used = ("v",) if self.sensing.needs_velocity else (), self.probe.used
+        return (*velocity, *(name for name in MEASUREMENTS if name in used and name not in self.sensing.estimates))
 
     def measurements_at_rest(self, q: Float64Array) -> dict[str, Any]:
         """Measurements of the arm at rest at q, with nothing touching it."""
-        at_rest = {name: np.zeros(shape) for name, shape in measurement_shapes(self.arm.n).items()}
+        shapes = measurement_shapes(self.arm.n)
+        at_rest = {name: np.zeros(shapes[name]) for name in (*MEASUREMENTS, *self.sensing.estimates)}
         upwards = -dyn.pose(self.model, q).R.T @ self.arm.gravity
         return {**at_rest, "v": np.zeros(self.arm.n), "q": q, "q_motor": q, "a_tip": upwards, "t": 0.0}
 
@@ -271,6 +298,23 @@ class LawSide:
         """Memory of sensing in the first tick, by path below "sensing"; the parameters are all of the law side."""
         own, payload = subtree(parameters, "sensing"), _payload_of(parameters)
         return self.sensing.start(self.arm, self._with_v(measured), own, payload)
+
+    def _observer_at_start(
+        self, seen: Mapping[str, Any], tau: Vector, parameters: Mapping[str, Any]
+    ) -> dict[str, Any]:
+        """Its memory in the first tick, under a torque tau (n,) that the plant holds, by path below "sensing"."""
+        observer, own = self.sensing.observer, subtree(parameters, "sensing.observer")
+        if observer is None:
+            return {}
+        memory = observer.start(self.arm, seen, tau, self.adds, own, _payload_of(parameters), self.dt)
+        return {f"observer.{name}": value for name, value in memory.items()}
+
+    def _estimated(self, q: Vector, tau_ext: Vector, parameters: Mapping[str, Any]) -> dict[str, Any]:
+        """What the law sees of an estimate, by name."""
+        observer = self.sensing.observer
+        if observer is None or "F_ext" not in observer.estimates or "F_ext" not in self.probe.used:
+            return {"tau_ext": tau_ext}
+        return {"tau_ext": tau_ext, "F_ext": observer.wrench(self.model, q, tau_ext, _payload_of(parameters))}
 
     def check_finite(self, inputs: Mapping[str, Any], tick: int) -> None:
         """The inputs of a tick (measurements, ref.q, ...) must be finite; RangeError names joint and tick."""
@@ -291,11 +335,17 @@ class LawSide:
         parameters: Mapping[str, Any],
         t: float,
     ) -> Snapshot:
-        """The law's snapshot at one instant [s], as plain numbers, for the source of a stream; copied."""
+        """The law's snapshot at one instant [s], as plain numbers, for the source of a stream; copied.
+
+        What an observer estimates is that of the tick before.
+        """
         copies = {name: np.array(value, dtype=np.float64) for name, value in measured.items()}
         numbers = {path: np.array(value) for path, value in parameters.items()}
         before = self.sensing_at_start(copies, numbers) if sensing is None else sensing
         seen, _ = self.sense(copies, before, numbers, self.dt)
+        if self.sensing.observer is not None:
+            tau_ext = np.array(before.get("observer.tau_ext", np.zeros(self.arm.n)))
+            seen |= self._estimated(seen["q"], tau_ext, numbers)
         return self._snapshot({**seen, "t": t}, numbers, {})
 
     def _with_v(self, measured: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -312,6 +362,9 @@ class LawSide:
         rest = self._snapshot(seen, parameters, {}).g if self.probe.kind == Torque.kind else tm.zeros(n)
         held = tm.where(measured[KNOWN] > 0.5, measured[HELD], rest) if KNOWN in measured else rest
         limits = {**fresh_blend(n), "tau_applied": held, "tau_cut": tm.zeros(n)}
+        if self.sensing.observer is not None:
+            sensing |= self._observer_at_start(seen, held, parameters)
+            seen |= self._estimated(seen["q"], tm.zeros(n), parameters)
         x = self._snapshot(seen, parameters, limits if "limits.tau_applied" in shapes else {})
         law = self.law.bound(subtree(parameters, "law"))
         memory = flatten({"law": law.initial_memory(x, ref), "sensing": sensing, "limits": limits})
@@ -336,9 +389,23 @@ class LawSide:
         if begins is not None and "tau_cut" in before:  # what another law was cut is nothing for this one's integral
             before = {**before, "tau_cut": tm.where(begins, tm.zeros(self.arm.n), before["tau_cut"])}
         seen, sensing = self.sense(measured, subtree(memory, "sensing"), parameters, dt)
+        if self.sensing.observer is not None:
+            tau_ext, observed = self.sensing.observer.observe(
+                self.arm,
+                seen,
+                before.get("tau_applied", np.zeros(self.arm.n)),
+                self.adds,
+                nested["sensing"]["observer"],
+                subtree(parameters, "sensing.observer"),
+                _payload_of(parameters),
+                dt,
+            )
+            seen |= self._estimated(seen["q"], tau_ext, parameters)
+            sensing |= {f"observer.{name}": value for name, value in observed.items()}
         x = self._snapshot(seen, parameters, before)
         law = self.law.bound(subtree(parameters, "law"))
-        command, after = call(law, x, ref, _nested_memory(law, nested.get("law", {})), dt)
+        given_by_law, after = call(law, x, ref, _nested_memory(law, nested.get("law", {})), dt)
+        command = _in_tick(given_by_law, x)
         total = as_array(command.total, "command")
         applied, terms, held = total, {}, {}
         if self.limits is not None:
@@ -356,13 +423,14 @@ class LawSide:
             named=command.terms,
             seen=seen,
             limiting=terms,
+            mit=given_by_law.sent(x, applied) if isinstance(given_by_law, MitCommand) else None,
         )
 
     def _snapshot(
         self, seen: Mapping[str, Any], parameters: Mapping[str, Any], held: Mapping[str, Array]
     ) -> Snapshot:
         zero = np.zeros(self.arm.n)
-        others = {name: seen[name] for name in MEASUREMENTS if name in seen}
+        others = {name: seen[name] for name in (*MEASUREMENTS, *ESTIMATES) if name in seen}
         torques = {name: held.get(name, zero) for name in ("tau_applied", "tau_cut")}
         return Snapshot(
             self.model,
@@ -373,6 +441,11 @@ class LawSide:
             adds=self.adds,
             measured={**others, **torques},
         )
+
+
+def _in_tick(command: Command, x: Snapshot) -> Command:
+    """The command; of motors with a loop of their own the torque that they give in the tick."""
+    return Torque(command.terms + command.feedback(x)) if isinstance(command, MitCommand) else command
 
 
 def _payload_of(parameters: Mapping[str, Any]) -> PayloadValues:

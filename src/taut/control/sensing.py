@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.base.checks import entry_names
+from taut.base.checks import entry_names, instance_of
 from taut.base.errors import RangeError, UsageError
 from taut.base.fields import Choice, Declared, Field, Part, Plain
 from taut.base.paths import subtree
@@ -25,6 +25,7 @@ from taut.maths.model import PayloadValues, model_of
 from taut.trace import math as tm
 
 if TYPE_CHECKING:
+    from taut.control.observer import MomentumObserver
     from taut.maths.wrist import SensorPlace
 
 Values = Mapping[str, Any]
@@ -209,7 +210,7 @@ class Kalman(Declared):
 
     acceleration_noise: Field = Field(unit="rad/s^2/sqrt(Hz) | m/s^2/sqrt(Hz)", shape="n", above=0.0)
     position_noise: Field = Field(
-        unit="rad | m", shape="n", above=0.0, hint="of exact positions take the velocity 'difference'"
+        unit="rad | m", shape="n", above=0.0, hint="for exact positions take the velocity 'difference'"
     )
 
     def start(self, u: Array) -> dict[str, Any]:
@@ -364,6 +365,7 @@ class Sensing(Declared):
         wrist: Bias, load and range of the wrist sensor; the first two are taken out of the measured wrench.
         F_ext: Low-pass of the measured wrench, for a law that uses it; after `wrist`.
         tau_meas: Low-pass of the measured joint torques, for a law that uses them.
+        observer: Estimates the joint torques of the environment, x.tau_ext; recorded in every run.
 
     Raises:
         UsageError: Anything else.
@@ -382,12 +384,27 @@ class Sensing(Declared):
     wrist: Part[Wrist | None] = Part(Wrist, optional=True)
     F_ext: Part[LowPass | None] = Part(LowPass, optional=True)
     tau_meas: Part[LowPass | None] = Part(LowPass, optional=True)
+    observer: Plain[MomentumObserver | None] = Plain(default=None, optional=True)
 
     def check(self) -> None:
         known = self.velocity in WORDS if isinstance(self.velocity, str) else isinstance(self.velocity, SOURCES)
         if not known:
             words = ", ".join(map(repr, WORDS))
             self.refuse("velocity", f"must be {words}, a LowPass, Difference or Kalman; got {self.velocity!r}")
+        if self.observer is not None:
+            from taut.control.observer import MomentumObserver
+
+            instance_of("observer", self.observer, MomentumObserver, "a taut.sensors.MomentumObserver")
+        if "F_ext" in self.estimates and (self.wrist is not None or self.F_ext is not None):
+            given = "wrist" if self.wrist is not None else "F_ext"
+            self.refuse(
+                given, "is for a measured wrench, which the observer gives in its place; leave one of them out"
+            )
+
+    @property
+    def estimates(self) -> tuple[str, ...]:
+        """What the observer gives, by the name in the snapshot."""
+        return () if self.observer is None else self.observer.estimates
 
     @property
     def needs_velocity(self) -> bool:
@@ -413,19 +430,23 @@ class Sensing(Declared):
     @property
     def alters(self) -> frozenset[str]:
         """Measurements that are changed before the law sees them."""
-        return frozenset(name for *_, name in self._filters()) | ({"F_ext"} if self.wrist is not None else set())
+        own = {*self.estimates, *(["F_ext"] if self.wrist is not None else [])}
+        return frozenset(name for *_, name in self._filters()) | own
 
     @property
     def summary(self) -> str:
         """Filters in use, in one line."""
         parts = [f"{name} by {type(part).__name__}" for _, part, _, name in self._filters()]
-        return ", ".join([*parts, *(["F_ext by Wrist"] if self.wrist is not None else [])])
+        parts += ["F_ext by Wrist"] if self.wrist is not None else []
+        return ", ".join([*parts, *(f"{name} by MomentumObserver" for name in self.estimates)])
 
     def check_fit(self, arm: Arm, rate: float) -> None:
         """It must fit an arm and a rate [Hz]. Raises ShapeError, RangeError, UnknownNameError, UsageError."""
         for name, part in self.declared_parts().items():
             if isinstance(part, Wrist):
                 part.place(arm)
+            elif self.observer is not None and part is self.observer:
+                self.observer.check_fit(arm, rate)
             else:
                 check_filter(part, f"sensing.{name}", rate, 6 if name == "F_ext" else arm.joint_names)
 

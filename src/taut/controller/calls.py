@@ -98,7 +98,7 @@ class BoundKernel:
         self.v_motor: Float64Array = inputs.get("v_motor", empty)
         self.a_tip: Float64Array = inputs.get("a_tip", empty)
         self.ref: Any = reference.of(subtree(inputs, "ref"))
-        self.command: Float64Array = kernel.blocks.views("outputs")["command"]
+        self.command: Float64Array = next(iter(kernel.blocks.views("outputs").values()))
         self.tick = kernel.tick
 
     def __setattr__(self, name: str, value: object) -> None:

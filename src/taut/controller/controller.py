@@ -39,7 +39,7 @@ class Controller:
         machine.kernel = self._kernel
         self.parameters = ControllerParameters(side, machine)
         self._inputs = self._kernel.blocks.views("inputs")
-        self._command = self._kernel.blocks.views("outputs")["command"]
+        self._command = next(iter(self._kernel.blocks.views("outputs").values()))
         self._task: TaskSteps | None = None
         # The builtin stands before the method that documents it; before that of a task, what places its samples.
         vars(self)["step"] = self._kernel.step
@@ -96,8 +96,8 @@ class Controller:
 
     @property
     def kind(self) -> str:
-        """The kind of command: torque, velocity or position."""
-        return self.side.probe.kind
+        """The kind of command: torque, velocity, position or mit."""
+        return self.side.gives
 
     @property
     def engine(self) -> Engine:
@@ -160,7 +160,7 @@ class Controller:
             a_tip: (3,) proper acceleration of the tool's origin, in the tool's axes [m/s^2].
 
         Returns:
-            (n,) the command, a new array.
+            (n,) the command, a new array; (5, n) q, v, kp, kd and tau of a law that gives a MitCommand.
 
         Raises:
             ShapeError: An array of another shape.
@@ -238,7 +238,9 @@ class Controller:
 
         With `taut.sensors.Wrist(range=...)` also saturated.F_ext: 1.0 if the reading was at the end of its range.
         """
-        names = ("q", "v", *(name for name in self.side.takes if name != "v"))
+        used = self.side.probe.used | {"tau_ext"}
+        estimated = (name for name in self.side.sensing.estimates if name in used)
+        names = ("q", "v", *(name for name in self.side.takes if name != "v"), *estimated)
         outputs = self._last_tick("sensed", SideFunctions(self.side, record=True, sensed=names))
         seen = subtree(outputs, "sensed") | {name: outputs[name] for name in self.side.sensing.tells}
         return Named("the controller's sensing", "measurement", seen)

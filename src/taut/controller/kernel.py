@@ -33,7 +33,8 @@ class SideFunctions:
     def tick(self, inputs: Values, parameters: Values, memory: Values) -> tuple[Values, Values]:
         """One tick: the command, what is recorded, and new memory."""
         tick = self._side.tick(self._measured(inputs), self._sample(inputs), memory, parameters, parameters[DT])
-        out = {"command": tick.command}
+        out = {} if tick.mit is None else {"mit": tick.mit}
+        out["command"] = tick.command
         if self._record:
             out |= {f"terms.{name}": value for name, value in tick.terms.items()}
         out |= {f"sensed.{name}": tick.seen[name] for name in self._sensed}
@@ -85,7 +86,8 @@ def kernel_of(
     ref_shapes = reference_shapes(side)
     held = {KNOWN: (), HELD: (n,)} if "limits.tau_applied" in probe.shapes else {}
     inputs = Block.of({"t": (), "q": (n,), **{name: sizes[name] for name in side.takes}, **ref_shapes, **held})
-    outputs: dict[str, tuple[int, ...]] = {"command": (n,)}
+    outputs: dict[str, tuple[int, ...]] = {"mit": (5, n)} if probe.mit else {}  # the first one is what a step returns
+    outputs["command"] = (n,)
     outputs |= {f"terms.{name}": (n,) for name in probe.terms} if record else {}
     outputs |= {f"sensed.{name}": sizes[name] for name in sensed}
     if record:

@@ -42,6 +42,8 @@ HUGE: Final = 1e12  # a limit that is never reached
 DRY: Final = ("coulomb", "static", "load_motor", "load_external", "load_motor_static", "load_external_static")
 VISCOUS: Final = "plant.friction.viscous"
 EFFICIENCY: Final = "actuation.transmission.efficiency"
+OBSERVER: Final = "sensing.observer.bandwidth"
+OBSERVER_WIDTH: Final = "sensing.observer.width"
 RIPPLE: Final = "actuation.ripple.amplitude"
 AXES: Final = tuple(f"{kind} {axis}" for kind in ("translation", "rotation") for axis in "xyz")
 
@@ -193,7 +195,7 @@ def _model_loop(ctrl: HasLawSide, plant: AnyPlant) -> Loop:
     except TypeError:  # a plant of the user's own that has no hash
         loop = None
     if loop is None or loop.side is not side:
-        loop = Loop(ctrl, model_in_place_of(plant, side.needs), duration=side.dt)
+        loop = Loop(ctrl, model_in_place_of(plant, side), duration=side.dt)
         with contextlib.suppress(TypeError):
             _LOOPS[plant] = loop
     for path, value in {**plant.parameters, **ctrl.parameters}.items():
@@ -332,6 +334,7 @@ def without_dry_friction(side: LawSide, values: Changes) -> dict[str, Any]:
     if RIPPLE in values:
         out[RIPPLE] = np.zeros_like(values[RIPPLE])
     out |= {f"limits.{name}": HUGE for name in ("tau", "tau_dot", "v") if f"limits.{name}" in values}
+    out |= {OBSERVER_WIDTH: HUGE} if OBSERVER_WIDTH in values else {}
     for path, law in all_laws(side.law, "law"):
         if isinstance(law, FrictionCompensation):
             out[f"{path}.width"] = HUGE
@@ -379,13 +382,14 @@ def largest_factor(holds: Callable[[float], bool], tolerance: float, max_factor:
 
 
 def _gains(side: LawSide, values: Changes) -> dict[str, Any]:
-    """The gains of the law by path: its parameters that are 0 or more, and so no points, axes or bounds."""
+    """Gains by path: parameters of the law that are 0 or more, so no points, axes or bounds; that of an observer."""
     of_law = {path: value for path, value in values.items() if path.startswith("law.") and np.any(value)}
-    return {
+    found = {
         path: value
         for path, value in of_law.items()
         if getattr(side.law.find(path[len("law.") :])[1], "minimum", 0.0) == 0.0
     }
+    return found | ({OBSERVER: values[OBSERVER]} if OBSERVER in values else {})
 
 
 def _rounded_down(values: Any, digits: int = DIGITS) -> Any:

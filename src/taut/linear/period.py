@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, Final, cast
+from typing import Any, Final, Protocol, cast, runtime_checkable
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -26,6 +26,7 @@ from taut.codegen.engine import Steps
 from taut.codegen.loop import compiled_loop
 from taut.codegen.program import Block
 from taut.codegen.tangent import TANGENT, StepTangent
+from taut.control.lawside import LawSide
 from taut.control.tasks.feed import ReferenceFeed
 from taut.control.trajectories.reference import Hold, Reference
 from taut.loop import DT, AnyPlant, Loop, Values
@@ -44,7 +45,16 @@ STEP: Final = 1e-5  # [-] of a state's size, of central differences: near the cu
 BESIDE: Final = 5e-8  # [-] of a state's size: distance of a derivative beside a point that has none
 OUTPUTS: Final = ("q", "v", "tip.p", "tip.R", "tip.twist", "command")
 CLOCK: Final = "plant.t"
+INNER_STEPS: Final = 20  # in a control period, of the loop in motors whose rate is not stated
 EMPTY: Final[Mapping[str, Any]] = MappingProxyType({})
+
+
+@runtime_checkable
+class Stepping(Protocol):
+    """A plant that moves the arm in time steps of its own."""
+
+    def steps_in(self, dt: float) -> int:
+        """Steps in a control period of dt [s]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -272,11 +282,18 @@ def finite_derivative(map_: PeriodMap, at: Point) -> Derivative:
     return found
 
 
-def model_in_place_of(plant: AnyPlant, needs: Container[str]) -> RigidPlant:
-    """The same arm, with friction, drives and sensors where they are known, in place of an engine or a robot."""
+def model_in_place_of(plant: AnyPlant, side: LawSide) -> RigidPlant:
+    """The same arm, with friction, drives and sensors where they are known, in place of an engine or a robot.
+
+    The loop in motors that take a MitCommand runs in each step of an engine; else at what the drives state, or fast.
+    """
     ideal = RigidPlant(plant.arm, takes=cast(CommandKind, plant.takes), adds=plant.adds)
     stages = {name: getattr(plant, name, getattr(ideal, name)) for name in ("friction", "actuation", "sensors")}
-    wrench = "F_ext" in needs or stages["sensors"].wrench is not None
+    if side.probe.mit:
+        rate = stages["actuation"].inner_rate
+        steps = INNER_STEPS if rate is None else max(1, round(float(rate) * side.dt))
+        stages["substeps"] = plant.steps_in(side.dt) if isinstance(plant, Stepping) else steps
+    wrench = "F_ext" in side.needs or stages["sensors"].wrench is not None
     return dataclasses.replace(ideal, **stages, environment=Push(peak=np.zeros(6)) if wrench else None)
 
 

@@ -279,7 +279,7 @@ class Adds:
                     continue
                 if name != "gravity" or not isinstance(payload, Payload):
                     raise UsageError(
-                        f"adds[{name!r}] must be None; only 'gravity' takes a taut.Payload; got {payload!r}",
+                        f"adds[{name!r}] must be None{' or a taut.Payload' * (name == 'gravity')}; got {payload!r}",
                         name="adds",
                     )
                 load = payload

@@ -27,14 +27,18 @@ MEASUREMENTS: Final[Mapping[str, str]] = {
     "a_tip": "an accelerometer at the tool: pass a_tip= to step, or use a plant that measures it",
 }
 """What a law may ask for beyond positions and velocities, and what it needs."""
+ESTIMATES: Final[Mapping[str, str]] = {
+    "tau_ext": "an observer: compile with sensing=taut.Sensing(observer=taut.sensors.MomentumObserver(bandwidth=...))"
+}
+"""What a law may ask for that sensing makes of other measurements, and what it needs."""
 AXES: Final = ("W", "E")
 AT_TOOL: Final = ("F_ext", "a_tip")  # measurements with axes, not joints, however many there are
 
 
 def measurement_shapes(n: int) -> dict[str, tuple[int, ...]]:
-    """Shape of everything that may be measured of an arm with n joints."""
+    """Shape of everything that may be measured of an arm with n joints, or estimated."""
     others: dict[str, tuple[int, ...]] = {"F_ext": (6,), "a_tip": (3,)}
-    return {"q": (n,), "v": (n,)} | {name: others.get(name, (n,)) for name in MEASUREMENTS}
+    return {"q": (n,), "v": (n,)} | {name: others.get(name, (n,)) for name in (*MEASUREMENTS, *ESTIMATES)}
 
 
 class Snapshot:
@@ -132,15 +136,22 @@ class Snapshot:
     def _measurement(self, name: str) -> Array:
         self.used.add(name)
         if name not in self._measured:
-            raise MatchError(
-                f"the law asks for {name}, which is not measured; it needs {MEASUREMENTS[name]}", name=name
-            )
+            source = MEASUREMENTS.get(name) or ESTIMATES[name]
+            raise MatchError(f"the law asks for {name}, which is not measured; it needs {source}", name=name)
         return self._measured[name]
 
     @property
     def F_ext(self) -> Wrench:
-        """(6,) wrench of the environment on the arm at the tool, force first, world axes [N, N m]."""
+        """(6,) wrench of the environment on the arm at the tool, force first, world axes [N, N m].
+
+        That of a wrist sensor, or estimated by `taut.sensors.MomentumObserver(F_ext=)`.
+        """
         return self._measurement("F_ext")
+
+    @property
+    def tau_ext(self) -> Vector:
+        """(n,) estimated joint torques of the environment, by `taut.sensors.MomentumObserver` [N m | N]."""
+        return self._measurement("tau_ext")
 
     @property
     def tau_meas(self) -> Vector:

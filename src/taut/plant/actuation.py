@@ -20,6 +20,7 @@ from taut.trace import math as tm
 
 Values = Mapping[str, Any]
 MAX_TAPS: Final = 1000
+DUE: Final = 1e-3  # [-] of a period of the motors' own loop: rounding of its clock
 PARTS: Final = ("motor", "ripple", "transmission", "torque_loop")
 
 
@@ -295,6 +296,9 @@ class Actuation(Declared):
     speed-torque limits, the lag of amplifier and current loop, ripple, and the transmission. The delay is the
     controller's; everything else acts in each step of the integrator.
 
+    Motors that take a `taut.laws.MitCommand` make the torque command by themselves, kp (q - q(t)) + kd (v - v(t)) +
+    tau of their own position and velocity, at `inner_rate`.
+
     A velocity command is what a drive's own loop follows as a first-order lag, a position command as a critically
     damped second-order one; these drives are stiff, so that the arm's dynamics and its load do not show, and have
     a bandwidth and a delay only.
@@ -307,6 +311,8 @@ class Actuation(Declared):
         ripple: Of the motor's torque.
         transmission: Losses, play and elasticity of the gear. Its ratio is the Arm's: `arm.with_gears`.
         torque_loop: An inner loop on the joint torque sensor.
+        inner_rate: Rate of the loop in motors that take a MitCommand [Hz], a whole multiple of the control rate; that
+            of the integrator's steps if left out.
 
     Example:
         >>> import taut
@@ -331,6 +337,7 @@ class Actuation(Declared):
     ripple: Part[Ripple | None] = Part(Ripple, optional=True)
     transmission: Part[Transmission | None] = Part(Transmission, optional=True)
     torque_loop: Part[TorqueLoop | None] = Part(TorqueLoop, optional=True)
+    inner_rate: Field = Field(unit="Hz", above=0.0, optional=True, run_time=False)
 
     @property
     def acts(self) -> bool:
@@ -363,7 +370,22 @@ class Actuation(Declared):
         memory = motor.start(weight, arm.gear, parameters.get("actuation.bandwidth"), p)
         if self.torque_loop is not None:
             memory["torque_loop"] = tm.zeros(arm.n)
+        if self.inner_rate is not None:
+            memory |= {"inner_tau": weight, "inner_time": 1.0}
         return memory
+
+    def _wanted(self, arm: Arm, memory: Values, q: Vector, v: Vector, dt: Any) -> tuple[Vector, dict[str, Any]]:
+        """(n,) the torque of the command that stands at the drives, and the memory of the motors' own loop."""
+        held = memory["held"]
+        if np.ndim(held) == 1:
+            return held, {}
+        tau = held[2] * arm.difference(held[0], q) + held[3] * (held[1] - v) + held[4]
+        if self.inner_rate is None:
+            return tau, {}
+        time = memory["inner_time"]  # since the last tick of that loop, in its periods
+        due = time > 1.0 - DUE
+        tau = tm.where(due, tau, memory["inner_tau"])
+        return tau, {"inner_tau": tau, "inner_time": tm.where(due, 0.0, time) + float(self.inner_rate) * dt}
 
     def step(
         self, arm: Arm, memory: Values, q: Vector, v: Vector, parameters: Values, dt: Any, added: ArrayLike = 0.0
@@ -374,7 +396,8 @@ class Actuation(Declared):
         adds to the command comes after all of them, but the inner loop's sensor has it too.
         """
         p = subtree(parameters, "actuation")
-        tau, error = memory["held"], None
+        tau, inner = self._wanted(arm, memory, q, v, dt)
+        error = None
         if self.torque_loop is not None:
             error = tau + added - memory["tau_link"] - parameters.get("sensors.torque.bias", 0.0)
             tau = tau + p["torque_loop.kp"] * error + memory["torque_loop"]
@@ -388,6 +411,7 @@ class Actuation(Declared):
             bandwidth=p.get("bandwidth"), dt=dt,
         )  # fmt: skip
         given = (self.motor or IDEAL).step(x)
+        given = dataclasses.replace(given, memory={**given.memory, **inner}) if inner else given
         if self.torque_loop is None:
             return given
         grown = memory["torque_loop"] + p["torque_loop.ki"] * dt * error

@@ -131,7 +131,7 @@ class Motion:
 
     def step(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]:
         """Memory after a step under what stands at the drives."""
-        taken = self._torque_step if self.parts.takes == "torque" else self._driven_step
+        taken = self._driven_step if self.parts.stiff else self._torque_step
         return taken(memory, parameters, dt)
 
     def _driven_step(self, memory: Values, parameters: Values, dt: Any) -> dict[str, Any]:

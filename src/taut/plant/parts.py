@@ -24,6 +24,7 @@ from taut.plant.contact import Contacts
 from taut.plant.drivetrain import Drivetrain, FrictionLaw, require_rotors
 from taut.plant.environments.environment import Environment, require_environment
 from taut.plant.sensors import Sensors
+from taut.trace import math as tm
 
 Values = Mapping[str, Any]
 
@@ -82,7 +83,7 @@ class PlantParts(Declared):
     name: Plain[str] = Plain(str)
     arm: Part[Arm] = Part(Arm)
     friction: Plain[Any] = Plain(optional=True)
-    takes: Choice[CommandKind] = Choice(*COMMANDS)
+    takes: Choice[CommandKind] = Choice(*COMMANDS, "mit")
     adds: Part[Adds] = Part(Adds)
     actuation: Part[Actuation] = Part(Actuation)
     sensors: Part[Sensors] = Part(Sensors)
@@ -101,8 +102,13 @@ class PlantParts(Declared):
             )
         if self.environment is not None:
             require_environment("environment", self.environment)
-        if self.takes != "torque":
+        if self.stiff:
             self._check_drives()
+        if self.actuation.inner_rate is not None and self.takes != "mit":
+            raise UsageError(
+                f"actuation.inner_rate is of motors that take 'mit', and this plant takes {self.takes}; leave it out",
+                name="inner_rate",
+            )
         names = self.arm.joint_names
         self.actuation.check_size(names, "actuation.")
         self.sensors.check_arm(self.arm, touched=self.touched)
@@ -157,6 +163,16 @@ class PlantParts(Declared):
                     "semi-implicit-euler, in MuJoCo discrete",
                     name="integrator",
                 )
+
+    @property
+    def stiff(self) -> bool:
+        """Whether its drives follow a motion, whatever torque it takes."""
+        return self.takes in ("velocity", "position")
+
+    def held_at_start(self, q: Any, weight: Any) -> Any:
+        """What stands at drives of torques until the first command: they carry the weight (n,)."""
+        zero = tm.zeros(self.arm.n)
+        return tm.stack([q, zero, zero, zero, weight]) if self.takes == "mit" else weight
 
     @cached_property
     def drivetrain(self) -> Drivetrain:
@@ -247,6 +263,7 @@ class PlantParts(Declared):
     def require_short_steps(self, parameters: Values, steps: Steps) -> None:
         """RangeError for steps too long for a motor, an inner loop or a transmission, with the arm at home."""
         train, actuation = self.drivetrain, self.actuation
+        _require_whole_inner_steps(actuation, steps)
         if actuation.motor is None and actuation.torque_loop is None and not train.compliant:
             return
         n, names = train.arm.n, train.arm.joint_names
@@ -295,14 +312,14 @@ class PlantParts(Declared):
         Euler while omega^2 dt^2 + 2 delta dt < 4. Half of that is let through, since the tool's inertia changes.
         """
         assert self.environment is not None
-        stiff = self.takes != "torque" and not self.scene  # drives that nothing moves
+        stiff = self.stiff and not self.scene  # drives that nothing moves
         mobility = np.zeros((6, 6)) if stiff else self._mobility(q, parameters)
         omega, damping = self.environment.rates(mobility, subtree(parameters, "environment"))
         a, b = (omega * steps.dt) ** 2, damping * steps.dt
         steps.require(
             0.5 * (b + np.sqrt(b * b + 2.0 * a)),
             "environment",
-            f"environment: what touches the tool oscillates at {omega:.3g} rad/s and is braked at {damping:.3g} 1/s",
+            f"environment: what touches the tool oscillates at {omega:.3g} rad/s and is damped at {damping:.3g} 1/s",
             "a softer environment",
         )
 
@@ -317,6 +334,29 @@ class PlantParts(Declared):
         J = jacobian(model, q)
         mobility: Float64Array = J @ np.linalg.solve(M, J.T)
         return mobility
+
+
+def _require_whole_inner_steps(actuation: Actuation, steps: Steps) -> None:
+    """RangeError unless the period of the motors' loop is a whole part of the controller's, and of whole steps."""
+    if actuation.inner_rate is None:
+        return
+    rate = float(actuation.inner_rate)
+    ticks, number = rate * steps.period, 1.0 / (rate * steps.dt)
+    if round(ticks) < 1 or abs(ticks - round(ticks)) > 1e-6 * ticks:
+        raise RangeError(
+            f"actuation.inner_rate must be a whole multiple of the control rate, {1.0 / steps.period:g} Hz; got "
+            f"{rate:g} Hz",
+            name="actuation.inner_rate",
+            value=rate,
+        )
+    if round(number) < 1 or abs(number - round(number)) > 1e-6 * number:
+        raise RangeError(
+            f"actuation.inner_rate must be that of every step of the integrator, or of every second, third, ...: "
+            f"{1.0 / steps.dt:g} Hz divided by a whole number; got {rate:g} Hz; give the plant "
+            f"{steps.shorter(rate * steps.dt)}",
+            name="actuation.inner_rate",
+            value=rate,
+        )
 
 
 def _require_slow_torque_loop(names: Sequence[str], p: Values, share: Float64Array, steps: Steps) -> None:

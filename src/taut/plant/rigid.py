@@ -58,7 +58,9 @@ class RigidPlant:
         friction: "arm" for the arm's own (`arm.with_friction`), None for none, or a `taut.drives.FrictionLaw`.
         integrator: "semi-implicit-euler" or "rk4".
         substeps: Steps of the integrator in one control period.
-        takes: The command: "torque", "velocity" or "position". The last two are stiff drives, which need
+        takes: The command: "torque", "mit", "velocity" or "position". "mit" is for motors that make their torque of
+            a `taut.laws.MitCommand` by themselves, in every step of the integrator or at
+            `actuation=Actuation(inner_rate=...)`. The last two are stiff drives, which need
             `actuation=Actuation(bandwidth=...)`.
         actuation: The drives: delay, amplifier, motor, gear; ideal if left out.
         sensors: What is measured, and how well; ideal sensors if left out.
@@ -96,7 +98,7 @@ class RigidPlant:
             raise UsageError(f"energy must be True or False; got {self.energy!r}", name="energy")
         object.__setattr__(self, "adds", Adds.of(self.adds))
         self.parts  # noqa: B018  (checked when they are put together)
-        if self.energy and (self.integrator == "rk4" or self.takes != "torque"):
+        if self.energy and (self.integrator == "rk4" or self.parts.stiff):
             raise UsageError("energy is for torque commands, and for integrator semi-implicit-euler", name="energy")
 
     @cached_property
@@ -176,9 +178,10 @@ class RigidPlant:
         rest = np.zeros(n)
         full = dyn.gravity_torque(self.model, q, payload_of(parameters))
         weight = full - self._motion.compensation(q, rest, parameters)
-        memory: dict[str, Any] = {"q": q, "v": v, "tau": weight, "held": weight, "tau_link": full}
+        memory: dict[str, Any] = {"q": q, "v": v, "tau": weight, "tau_link": full}
+        memory["held"] = held = self.parts.held_at_start(q, weight)
         train, steps = self.parts.drivetrain, Steps(dt, self.substeps)
-        if self.takes == "torque":
+        if not self.parts.stiff:
             memory |= self.actuation.start(self.arm, weight, parameters)
             memory |= train.start(q, v, full, parameters)
             if train.dry and len(train.rigid) > 1:
@@ -187,7 +190,7 @@ class RigidPlant:
             self.parts.require_short_steps(parameters, steps)
         taps = self.actuation.taps(dt)
         if taps:
-            memory["delay"] = tm.stack([{"torque": weight, "velocity": rest, "position": q}[self.takes]] * taps)
+            memory["delay"] = tm.stack([{"velocity": rest, "position": q}.get(self.takes, held)] * taps)
         if self.environment is not None:
             touched = self.environment.start(dyn.pose(self.model, q))
             memory |= {f"environment.{name}": value for name, value in touched.items()}

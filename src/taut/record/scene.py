@@ -160,13 +160,12 @@ def _look(spec: mujoco.MjSpec, view: View, size: tuple[int, int]) -> None:
     """Size, smoothness and lights of the pictures."""
     spec.visual.global_.offwidth, spec.visual.global_.offheight = size
     spec.visual.global_.fovy = FIELD_OF_VIEW
-    # Without a graphics card several samples a pixel take twice as long, and a film as long as what it shows.
-    spec.visual.quality.offsamples, spec.visual.quality.shadowsize = 0, 1024
-    spec.visual.map.shadowclip = 2.0  # at 1 the ground at the edge of the picture is dotted
+    # Without a graphics card several samples a pixel, or shadows, take twice as long, and a film as long as it shows.
+    spec.visual.quality.offsamples = 0
     spec.visual.headlight.ambient = [0.32, 0.32, 0.32]
     spec.visual.headlight.diffuse = [0.3, 0.3, 0.3]
     spec.visual.headlight.specular = [0.1, 0.1, 0.1]
-    spec.stat.extent = 2.0 * view.radius  # near and far planes, shadows
+    spec.stat.extent = 2.0 * view.radius  # near and far planes
     spec.stat.center = view.centre
 
 
@@ -185,7 +184,7 @@ def _surroundings(spec: mujoco.MjSpec, view: View) -> None:
     above = np.array([0.3, -0.4, 1.0]) * 3.0 * view.radius
     light = spec.worldbody.add_light(pos=view.centre + above, dir=-above)
     light.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
-    light.diffuse, light.specular, light.castshadow = [0.42, 0.42, 0.42], [0.1, 0.1, 0.1], True
+    light.diffuse, light.specular, light.castshadow = [0.42, 0.42, 0.42], [0.1, 0.1, 0.1], False
 
 
 def _geom(body: Any, shape: str, **values: Any) -> Any:

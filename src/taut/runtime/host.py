@@ -44,7 +44,7 @@ class PlantBase(ABC):
     """
 
     takes: str = "torque"
-    """The command: "torque", "velocity" or "position"."""
+    """The command: "torque", "velocity", "position", or "mit": (5, n) rows q, v, kp, kd and tau of a MitCommand."""
     measures: frozenset[str] = frozenset({"v"})
     """Measurements besides positions."""
     distorts: frozenset[str] = frozenset()

@@ -276,7 +276,7 @@ class HostedRun(OngoingRun):
         self._wanted = [(self.tape.inputs[path], inputs[path]) for path in kept]
         outputs = self._kernel.blocks.views("outputs")
         self._given = [(view, self.tape.outputs[path]) for path, view in outputs.items()]
-        self._command = outputs["command"]
+        self._command = next(iter(outputs.values()))
 
     def go(self, advance: Callable[[int], None], log: RowLog | None) -> tuple[int, Outcome]:
         """Run to the end; the plant has its own parameters again after it."""

@@ -21,6 +21,7 @@ from taut.control.tasks.phase import (
     GuardView,
     Phase,
     PhaseReference,
+    collision,
     contact,
     lasting,
     moved,
@@ -310,6 +311,7 @@ def _phase_reference(table: Table, law: Law, arm: Arm, home: Float64Array) -> Ph
 
 
 CONDITIONS: Final[Mapping[str, Callable[[GuardView, Any, Mapping[str, Any]], Any]]] = {
+    "collision": lambda x, threshold, axes: collision(x, threshold),  # noqa: ARG005
     "contact": lambda x, force, axes: contact(x, force, **axes),
     "no_contact": lambda x, force, axes: no_contact(x, force, **axes),
     "moved": lambda x, distance, axes: moved(x, distance),  # noqa: ARG005

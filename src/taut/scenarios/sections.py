@@ -25,6 +25,7 @@ from taut.base.types import Float64Array
 from taut.control.combine import SideBySide, Wrapper, law_classes
 from taut.control.law import Law
 from taut.control.limits import Limits
+from taut.control.observer import MomentumObserver
 from taut.control.sensing import Difference, Kalman, LowPass, Sensing
 from taut.drives import ElectricMotor, Motor, MotorModel
 from taut.environments import (
@@ -120,10 +121,12 @@ def read_control(table: Table, arm: Arm) -> tuple[float, Sensing, Limits | None]
         rate = rate_in_hertz(table.get("rate", 1000.0))
     if rate > MAX_RATE:
         raise table.error(f"must be <= {MAX_RATE:g} [Hz]; got {rate:g}", "rate")
-    made = {}
+    made: dict[str, Any] = {}
     if isinstance(table.get("velocity"), dict):
         made["velocity"] = of_kind(VELOCITY_SOURCES, table.table("velocity"))
-    sensing: Sensing = read(Sensing, table, others=["rate", "limits", "velocity"], **made)
+    if "observer" in table:
+        made["observer"] = read(MomentumObserver, table.table("observer"))
+    sensing: Sensing = read(Sensing, table, others=["rate", "limits", "velocity", "observer"], **made)
     with table.blamed():
         sensing.check_fit(arm, rate)
     return rate, sensing, _limits(table, arm, rate)

@@ -317,6 +317,10 @@ def plant_for(ctrl: Controller, specification: Specification) -> RigidPlant:
         environment = Spring(stiffness=stiffness)
     elif "F_ext" in ctrl.needs:
         environment = Push(peak=np.zeros(6), duration=1.0)
+    if ctrl.kind == "mit":
+        return RigidPlant(
+            arm, friction=None, environment=environment, integrator="rk4", takes="mit", substeps=MAX_DESIGN_SUBSTEPS
+        )
     if kind != "torque":
         return RigidPlant(
             arm,

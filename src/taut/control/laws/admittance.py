@@ -108,7 +108,7 @@ class Admittance(Law):
             follows = f"{type(inner).__name__} follows a {inner.reference.__name__}"
             self.refuse("inner", f"must be a law that follows a TaskMotion, such as TaskVelocity; {follows}")
         if tool != self.tool:
-            self.refuse("tool", f"must be that of the inner law, which moves {tool or 'the tool of the arm'}")
+            self.refuse("tool", f"must be that of the inner law, {tool or 'the tool of the arm'}; got {self.tool}")
         check_damping(self, self.K, self.B, self.zeta, self.D)
 
     def check_rate(self, rate: float) -> None:

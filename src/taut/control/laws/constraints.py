@@ -93,7 +93,7 @@ def _check_force(constraint: Constraint, sample: HybridMotion, *, presses: bool)
         )
     if presses and (constraint.frame is None or constraint.moments[0] or not constraint.surface):
         raise UsageError(
-            "press is a force into a surface, and the first row of the constraint is none; put the surface first, "
+            "press is a force into a surface, and the first row of the constraint is of none; put the surface first, "
             "with one_sided=True, or give lam=",
             name="press",
         )
@@ -134,7 +134,7 @@ def _check_pressed(one_sided: Sequence[bool], lam: Float64Array, name: str) -> N
         if side and lam[row] > 0.0:
             raise RangeError(
                 f"{name} must press on a contact, lam <= 0 [N], and pulls at row {row} with lam = {lam[row]:.4g}; "
-                "turn its sign",
+                "change its sign",
                 name=name,
                 value=float(lam[row]),
                 rule="lam <= 0",

@@ -6,14 +6,15 @@ desired minus actual, f(v) the friction of the plant: b v for viscous, mu sign(v
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 
-from taut.base.errors import MatchError
-from taut.base.fields import Choice, Part
+from taut.base.errors import MatchError, ShapeError
+from taut.base.fields import Choice, Field, Part
 from taut.base.types import Array, Vector
 from taut.control.closed_loop import ClosedLoop
 from taut.control.command import Command, Terms, Torque, Velocity
@@ -120,6 +121,39 @@ class ComputedTorque(Law):
         )
         a = Terms(feedforward=ref.a, P=self.kp @ e, I=self.ki @ e_int, D=self.kd @ e_dot)
         return Torque(x.M @ a + Terms(nonlinear=x.h)), {"integral": integral}
+
+
+class StateFeedback(Law):
+    """Linear feedback of all positions and velocities to all torques, as `taut.analysis.lqr` designs it.
+
+    Law:          tau = tau_0 + K_q (q_des - q) + K_v (v_des - v)
+    Closed loop:  near the pose at which tau_0 holds the arm M e_ddot + (K_v + b) e_dot + (K_q + dg/dq) e = 0; each
+                  joint answers to the errors of the others; away from that pose the error of tau_0 remains
+
+    Args:
+        K_q: (n, n) torques over position errors.
+        K_v: (n, n) torques over velocity errors.
+        tau_0: Torque that holds the arm at the pose of the design.
+
+    References:
+        Astrom and Wittenmark, Computer-controlled systems (1997), section 4.2.
+    """
+
+    K_q: Field = Field(unit="N m/rad | N/m", shape=("n", "n"))
+    K_v: Field = Field(unit="N m s/rad | N s/m", shape=("n", "n"))
+    tau_0: Gain = Gain(unit="N m | N", accepts=("scalar",), minimum=-math.inf)
+
+    def check(self) -> None:
+        for name in ("K_q", "K_v"):
+            shape = np.shape(getattr(self, name))
+            if shape != (shape[0],) * 2 or self.tau_0.shape not in ((), shape[:1]):
+                self.refuse(
+                    name, f"must be square, with a row for each entry of tau_0; got shape {shape}", ShapeError
+                )
+
+    def command(self, x: Snapshot, ref: JointMotion) -> Command:
+        e, e_dot = x.difference(ref.q), ref.v - x.v
+        return Torque(P=self.K_q @ e, D=self.K_v @ e_dot, gravity=self.tau_0 * np.ones(x.n))
 
 
 class GravityPID(Law):

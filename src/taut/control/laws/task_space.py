@@ -258,7 +258,7 @@ def check_damping(law: Law, K: GainValue, B: GainValue | None, zeta: GainValue |
     if zeta is not None and smallest(K) <= 0.0:
         law.refuse("zeta", "needs a K with stiffness in every direction; give B instead", RangeError)
     if D is not None and smallest(D) <= 0.0:
-        law.refuse("D", "must be > 0 [kg, kg m^2] in every direction: wrenches are divided by it", RangeError)
+        law.refuse("D", f"must be > 0 [kg, kg m^2] in every direction; got {smallest(D):.4g}", RangeError)
 
 
 def smallest(gain: GainValue) -> float:

@@ -187,7 +187,7 @@ class NormalEstimate(Wrapper):
     def check(self) -> None:
         super().check()
         if self.law.constraint.frame is None or self.law.motion.reference is not TaskMotion:
-            self.refuse("law", "must have a surface that one frame touches, and a motion of that frame")
+            self.refuse("law", "must have a constraint of one frame, and a motion that follows a TaskMotion")
 
     def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
         constraint, moved = self.law.constraint, self.law.motion.controlled_frame or x.arm.tool
@@ -195,8 +195,8 @@ class NormalEstimate(Wrapper):
         check_sensor(x, frame)
         if (frame or x.arm.tool) != moved or constraint.moments[0] or constraint.pieces[0].pfaffian:
             raise UsageError(
-                f"NormalEstimate is of a surface's normal at the frame that moves, '{moved}': put the surface first, "
-                "of that frame, or leave the estimate out",
+                f"NormalEstimate needs a surface of the frame that moves, '{moved}', as the first constraint; put it "
+                "first, or leave the estimate out",
                 name="NormalEstimate",
             )
 

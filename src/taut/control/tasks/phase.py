@@ -9,8 +9,8 @@ from typing import Any, Final, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
-from taut.base.checks import finite_scalar, one_of, positive_scalar, unit_vector, whole_number
-from taut.base.errors import ShapeError, UsageError, unknown_name
+from taut.base.checks import finite_array, finite_scalar, one_of, positive_scalar, unit_vector, whole_number
+from taut.base.errors import RangeError, ShapeError, UsageError, unknown_name
 from taut.base.types import ArrayLike
 from taut.control.combine import all_laws
 from taut.control.law import Law
@@ -89,6 +89,30 @@ def contact(x: Seen, force: float, direction: ArrayLike | None = None, frame: Ax
 def no_contact(x: Seen, force: float, direction: ArrayLike | None = None, frame: Axes = "world") -> Any:
     """Guard: whether the contact force at the tool is below a threshold [N]; the opposite of `contact`."""
     return ~contact(x, force, direction, frame)
+
+
+def collision(x: Seen, threshold: ArrayLike) -> Any:
+    """Guard: whether the estimated external torque of a joint exceeds its threshold.
+
+    Args:
+        x: The snapshot of a guard; its sensing has an observer.
+        threshold: Scalar or (n,) [N m | N]: above what a wrong model alone makes of the motion, as of
+            `taut.analysis.collision_threshold(run)`.
+
+    Example:
+        >>> import taut
+        >>> law = taut.laws.ComputedTorque(kp=100.0, kd=20.0)
+        >>> go = taut.Phase(law, unless=lambda x: collision(x, [2.0, 1.0]), otherwise="float")
+        >>> task = [go, taut.Phase(taut.laws.GravityCompensation(), name="float")]
+    """
+    bound = finite_array("threshold", threshold, unit="N m | N")
+    if bound.shape not in ((), (x.n,)) or np.any(bound <= 0.0):
+        raise RangeError(
+            f"threshold must be > 0 [N m | N], one number or {x.n}; got {bound.tolist()}; make it by "
+            "taut.analysis.collision_threshold(run)",
+            name="threshold",
+        )
+    return reduce(tm.maximum, tm.abs(x.tau_ext) - bound) > 0.0
 
 
 def reached(
@@ -315,7 +339,9 @@ class Phase:
         if self.timeout is not None:
             object.__setattr__(self, "timeout", positive_scalar("timeout", self.timeout, unit="s"))
         if isinstance(self.contact, Lasting):
-            raise UsageError("contact is looked at once; give the guard that lasting(...) holds", name="contact")
+            raise UsageError(
+                "one tick decides on contact, so lasting(...) is no use; give the guard in it", name="contact"
+            )
         if self.contact is not None and not callable(self.contact):
             positive_scalar("contact", self.contact, unit="N")
         if self.reference is not None and not callable(self.reference):

@@ -18,7 +18,17 @@ from taut.base.errors import (
     raised_location,
 )
 from taut.base.fields import Declared, Plain
-from taut.control.command import Command, Position, Terms, Torque, Velocity, one_kind
+from taut.control.command import (
+    Command,
+    MitCommand,
+    Position,
+    Terms,
+    Torque,
+    Velocity,
+    of_kind,
+    one_kind,
+    rows_of,
+)
 from taut.control.gains import Gain, LawMemory, MemoryView
 from taut.control.law import Law, call
 from taut.control.tasks.phase import STOP, Guard, GuardView, Lasting, Phase, condition, named_phases
@@ -35,7 +45,7 @@ ENDED: Final = {UNTIL: "until", UNLESS: "unless", TIMEOUT: "timeout", NO_CONTACT
 """Cause of a phase's end, by the code that is recorded in its last tick."""
 OFFSET_FROM_SINGULAR: Final = 0.1  # [rad | m] to a state beside a singular one
 TICK_ROUNDING: Final = 1e-6  # [ticks] by which a timeout that is meant to be a whole number of ticks may miss one
-MADE_BY: Final = {kind.kind: kind for kind in (Torque, Velocity, Position)}
+MADE_BY: Final[Mapping[str, type[Command]]] = {kind.kind: kind for kind in (Torque, Velocity, Position, MitCommand)}
 
 
 class Halt(Law):
@@ -57,10 +67,11 @@ class Halt(Law):
 
     def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: Any) -> tuple[Command, dict[str, Any]]:  # noqa: ARG002
         made, after = MADE_BY[self.kind], {"q": memory.q}
-        if made is Torque:
+        if made in (Torque, MitCommand):
             a = Terms(P=self.kp @ x.difference(memory.q), D=-(self.kd @ x.v))
-            return Torque(x.M @ a + Terms(nonlinear=x.h)), after
-        return made(Terms(hold=tm.zeros(x.n) if made is Velocity else memory.q)), after
+            free = {"q": memory.q, **dict.fromkeys(("v", "kp", "kd"), tm.zeros(x.n))}
+            return of_kind(made, x.M @ a + Terms(nonlinear=x.h), free), after
+        return of_kind(made, Terms(hold=tm.zeros(x.n) if made is Velocity else memory.q), {}), after
 
 
 class Task(Declared):
@@ -359,14 +370,15 @@ def _chosen(which: Any, a: Any, b: Any) -> Any:
 
 def _selected(commands: Mapping[str, Command], acting: Mapping[str, Any], n: int) -> Command:
     """The command of the law that acts, and its terms, zero where it has none of that name."""
-    total = commands[STOP].total
+    total, rows = commands[STOP].total, rows_of(commands[STOP])
     terms: dict[str, Any] = {}
     for name, command in commands.items():
         if name != STOP:
             total = tm.where(acting[name], command.total, total)
+            rows = {row: tm.where(acting[name], x, rows[row]) for row, x in rows_of(command).items()}
         for term, values in command.terms.parts.items():
             terms[term] = tm.where(acting[name], values, terms.get(term, tm.zeros(n)))
-    return type(commands[STOP])(Terms.known(total, terms))
+    return of_kind(type(commands[STOP]), Terms.known(total, terms), rows)
 
 
 def _called(guard: Any) -> str:

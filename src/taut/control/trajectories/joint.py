@@ -58,6 +58,49 @@ class Sine(JointTrajectory):
         return JointMotion.of({"q": q, "v": v, "a": -self.amplitude * omega**2 * np.sin(angle)})
 
 
+class Fourier(JointTrajectory):
+    """q(t) = q0 + sum over l of cosines_l (cos(l w t) - 1) + sines_l sin(l w t), w = 2 pi frequency; periodic.
+
+    `taut.analysis.excitation` designs one for an arm.
+
+    Args:
+        q0: (n,) where it starts, and ends after whole periods [rad | m].
+        cosines: (h, n) amplitudes of the harmonics l = 1 ... h [rad | m].
+        sines: (h, n) the same of the sines.
+        frequency: Of the first harmonic [Hz].
+        duration: [s]; it rests at its last position then.
+
+    Example:
+        >>> Fourier(q0=[1.0], cosines=[[0.0]], sines=[[0.5]], frequency=0.25, duration=4.0).at(1.0).q.tolist()
+        [1.5]
+
+    References:
+        Swevers, Ganseman, Tukel, De Schutter and Van Brussel, IEEE Trans. Robotics and Automation 13 (1997).
+    """
+
+    q0: Field = Field(unit=POSITION, shape="n")
+    cosines: Field = Field(unit=POSITION, shape=("k", "n"))
+    sines: Field = Field(unit=POSITION, shape=("k", "n"))
+    frequency: Field = Field(unit="Hz", shape="scalar", above=0.0)
+    duration: Field = Field(unit="s", shape="scalar", above=0.0)
+
+    def check(self) -> None:
+        super().check()
+        for name in ("cosines", "sines"):
+            if (got := getattr(self, name).shape) != (wanted := (len(self.cosines), len(self.q0))):
+                self.refuse(name, f"must have shape {wanted}, a row for each harmonic; got {got}", ShapeError)
+
+    def rows(self, times: Float64Array) -> JointMotion:
+        t = np.clip(times, 0.0, float(self.duration))
+        inside = (t == times)[:, np.newaxis]
+        omega = 2.0 * np.pi * float(self.frequency) * np.arange(1, len(self.cosines) + 1)
+        c, s = np.cos(np.outer(t, omega)), np.sin(np.outer(t, omega))
+        q = self.q0 + (c - 1.0) @ self.cosines + s @ self.sines
+        v = (c * omega) @ self.sines - (s * omega) @ self.cosines
+        a = -(c * omega**2) @ self.cosines - (s * omega**2) @ self.sines
+        return JointMotion.of({"q": q, "v": v * inside, "a": a * inside})
+
+
 class PointToPoint(JointTrajectory):
     """Base of the motions from rest to rest in which all joints start and stop together: q0 + s (q1 - q0)."""
 

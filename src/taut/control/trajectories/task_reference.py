@@ -111,9 +111,9 @@ def between(times: Float64Array, knots: Float64Array, rows: Rows) -> dict[str, F
     i = np.clip(np.searchsorted(knots, times, side="right") - 1, 0, len(knots) - 2)
     h = (knots[i + 1] - knots[i])[:, np.newaxis]
     x = np.clip((times - knots[i]) / h[:, 0], 0.0, 1.0)
-    linear = [tuple(part[i + end] for part in _linear(rows)) for end in (0, 1)]
+    linear = [tuple(part[i + end] for part in linear_rates(rows)) for end in (0, 1)]
     p, v, a = quintic_between(x, h, *linear)  # type: ignore[arg-type]  # tuples of three
-    ends = _pieces(knots, rows)
+    ends = pieces(knots, rows)
     r = quintic_between(x, h, *[tuple(part[i] for part in end) for end in ends])  # type: ignore[arg-type]
     R = rows["R"][i] @ exp_rows(r[0])
     omega, alpha = (rotated_rows(R, part) for part in to_body_rates(*r))
@@ -138,11 +138,12 @@ def quintic_between(x: Float64Array, h: Float64Array | float, start: Offset, end
     return y, rate / h, (a0 + x * (6.0 * c3 + x * (12.0 * c4 + x * 20.0 * c5))) / h**2
 
 
-def _linear(rows: Rows) -> Offset:
+def linear_rates(rows: Rows) -> Offset:
+    """Position, velocity and acceleration of the tool's origin at the knots, each (k, 3)."""
     return rows["p"], rows["twist"][:, :3], rows["acceleration"][:, :3]
 
 
-def _pieces(knots: Float64Array, rows: Rows) -> tuple[Offset, Offset]:
+def pieces(knots: Float64Array, rows: Rows) -> tuple[Offset, Offset]:
     """The rotation vector from each knot's orientation and its rates: at the knot, and at the next one."""
     R = rows["R"]
     omega, alpha = (_rotated_back(R, rows[name][:, 3:]) for name in ("twist", "acceleration"))
@@ -164,7 +165,7 @@ def differences(times: Float64Array, p: Float64Array, R: Float64Array) -> tuple[
 
 def offset(old: Rows, new: Rows) -> tuple[Offset, Offset]:
     """The offset of an old motion from a new one at one instant: of the position, and of the rotation as exp(r)."""
-    linear = tuple(a - b for a, b in zip(_linear(old), _linear(new), strict=True))
+    linear = tuple(a - b for a, b in zip(linear_rates(old), linear_rates(new), strict=True))
     back = new["R"].transpose(0, 2, 1) @ old["R"]
     omega, alpha = (_rotated_back(old["R"], old[name][:, 3:]) for name in ("twist", "acceleration"))
     omega_new, alpha_new = (_rotated_back(new["R"], new[name][:, 3:]) for name in ("twist", "acceleration"))

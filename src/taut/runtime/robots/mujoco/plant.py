@@ -68,7 +68,8 @@ class MujocoPlant(PlantInMujoco):
         friction: "arm" for the arm's own viscous and dry friction, None for none.
         limits: "arm" for the arm's own position limits, None for none.
         timestep: [s] of MuJoCo, a whole part of the control period; by default the largest one up to 1 ms.
-        takes: The command: "torque", "velocity" or "position". The last two are drives with
+        takes: The command: "torque", "mit", "velocity" or "position"; "mit" as of RigidPlant, with an inner loop in
+            every time step or at `actuation=Actuation(inner_rate=...)`. The last two are drives with
             `actuation=Actuation(bandwidth=...)` that follow the motion of RigidPlant's stiff ones by an inner torque
             loop, ten times as fast as the drive. It knows arm and payload, but not contacts and environments, which
             therefore move the arm a little, and gives no more than the joint's effort: the excess is the run's column
@@ -241,7 +242,7 @@ class MujocoPlant(PlantInMujoco):
         import mujoco
 
         rig = self._rig
-        self._substeps = self._steps_in(dt)
+        self._substeps = self.steps_in(dt)
         put_timestep(rig, dt / self._substeps)
         mujoco.mj_resetData(rig.model, rig.data)
         self._ctrl[self._motors] = 0.0
@@ -249,16 +250,18 @@ class MujocoPlant(PlantInMujoco):
         self._line = None
         self._h, self._dt = dt / self._substeps, dt
         self._forces.start(q, v, self._values, dt, self._substeps)
-        self._tau, self._tau_link = (self._forces.memory[name].copy() for name in ("held", "tau_link"))
+        held, self._tau_link = (self._forces.memory[name].copy() for name in ("held", "tau_link"))
+        self._tau = held if held.ndim == 1 else held[-1].copy()
         taps = self.actuation.taps(dt)
         if taps:
-            first = {"torque": self._tau, "velocity": np.zeros(len(q)), "position": q}[self.takes]
+            first = {"velocity": np.zeros(len(q)), "position": q}.get(self.takes, held)
             self._line = np.stack([first] * taps)
         self._F_ext = self._from_outside()
         self._readings.start(seed, self._true(), self._values)
         self._saturated = {name: np.zeros(()) for name in self._readings.saturating}
 
-    def _steps_in(self, dt: float) -> int:
+    def steps_in(self, dt: float) -> int:
+        """MuJoCo's time steps in a control period of dt [s]. MatchError where these are no whole number."""
         if self._timestep is None:
             return max(1, math.ceil(dt / MAX_DEFAULT_TIMESTEP * (1.0 - 1e-9)))
         return whole_steps(self.name, dt, self._timestep, "timestep")
@@ -280,7 +283,7 @@ class MujocoPlant(PlantInMujoco):
         return true | {name: x for name, x in self._forces.memory.items() if name in ("q_motor", "v_motor")}
 
     def advance(self, command: Float64Array) -> Float64Array:
-        """One control period under a command (n,); (n,) the torque that acted on the joints."""
+        """One control period under a command (n,), or (5, n) of a MitCommand; (n,) the torque that acted."""
         rig, forces = self._rig, self._forces
         held, self._line = delayed(command, self._line)
         self._work = forces.work
@@ -296,7 +299,7 @@ class MujocoPlant(PlantInMujoco):
         self._tau, self._tau_link = forces.last("tau"), forces.memory["tau_link"].copy()
         self._contact = self._wrench.of_environment()
         self._F_ext = self._from_outside()
-        if self.takes != "torque":
+        if self._parts.stiff:
             self._cut = forces.last("cut")
             self._warn_of_cut("the effort of its joints", "slower motions, or an arm that has more")
         return self._tau
@@ -318,7 +321,7 @@ class MujocoPlant(PlantInMujoco):
         """
         work = {} if self._parts.environment is None else {WORK_OF_IT: np.asarray(self._work)}
         normal = {} if self._normals is None else {PRESSED: self._normals.of_contacts()}
-        cut = {} if self.takes == "torque" else {"tau_cut": self._cut}
+        cut = {"tau_cut": self._cut} if self._parts.stiff else {}
         return {"F_ext": self._F_ext, **cut, **work, **normal, **self._saturated, **self._poses()}
 
 

@@ -151,7 +151,7 @@ class ForceStage(Stage):
         self._model = model_of(rig.arm)
         self._links = model_of(rig.arm.with_joints(rotor_inertia=0.0))
         self._follower: Follower | None = None
-        if parts.takes != "torque":
+        if parts.stiff:
             self._follower = Follower(arm=rig.arm, takes=parts.takes, model=self._links)
         self._rigid = np.array(self._train.rigid, dtype=np.intp)
         self._dofs = np.array(rig.dofs, dtype=np.intp)
@@ -218,7 +218,7 @@ class ForceStage(Stage):
         payload = PayloadValues.of(subtree(parameters, "plant.payload"))
         full = dyn.gravity_torque(self._model, q, payload)
         weight = full - compensation(self._model, parts.adds, q, np.zeros(arm.n), payload)
-        memory = {"held": weight, "tau_link": full}
+        memory = {"held": parts.held_at_start(q, weight), "tau_link": full}
         if self._follower is None:
             memory |= parts.actuation.start(arm, weight, parameters)
         else:

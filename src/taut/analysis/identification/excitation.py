@@ -1,0 +1,198 @@
+"""taut.analysis.excitation: a motion of all joints that makes parameters of an arm identifiable."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from scipy.linalg import null_space
+from scipy.optimize import minimize
+
+from taut.analysis.identification.regression import ArmRegression, Unknown
+from taut.arm.description import Arm
+from taut.base.checks import finite_array, positive_scalar, whole_number
+from taut.base.errors import RangeError, ShapeError
+from taut.base.types import ArrayLike, Float64Array
+from taut.control.trajectories.joint import ACCELERATION, POSITION, SPEED, Fourier
+
+AMPLITUDE: Final = 0.3  # [rad | m] from home, where the caller states none
+MARGIN: Final = 0.05  # of the range of a joint, kept free at each end
+SHARE: Final = 0.5  # of the arm's limits of speed and torque that the motion takes
+UNLIMITED_SPEED: Final = 2.0  # [rad/s | m/s] where the arm has no limit
+PER_HARMONIC: Final = 8  # samples in a period of the highest harmonic
+FINE: Final = 10  # times as many, on which the limits of the motion that was found are met
+STARTS: Final = 40  # random motions, the best of which is improved
+ITERATIONS: Final = 25
+STEP: Final = 1e-5  # of the differences of the gradient; coefficients are about 1
+TORQUE_WEIGHT: Final = 100.0  # of torques beyond the limit, against the logarithm of the condition number
+SHRINK: Final = 1.05  # at least, where torques of the motion are too large
+SINGULAR: Final = 1e-12  # smallest eigenvalue of a regressor whose condition number still counts
+
+
+def excitation(
+    arm: Arm,
+    *,
+    duration: float = 20.0,
+    what: Sequence[Unknown] = ("payload", "friction"),
+    harmonics: int = 5,
+    frequency: float = 0.1,
+    amplitude: ArrayLike | None = None,
+    speed: ArrayLike | None = None,
+    acceleration: ArrayLike | None = None,
+    seed: int = 0,
+) -> Fourier:
+    """A motion that excites parameters of an arm: a Fourier series with the smallest condition number that was found.
+
+    It starts and ends at home, at rest in velocity and acceleration, and stays within the limits of the arm: 90 % of
+    the range of positions, half of the speeds and, by the model, half of the torques beyond those at home.
+    Collisions are not considered: state a smaller amplitude where space is narrow.
+
+    Args:
+        arm: The arm, with a payload like the expected one.
+        duration: Whole periods of the first harmonic [s].
+        what: What is to be identified, as for `taut.analysis.identify`.
+        harmonics: Number of them, 2 or more.
+        frequency: Of the first harmonic [Hz].
+        amplitude: (n,) or scalar, largest distance from home [rad | m]; 0.3 if left out.
+        speed: (n,) or scalar [rad/s | m/s]; half of the arm's limits if left out.
+        acceleration: (n,) or scalar [rad/s^2 | m/s^2]; no limit but that of the torques if left out.
+        seed: Of the random motions with which the search begins.
+
+    Returns:
+        The trajectory; follow it with `taut.run(ctrl, plant, motion, duration=motion.duration)`.
+
+    Raises:
+        RangeError: A duration that is no whole number of periods; a limit <= 0; a home at the end of the range.
+
+    Example:
+        >>> import taut
+        >>> motion = excitation(taut.load_arm("one_joint"), duration=10.0, amplitude=0.2)
+        >>> motion.duration.item(), bool(abs(motion.at(4.0).q[0]) <= 0.2)
+        (10.0, True)
+
+    References:
+        Swevers et al. (1997), IEEE Trans. Robotics and Automation 13 (5): Fourier series.
+    """
+    regression = ArmRegression(arm, what)
+    duration, frequency = positive_scalar("duration", duration, unit="s"), positive_scalar("frequency", frequency)
+    harmonics = whole_number("harmonics", harmonics, minimum=2)
+    if abs(duration * frequency - round(duration * frequency)) > 1e-9 or duration * frequency < 0.5:
+        raise RangeError(
+            f"duration must be whole periods of the first harmonic, {1.0 / frequency:g} s each; got {duration:g}",
+            name="duration",
+            value=duration,
+        )
+    reach = _per_joint(arm, "amplitude", AMPLITUDE if amplitude is None else amplitude, POSITION)
+    free = MARGIN * np.where(np.isfinite(arm.upper - arm.lower), arm.upper - arm.lower, 0.0)
+    up, down = (np.minimum(reach, room - free) for room in (arm.upper - arm.home, arm.home - arm.lower))
+    if (np.minimum(up, down) <= 0.0).any():
+        i = int(np.argmin(np.minimum(up, down)))
+        raise RangeError(
+            f"joint '{arm.joint_names[i]}' has no room about home, {arm.home[i]:.4g}, within 90 % of its range; give "
+            "the arm another home",
+            name="arm",
+            joint=arm.joint_names[i],
+        )
+    limits = np.where(np.isfinite(arm.velocity), SHARE * arm.velocity, UNLIMITED_SPEED)
+    fastest = _per_joint(arm, "speed", limits if speed is None else speed, SPEED)
+    strongest = (
+        np.full(arm.n, np.inf)
+        if acceleration is None
+        else _per_joint(arm, "acceleration", acceleration, ACCELERATION)
+    )
+    search, fine = (
+        _Search(regression, harmonics, frequency, (up, down, fastest, strongest), samples)
+        for samples in (PER_HARMONIC, FINE * PER_HARMONIC)
+    )
+    rng = np.random.default_rng(seed)
+    starts = rng.standard_normal((STARTS, search.size))
+    best = starts[int(np.argmin(search.costs(starts)))]
+    found = minimize(search.cost_and_slope, best, jac=True, method="L-BFGS-B", options={"maxiter": ITERATIONS})
+    cosines, sines = fine.within_torques(*fine.coefficients(found.x[np.newaxis]))
+    return Fourier(q0=arm.home, cosines=cosines[0], sines=sines[0], frequency=frequency, duration=duration)
+
+
+def _per_joint(arm: Arm, name: str, given: ArrayLike, unit: str) -> Float64Array:
+    values = finite_array(name, given, unit=unit, above=0.0, joints=arm.joint_names)
+    if values.shape not in ((), (arm.n,)):
+        raise ShapeError(f"{name} must be one number or {arm.n}, one per joint; got shape {values.shape}", name=name)
+    return np.broadcast_to(values, (arm.n,))
+
+
+class _Search:
+    """Motions as points (size,) without constraints: each joint is scaled to the first limit that it meets.
+
+    Rest at both ends is two linear conditions on the coefficients of each joint, which a basis satisfies.
+    """
+
+    def __init__(
+        self,
+        regression: ArmRegression,
+        harmonics: int,
+        frequency: float,
+        limits: tuple[Float64Array, ...],
+        samples: int,  # in a period of the highest harmonic
+    ) -> None:
+        self._regression, self._limits = regression, limits
+        order = np.arange(1, harmonics + 1)
+        omega = 2.0 * np.pi * frequency * order
+        self._bases = null_space(order[np.newaxis] ** 2.0), null_space(order[np.newaxis] * 1.0)
+        t = np.arange(samples * harmonics) / (samples * harmonics * frequency)
+        c, s = np.cos(np.outer(t, omega)), np.sin(np.outer(t, omega))
+        self._parts = ((c - 1.0, s), (-s * omega, c * omega), (-c * omega**2, -s * omega**2))
+        self.size = 2 * (harmonics - 1) * regression.arm.n
+        arm = regression.arm
+        rest = np.zeros((1, arm.n))
+        self._weight = self._torques(*regression.at(arm.home[np.newaxis], rest, rest))[0]
+        self._room = SHARE * (arm.effort - np.abs(self._weight))
+        if (self._room <= 0.0).any():
+            i = int(np.argmin(self._room))
+            raise RangeError(
+                f"joint '{arm.joint_names[i]}' needs {abs(self._weight[i]):.4g} to hold the arm at home and has "
+                f"{arm.effort[i]:.4g} [N m | N]; give the arm another home, or less payload",
+                name="arm",
+                joint=arm.joint_names[i],
+            )
+
+    def _torques(self, Y: Float64Array, known: Float64Array) -> Float64Array:
+        return np.asarray(known + Y @ (self._regression.K @ self._regression.nominal))
+
+    def coefficients(self, points: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """(k, h, n) each: cosines and sines within the limits."""
+        parts = np.split(points.reshape(len(points), 2, -1, self._regression.arm.n), 2, axis=1)
+        cosines, sines = (basis @ part[:, 0] for basis, part in zip(self._bases, parts, strict=True))
+        q, v, a = (C @ cosines + S @ sines for C, S in self._parts)
+        up, down, speed, acceleration = self._limits
+        used = [q.max(axis=1) / up, -q.min(axis=1) / down, np.abs(v).max(axis=1) / speed]
+        scale = 1.0 / np.max([*used, np.abs(a).max(axis=1) / acceleration], axis=0)[:, np.newaxis]
+        return cosines * scale, sines * scale
+
+    def _regressors(self, cosines: Float64Array, sines: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """(k, samples, n, b) columns, and (k, samples, n) torques beyond those at home over their limit."""
+        q, v, a = (C @ cosines + S @ sines for C, S in self._parts)
+        flat = (x.reshape(-1, x.shape[2]) for x in (self._regression.arm.home + q, v, a))
+        Y, known = self._regression.at(*flat)
+        used = np.abs(self._torques(Y, known) - self._weight) / self._room
+        return Y.reshape(*q.shape, -1), used.reshape(q.shape)
+
+    def within_torques(self, cosines: Float64Array, sines: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Coefficients of one motion, made smaller where the torques need it."""
+        while (worst := float(self._regressors(cosines, sines)[1].max())) > 1.0:
+            cosines, sines = cosines / max(worst, SHRINK), sines / max(worst, SHRINK)
+        return cosines, sines
+
+    def costs(self, points: Float64Array) -> Float64Array:
+        """(k,) logarithm of the condition number, and torques beyond their limit."""
+        Y, used = self._regressors(*self.coefficients(points))
+        W = Y.reshape(len(points), -1, Y.shape[-1])
+        unit = W / np.linalg.norm(W, axis=1, keepdims=True)
+        sizes = np.linalg.eigvalsh(np.swapaxes(unit, 1, 2) @ unit)
+        condition = 0.5 * np.log(sizes[:, -1] / np.maximum(sizes[:, 0], SINGULAR))
+        excess = np.maximum(used - 1.0, 0.0).reshape(len(points), -1)
+        return np.asarray(condition + TORQUE_WEIGHT * np.mean(excess**2, axis=1))
+
+    def cost_and_slope(self, point: Float64Array) -> tuple[float, Float64Array]:
+        """The cost and its gradient, by differences."""
+        costs = self.costs(point + STEP * np.vstack([np.zeros(self.size), np.eye(self.size)]))
+        return float(costs[0]), (costs[1:] - costs[0]) / STEP

@@ -1,0 +1,310 @@
+"""taut.analysis.identify: payload, friction, rotors and links of an arm from recorded runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from taut.analysis.identification.least_squares import SIGNIFICANT, UNCERTAIN, Fit
+from taut.analysis.identification.physical import changed_arm, possible_bodies
+from taut.analysis.identification.regression import ArmRegression, Unknown
+from taut.analysis.identification.samples import Samples
+from taut.base.checks import instance_of, positive_scalar
+from taut.base.errors import NumericalError, UsageError, quoted_list
+from taut.base.paths import Named
+from taut.base.plot_style import DASHED, SMALL, WIDTH, colour, prepared
+from taut.base.result import Content, Result, Table
+from taut.base.types import Float64Array
+from taut.control.trajectories.reference import JointMotion
+from taut.controller import Controller
+from taut.linear.linearise import linearise
+from taut.linear.performance import frequency_grid
+from taut.loop import Loop
+from taut.plant.rigid import RigidPlant
+from taut.record.run import Run
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from taut.arm.description import Arm
+
+CONFIDENCE: Final = 1.96  # standard deviations of an interval of 95 %
+EXACT: Final = 1e-2  # standard deviations between the estimate and a possible body, by the search for it
+REMARKS: Final = {
+    "uncertain": "uncertain by more than 20 %",
+    "without_slow_motion": "static friction is not identifiable, for want of slow reversals, of",
+    "without_effect": "no motion of this arm shows",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """An identified number."""
+
+    value: float
+    std: float
+    unit: str
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The 95 % confidence interval."""
+        return self.value - CONFIDENCE * self.std, self.value + CONFIDENCE * self.std
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Verdict:
+    """Whether an identified model is good enough for a law: bounds of its tracking error."""
+
+    ok: bool  # no joint's bound exceeds what is allowed
+    before: Float64Array  # (n,) with the model as it was [rad | m]
+    after: Float64Array  # (n,) with what was found [rad | m]
+    message: str
+
+    def __str__(self) -> str:
+        return self.message
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Identification(Result):
+    """Identified parameters of an arm.
+
+    Frames:
+        The payload's parameters are about the tool's origin, in its axes; those of a link about the frame of its
+        joint, in the axes of the arm.
+
+    Args:
+        arm: The arm with what was found; it is always a possible one.
+        estimates: By name: "payload.m", "panda_joint1.viscous", ... A base parameter has the name of the first of
+            those that it stands for.
+        combinations: What base parameters stand for, of those that stand for several.
+        condition: Of the regressor with columns of length 1.
+        uncertain: Parameters whose standard deviation is above 20 % of their size.
+        without_slow_motion: Joints whose static friction the record does not show.
+        without_effect: Parameters that act on no torque in any motion of the arm; they stay as the arm has them.
+        lag: Largest correlation of successive residuals of a joint; above 0.2 it widens all intervals.
+        distance: From the estimate to the nearest possible body, which `arm` has [standard deviations].
+        t: (k,) times of the samples of all runs [s].
+        measured: (k, n) filtered torques at these [N m | N]; NaN where a joint with friction rests.
+        before: (k, n) torques by the arm as it was.
+        after: (k, n) torques by the arm with what was found.
+        torque_std: (n,) largest standard deviation of a torque by uncertain parameters [N m | N].
+    """
+
+    arm: Arm
+    estimates: Mapping[str, Estimate]
+    combinations: Mapping[str, str]
+    condition: float
+    uncertain: tuple[str, ...]
+    without_slow_motion: tuple[str, ...]
+    without_effect: tuple[str, ...]
+    lag: float
+    distance: float
+    t: Float64Array
+    measured: Float64Array
+    before: Float64Array
+    after: Float64Array
+    torque_std: Float64Array
+
+    @property
+    def physical(self) -> bool:
+        """The estimate itself is that of possible bodies: pseudo-inertia positive definite."""
+        return self.distance < EXACT
+
+    @property
+    def residual(self) -> tuple[Float64Array, Float64Array]:
+        """(n,) each: RMS of the torque that the arm before and after does not explain [N m | N]."""
+        return _rms(self.measured - self.before), _rms(self.measured - self.after)
+
+    def verdict(self, ctrl: Controller, *, error: float) -> Verdict:
+        """Whether the model is good enough for a law: the tracking error by torques that it does not explain.
+
+        Law:          |e_i| <= sum over j of max over omega |T_ij(j omega)| d_j, T from joint torques to positions in
+                      the sampled loop at home; d_j = RMS of the residual, which has the noise of the torques in it,
+                      plus 1.96 standard deviations of the torque by uncertain parameters
+
+        Args:
+            ctrl: The controller that is to use the model: `taut.compile(law, found.arm)`.
+            error: Largest tracking error that is allowed [rad | m].
+
+        Raises:
+            UsageError: A law that follows no joint positions, or whose loop is unstable.
+        """
+        instance_of("ctrl", ctrl, Controller, "a controller from taut.compile")
+        allowed = positive_scalar("error", error, unit="rad | m")
+        if ctrl.side.law.reference is not JointMotion:
+            raise UsageError("verdict is for laws that follow joint positions", name="ctrl")
+        lin = linearise(Loop(ctrl, RigidPlant(self.arm, friction=None), JointMotion(q=self.arm.home), duration=1.0))
+        if not lin.stable:
+            raise UsageError(f"verdict is for a stable loop; this one is {lin.unstable_because}", name="ctrl")
+        omega = frequency_grid(lin.period, np.abs(np.angle(lin.poles)) / lin.period)
+        gain = np.abs(lin.frequency_response(omega, input="disturbance.torque", output="q")).max(axis=0)
+        before, after = self.residual
+        before, after = gain @ before, gain @ (after + CONFIDENCE * self.torque_std)
+        i = int(np.argmax(after))
+        ok = bool(after[i] <= allowed)
+        message = (
+            f"{'good enough' if ok else 'not good enough'}: the error of joint '{self.arm.joint_names[i]}' is at "
+            f"most {after[i]:.3g}, and {allowed:.3g} is allowed"
+        )
+        return Verdict(ok=ok, before=before, after=after, message=message)
+
+    def content(self) -> Content:
+        """Estimates with intervals, what is uncertain or not identifiable, and the torques."""
+        payload, summary = self.arm.payload, []
+        if "payload" in {name.partition(".")[0] for name in self.estimates}:
+            com = ", ".join(f"{x:.4g}" for x in payload.com)
+            summary.append(f"payload {payload.mass:.4g} kg, centre of mass ({com}) m")
+        if not self.physical:
+            summary.append(
+                f"the estimate is of no possible body; the arm has the nearest one, {self.distance:.2g} standard "
+                "deviations away"
+            )
+        summary += [f"{text}: {', '.join(names)}" for name, text in REMARKS.items() if (names := getattr(self, name))]
+        rows = [(name, each.value, CONFIDENCE * each.std, each.unit) for name, each in self.estimates.items()]
+        residual = zip(self.arm.joint_names, *(part.tolist() for part in self.residual), strict=True)
+        tables = [
+            Table(title="estimates", columns=("parameter", "value", "+- (95 %)", "unit"), rows=rows),
+            Table(title="base parameters", columns=("name", "stands for"), rows=list(self.combinations.items())),
+            Table(
+                title="torque not explained, RMS",
+                columns=("joint", "before [N m | N]", "after [N m | N]"),
+                rows=list(residual),
+            ),
+        ]
+        return Content(
+            title=f"identification from {len(self.t)} samples",
+            summary=summary,
+            tables=[table for table in tables if table.rows],
+            notes=[f"condition number {self.condition:.3g}; correlation of successive residuals {self.lag:.2g}"],
+            figures={"torques": partial(_figure, self)},
+        )
+
+
+def identify(
+    runs: Run | Sequence[Run], arm: Arm, *, what: Sequence[Unknown] = ("payload", "friction")
+) -> Identification:
+    """Payload, friction, rotor inertia or links of an arm from recorded motions in free space.
+
+    Law:          tau - known torques = Y x, least squares in two passes, weights 1 / residual of each joint
+                  Y at full rate from positions through a zero-phase filter (20 Hz); then Y and tau through the same
+                  zero-phase filter (5 Hz), and one sample per 0.1 s; Cov = s^2 (Y^T W Y)^-1
+
+    Measured positions and torques are used where the run has them (`sensed.q`; `sensed.tau_meas`, of laws that use
+    it), else the true ones. Friction is seen only by torques at the motor.
+
+    Args:
+        runs: One or several, of `taut.run` or `taut.load_run`; `taut.analysis.excitation` designs the motion.
+        arm: The arm as far as it is known; what is not in `what` is taken from it.
+        what: "payload", ten parameters of what the tool carries; "links", the base parameters of all bodies;
+            "rotors", rotor inertias; "friction", viscous and Coulomb, and where the record holds slow reversals
+            static and the Stribeck speed.
+
+    Returns:
+        The estimates with their intervals, and the arm that has them.
+
+    Warns:
+        RuntimeWarning: The condition number is above 30.
+
+    Raises:
+        NumericalError: Too little excitation; the joints that rest, or the direction that is excited least.
+        UsageError, MatchError: Contact or a changing plant in the run; another arm; what that does not go together.
+        RangeError: A record that is too short or too slow for the filters.
+
+    Example:
+        >>> import taut
+        >>> arm = taut.load_arm("one_joint")
+        >>> plant = taut.RigidPlant(arm.with_friction(taut.Friction(viscous=0.2, coulomb=0.1)))
+        >>> ctrl = taut.compile(taut.laws.ComputedTorque(kp=400.0, kd=40.0), arm)
+        >>> run = taut.run(ctrl, plant, taut.analysis.excitation(arm, what=["friction"]), duration=20.0)
+        >>> found = identify(run, arm, what=["friction"])
+        >>> found.arm.viscous.round(2).tolist(), found.arm.coulomb.round(2).tolist()
+        ([0.2], [0.1])
+
+    References:
+        Atkeson, An and Hollerbach (1986), IJRR 5 (3). Gautier and Khalil (1990), IEEE T-RA 6 (3): base parameters.
+        Swevers et al. (1997), IEEE T-RA 13 (5). Rucker and Wensing (2022), IEEE RA-L 7 (2): possible bodies.
+    """
+    regression = ArmRegression(arm, what)
+    samples = [Samples.of(run, regression) for run in ([runs] if isinstance(runs, Run) else runs)]
+    if not samples:
+        raise UsageError("identify needs one run at least; got none", name="runs")
+    _require_motion(samples, regression)
+    names, units = ([words[j] for j in regression.base] for words in (regression.names, regression.units))
+    plain = Fit(samples, names)
+    condition = plain.condition()
+    fit, hidden = plain.with_slow_friction(range(arm.n) if "friction" in regression.what else ())
+    b, values, std = len(names), *fit.estimates()
+    for k, (word, unit) in enumerate((("static", "N m"), ("stribeck", "rad/s"))):
+        names += [f"{arm.joint_names[i]}.{word}" for i in fit.speeds]
+        units += [unit if arm.units[i] == "rad" else ("N", "m/s")[k] for i in fit.speeds]
+    unknowns, distance = possible_bodies(regression, fit.x[:b], fit.covariance[:b, :b])
+    if "payload.m" in names and values[names.index("payload.m")] < SIGNIFICANT * std[names.index("payload.m")]:
+        unknowns[: len(regression.nominal[:10])] = 0.0  # no payload
+    slow = {i: (float(values[b + k]), speed) for k, (i, speed) in enumerate(fit.speeds.items())}
+    known, share = (np.concatenate([getattr(part, name) for part in samples]) for name in ("known", "share"))
+    numbers = zip(names, values.tolist(), std.tolist(), units, strict=True)
+    return Identification(
+        arm=changed_arm(regression, unknowns, slow),
+        estimates=Named(
+            "the identification",
+            "parameter",
+            {name: Estimate(value=value, std=sd, unit=unit) for name, value, sd, unit in numbers},
+        ),
+        combinations=regression.combinations,
+        condition=condition,
+        uncertain=_uncertain(names, values, std),
+        without_slow_motion=tuple(arm.joint_names[i] for i in hidden),
+        without_effect=regression.without_effect,
+        lag=fit.lag,
+        distance=distance,
+        t=np.concatenate([part.t for part in samples]),
+        measured=(known + fit.tau) / share,
+        before=(known + plain.Y @ (regression.K @ regression.nominal)) / share,
+        after=(known + fit.Y @ np.concatenate([regression.K @ unknowns, fit.x[b:]])) / share,
+        torque_std=np.sqrt(np.einsum("kib,bc,kic->ki", fit.Y, fit.covariance, fit.Y).max(axis=0)),
+    )
+
+
+def _require_motion(samples: Sequence[Samples], regression: ArmRegression) -> None:
+    """Refuse a record in which a joint rests whose friction or rotor is asked for, or in which all rest."""
+    rests = ~np.any([part.moves for part in samples], axis=0)
+    if rests.all() or (rests.any() and {"friction", "rotors"} & set(regression.what)):
+        names = [name for name, rest in zip(regression.arm.joint_names, rests, strict=True) if rest]
+        raise NumericalError(
+            f"too little excitation: {quoted_list(names)} did not move beyond the noise of the positions; record a "
+            "motion of taut.analysis.excitation(arm), or leave a part out of what",
+            name="runs",
+            joint=names[0],
+        )
+
+
+def _uncertain(names: Sequence[str], x: Float64Array, std: Float64Array) -> tuple[str, ...]:
+    """Parameters with a standard deviation above 20 % of their size, of a vector or matrix its largest entry."""
+    groups = [name.rpartition("_")[0] if name.rpartition(".")[2][:2] in ("h_", "I_") else name for name in names]
+    size = {group: max(abs(x[i]) for i, other in enumerate(groups) if other == group) for group in set(groups)}
+    return tuple(name for name, group, sd in zip(names, groups, std, strict=True) if sd > UNCERTAIN * size[group])
+
+
+def _rms(x: Float64Array) -> Float64Array:
+    return np.asarray(np.sqrt(np.nanmean(x**2, axis=0)))
+
+
+def _figure(found: Identification) -> Figure:
+    """Measured torques, and those of the model before and after."""
+    from matplotlib.figure import Figure
+
+    n = found.arm.n
+    figure = Figure(figsize=(WIDTH, 1.0 + n), layout="constrained")
+    t = np.where(np.diff(found.t, append=np.inf) > 0.0, found.t, np.nan)  # no line from one run to the next
+    for i, ax in enumerate(axes := np.atleast_1d(figure.subplots(n, 1, sharex=True))):
+        unit = "torque [N m]" if found.arm.units[i] == "rad" else "force [N]"
+        prepared(ax, found.arm.joint_names[i], unit, "time [s]" if i == n - 1 else "")
+        ax.plot(t, found.measured[:, i], color=colour(7), linewidth=3.0, alpha=0.5, label="measured")
+        ax.plot(t, found.before[:, i], color=colour(1), linewidth=1.0, linestyle=DASHED, label="model before")
+        ax.plot(t, found.after[:, i], color=colour(0), linewidth=1.0, label="identified model")
+    axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, fontsize=SMALL, frameon=False)
+    return figure

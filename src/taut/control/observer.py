@@ -1,0 +1,187 @@
+"""Momentum observer: the joint torques of the environment, from the arm's generalised momentum and the drives'."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from taut.arm.description import Arm
+from taut.base.checks import entry_names
+from taut.base.errors import MatchError, RangeError
+from taut.base.fields import Choice, Declared, Field
+from taut.base.types import Array, Vector
+from taut.control.command import Torque
+from taut.maths import dynamics as dyn
+from taut.maths.friction import FrictionValues, dry_limit
+from taut.maths.model import Adds, Model, PayloadValues, model_of
+from taut.maths.task_inertia import TaskInertia
+from taut.trace import math as tm
+
+Values = Mapping[str, Any]
+MAX_GAIN: Final = 1.0  # [-] bandwidth times period: from here on the estimate overshoots what it estimates
+WRENCH_DAMPING: Final = 1e-4  # [1/kg, 1/(kg m^2)] a direction in which the tool seems heavier than 10 t has no F_ext
+
+
+class MomentumObserver(Declared):
+    """Momentum observer: the external joint torques x.tau_ext without acceleration and without sensors of force.
+
+    Law:          r' = K_O (p' - tau - C^T v + g - f - r),  p = M v,  x.tau_ext = r
+                  exact in a sampled loop: tau by zero-order hold, C^T v - g + f by the trapezoidal rule:
+                  r[k] = (1 - K_O T) r[k-1] + K_O (p[k] - p[k-1] - T tau[k-1] - T (b[k-1] + b[k]) / 2),
+                  b = C^T v - g + f
+    Closed loop:  each joint by itself r' = K_O (tau_ext - r): of a step of tau_ext, the fraction 1 - (1 - K_O T)^k
+                  is there after k ticks. A wrong model, friction that it lacks and drives that do not give what is
+                  commanded are in tau_ext as well: they cannot be distinguished from contact
+                  white noise sigma of v: std(r_i) = K_O sigma |row i of M| sqrt(2 / (2 - K_O T))
+
+    tau is the command of the last tick after limits (torque="applied"), with gravity, Coriolis torques and friction
+    that the plant adds, `adds`; or x.tau_meas, sensed behind gear and friction (torque="measured"): then neither
+    friction nor the drives matter, and rotors do not belong to the arm.
+
+    Friction f is that of the controller's arm at the velocity that the law sees, its dry part as tanh(v / width). At
+    rest dry friction may be anything up to its limit: a push below it is not seen, and what friction carries of the
+    weight is taken for contact.
+
+    Sampled, r overshoots for K_O T > 1, which is refused. A law that feeds r back lets K_O T <= 0.5, and K_O below a
+    third of 1 / (all delays of drives and filters). Change the payload of the model at rest: a moving arm's momentum
+    jumps with it.
+
+    Args:
+        bandwidth: K_O [1/s], scalar or one per joint.
+        width: Velocity over which dry friction changes its sign [rad/s | m/s].
+        torque: "applied" or "measured".
+        F_ext: What x.F_ext is: "measured" by a wrist sensor; or estimated from tau_ext = J^T F, as a pure "force" at
+            the tool or a full "wrench", by the dynamically consistent inverse F = (J M^-1 J^T)^-1 J M^-1 tau_ext.
+            Contact elsewhere on the arm gives a wrong one. What the joints do not carry is not in it: a push along a
+            direction that the arm lost in a singularity, and the moment at the tool of an arm with few joints.
+
+    Raises:
+        RangeError: A bandwidth of zero or below, or one of the rate or above.
+        MatchError: torque="applied" under a law whose torque is not known: of positions, velocities, or for
+            motors with a loop of their own.
+
+    Example:
+        >>> import taut
+        >>> sensing = taut.Sensing(observer=MomentumObserver(bandwidth=50.0))
+        >>> [*sensing.parameters()]
+        ['observer.bandwidth', 'observer.width']
+
+    References:
+        De Luca and Mattone, Actuator failure detection and isolation using generalized momenta, ICRA (2003). De Luca,
+        Albu-Schaeffer, Haddadin and Hirzinger, Collision detection and safe reaction with the DLR-III lightweight
+        manipulator arm, IROS (2006). Haddadin, De Luca and Albu-Schaeffer, Robot collisions: a survey on detection,
+        isolation, and identification, IEEE Transactions on Robotics 33 (2017).
+    """
+
+    bandwidth: Field = Field(unit="1/s", shape="n", above=0.0, hint="leave the observer out for none")
+    width: Field = Field(0.01, unit="rad/s | m/s", shape="n", above=0.0)
+    torque: Choice[Literal["applied", "measured"]] = Choice("applied", "measured")
+    F_ext: Choice[Literal["measured", "force", "wrench"]] = Choice("measured", "force", "wrench")
+
+    @property
+    def estimates(self) -> tuple[str, ...]:
+        """What it gives, by the name in the snapshot."""
+        return ("tau_ext",) if self.F_ext == "measured" else ("tau_ext", "F_ext")
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Measurements that it takes, beside positions and velocities."""
+        return ("tau_meas",) if self.torque == "measured" else ()
+
+    def counts_on(self, arm: Arm) -> set[str]:
+        """What a plant may add only if the controller knows it."""
+        if self.torque == "measured":
+            return set()
+        has_friction = FrictionValues.names(arm.friction)
+        return {"gravity", "coriolis"} | ({"friction"} if has_friction else set())
+
+    def check_fit(self, arm: Arm, rate: float) -> None:
+        """It must fit an arm and a rate [Hz]. Raises ShapeError, RangeError."""
+        self.check_size(arm.joint_names, "sensing.observer.")
+        values = np.asarray(self.bandwidth)
+        if np.any(values >= MAX_GAIN * rate):
+            index = [int(i) for i in np.argwhere(values >= MAX_GAIN * rate)[0]]
+            value = float(values[tuple(index)])
+            who = entry_names("sensing.observer.bandwidth", index, arm.joint_names)
+            raise RangeError(
+                f"{who} must be < {MAX_GAIN * rate:g} [1/s], the controller's rate, or the estimate overshoots; got "
+                f"{value!r}; half of it serves laws that feed the estimate back",
+                name="sensing.observer.bandwidth",
+                joint=arm.joint_names[index[0]] if index else None,
+                value=value,
+                rule="below the rate",
+            )
+
+    def check_command(self, kind: str, law: str) -> None:
+        """The torque that acts must be known. Raises MatchError."""
+        if self.torque == "applied" and kind != Torque.kind:
+            raise MatchError(
+                f"sensing.observer takes the torque of the last command, and {law} gives a {kind} command; use a law "
+                "of torques, or torque='measured' with a plant that measures them",
+                name="sensing.observer",
+            )
+
+    def start(
+        self, arm: Arm, seen: Values, tau: Vector, adds: Adds, parameters: Values, payload: PayloadValues, dt: Any
+    ) -> dict[str, Any]:
+        """Memory of an arm on which nothing external acts, in the tick of `seen`, under tau (n,) until then."""
+        tau = seen["tau_meas"] if self.torque == "measured" else tau
+        p, b = self._balance(arm, seen, tau, adds, parameters, payload)
+        return {"tau_ext": tm.zeros(arm.n), "momentum": p - 0.5 * dt * b - dt * tau}
+
+    def observe(
+        self,
+        arm: Arm,
+        seen: Values,  # measurements as the law sees them, by name
+        tau: Vector,  # (n,) command of the last tick, after limits
+        adds: Adds,
+        memory: Values,
+        parameters: Values,
+        payload: PayloadValues,
+        dt: Any,
+    ) -> tuple[Vector, dict[str, Any]]:
+        """(n,) tau_ext [N m | N], and the new memory: it, and the momentum with half a period of what changes it."""
+        tau, gain = seen["tau_meas"] if self.torque == "measured" else tau, parameters["bandwidth"]
+        p, b = self._balance(arm, seen, tau, adds, parameters, payload)
+        unexplained = p - 0.5 * dt * b - memory["momentum"] - dt * tau
+        r = (1.0 - gain * dt) * memory["tau_ext"] + gain * unexplained
+        return r, {"tau_ext": r, "momentum": p + 0.5 * dt * b}
+
+    def _balance(
+        self, arm: Arm, seen: Values, tau: Vector, adds: Adds, parameters: Values, payload: PayloadValues
+    ) -> tuple[Vector, Vector]:
+        """(n,) each: the momentum, and its rate without the drives' torque and what is external."""
+        q, v = seen["q"], seen["v"]
+        model = model_of(arm if self.torque == "applied" else _without_rotors(arm))
+        p, CT_v = dyn.momentum(model, q, v, payload)
+        rate = CT_v - dyn.gravity_torque(model, q, payload)
+        if self.torque == "applied":
+            rate = rate + dyn.compensation(model, adds, q, v, payload)
+            if not adds.friction:
+                rate = rate + self._friction(arm, v, tau, parameters)
+        return p, rate
+
+    @staticmethod
+    def _friction(arm: Arm, v: Vector, tau: Vector, parameters: Values) -> Vector:
+        """(n,) friction torques of the controller's arm, with a dry part that is smooth about rest."""
+        values = FrictionValues.fixed(arm.friction)
+        f: Any = tm.zeros(arm.n) if values.viscous is None else -values.viscous * v
+        if values.dry:
+            f = f - dry_limit(values, v, None, tau, -tau) * tm.tanh(v / parameters["width"])
+        out: Vector = f
+        return out
+
+    def wrench(self, model: Model, q: Vector, tau_ext: Vector, payload: PayloadValues) -> Array:
+        """(6,) F_ext at the tool in world axes [N, N m] of tau_ext; without moment if it is taken for a force."""
+        rows = 3 if self.F_ext == "force" else 6
+        factors = tm.factor_spd(dyn.mass_matrix(model, q, payload))
+        F = TaskInertia.of(dyn.jacobian(model, q)[:rows], factors, WRENCH_DAMPING).wrench(tau_ext)
+        return F if rows == 6 else tm.array([*F, 0.0, 0.0, 0.0])
+
+
+@cache
+def _without_rotors(arm: Arm) -> Arm:
+    return arm.with_joints(rotor_inertia=0.0)
