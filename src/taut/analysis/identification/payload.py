@@ -99,10 +99,10 @@ def payload_estimate(run: Run) -> PayloadEstimate:
         >>> arm = taut.load_arm("planar2")
         >>> ctrl = taut.compile(taut.laws.Adaptive(lam=10.0, k=10.0, gamma=5.0), arm)
         >>> wave = taut.trajectories.Sine(center=[0.0, 0.0], amplitude=[0.8, 0.6], frequency=[0.5, 0.7])
-        >>> run = taut.run(ctrl, taut.RigidPlant(arm.with_payload(1.0)), wave, duration=8.0)
+        >>> run = taut.run(ctrl, taut.RigidPlant(arm.with_payload(1.0), friction=None), wave, duration=8.0)
         >>> found = payload_estimate(run)
-        >>> round(found.mass, 1), found.rank
-        (1.0, 4)
+        >>> round(found.mass, 2), found.rank
+        (0.93, 3)
     """
     instance_of("run", run, Run, "a Run of taut.run")
     arm = run.info.controller_arm
@@ -164,8 +164,7 @@ def _readable(directions: Float64Array) -> Float64Array:
     if not len(directions):
         return directions
     *_, order = qr(directions, pivoting=True)
-    out: Float64Array = np.linalg.solve(directions[:, order[: len(directions)]], directions)
-    return out
+    return np.asarray(np.linalg.solve(directions[:, order[: len(directions)]], directions), dtype=np.float64)
 
 
 def _words(direction: Float64Array) -> str:

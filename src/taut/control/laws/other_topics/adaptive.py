@@ -10,7 +10,7 @@ import numpy as np
 from taut.arm.description import BASE, Friction
 from taut.base.errors import MatchError, RangeError
 from taut.base.fields import Choice
-from taut.base.types import Array, Float64Array, Matrix, Vector
+from taut.base.types import Float64Array, Matrix, Vector
 from taut.control.command import Command, Terms, Torque
 from taut.control.gains import Gain, Memory, MemoryView, require_at_most
 from taut.control.law import Law
@@ -144,7 +144,7 @@ class Adaptive(Law):
     def start(self, x: Snapshot, ref: Sample) -> Mapping[str, Any]:  # noqa: ARG002
         estimate = self._at_start(x)
         roots = [tm.factor_spd(rg.pseudo_inertia(row)).root() for row in estimate]
-        friction = tm.zeros(0) if self.gamma_friction is None else tm.array(_friction(x.friction))
+        friction = tm.zeros(0) if self.gamma_friction is None else _friction(x.friction)
         return {"root": tm.stack(roots), "estimate": estimate, "friction": friction}
 
     def _at_start(self, x: Snapshot) -> Matrix:
@@ -214,6 +214,6 @@ def _parameters(G: Matrix) -> Vector:
     return rg.of_pseudo_inertia(G @ G.T)
 
 
-def _friction(friction: Friction) -> tuple[Array, Array]:
-    """(n,) viscous and dry friction."""
-    return friction.viscous, friction.coulomb
+def _friction(friction: Friction) -> Matrix:
+    """(2, n) viscous and dry friction."""
+    return tm.stack([friction.viscous, friction.coulomb])
