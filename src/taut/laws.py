@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from taut.control.command import MitCommand as MitCommand
     from taut.control.gains import Integral as Integral
     from taut.control.laws.admittance import Admittance as Admittance
+    from taut.control.laws.applied_wrench import AppliedWrench as AppliedWrench
     from taut.control.laws.force import ForceControl as ForceControl
     from taut.control.laws.hybrid import HybridMotionForce as HybridMotionForce
     from taut.control.laws.impedance import Impedance as Impedance
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
     from taut.control.laws.other_topics.adaptive import Adaptive as Adaptive
     from taut.control.laws.other_topics.disturbance import CollisionReflex as CollisionReflex
     from taut.control.laws.other_topics.disturbance import DisturbanceRejection as DisturbanceRejection
+    from taut.control.laws.other_topics.robust import Robust as Robust
+    from taut.control.laws.other_topics.robust import Uncertainty as Uncertainty
     from taut.control.laws.task import TaskComputedTorque as TaskComputedTorque
     from taut.control.laws.task import TaskPosition as TaskPosition
     from taut.control.laws.task import TaskVelocity as TaskVelocity

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from taut.control.trajectories.joint import Sine as Sine
     from taut.control.trajectories.joint import Spline as Spline
     from taut.control.trajectories.joint import Trapezoidal as Trapezoidal
+    from taut.control.trajectories.samples import Learned as Learned
     from taut.control.trajectories.samples import Samples as Samples
     from taut.control.trajectories.samples import TaskSamples as TaskSamples
     from taut.control.trajectories.task import Circle as Circle

@@ -118,6 +118,7 @@ def test_every_law_of_motion_and_force_is_here() -> None:
     """Those that are not are parts of others."""
     parts = {"FeedForward", "FrictionCompensation", "Dither", "RaisedGains", "NormalEstimate", "Posture", "Sum"}
     parts |= {
+        "AppliedWrench",
         "EnergyTank",
         "LimitAvoidance",
         "LossOfContact",

@@ -25,7 +25,7 @@ def lines() -> list[tuple[str, str]]:
 
 def test_the_page_has_a_line_for_every_kind_of_robot() -> None:
     headings = [heading for heading, _ in lines()]
-    assert len(headings) == 30
+    assert len(headings) == 32
     assert set(headings) >= {"Torques: free motion", "Torques: contact", *DRIVES}
 
 
@@ -39,7 +39,8 @@ def test_a_line_of_the_page_makes_a_law_that_runs(heading: str, code: str) -> No
         taut.TaskForce: taut.TaskForce(F_app=[0.0, 0.0, -5.0, 0.0, 0.0, 0.0]),
         taut.JointMotion: taut.JointMotion(q=arm.home),
     }
-    at_home |= {type(held): held for held in [taut.pressing(at_home[taut.TaskMotion], 5.0)]}
+    force = {"F_app": [0.0, 0.0, -5.0, 0.0, 0.0, 0.0]} if "AppliedWrench" in code else {"press": 5.0}
+    at_home |= {type(held): held for held in [taut.pressing(at_home[taut.TaskMotion], **force)]}
     wrist = np.zeros(6) if "F_ext" in ctrl.needs else None
     command = ctrl.step(arm.home, np.zeros(arm.n), at_home[law.reference], F_ext=wrist)
     assert np.isfinite(command).all()

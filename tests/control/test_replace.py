@@ -42,6 +42,10 @@ LAWS: dict[str, tuple[taut.Law, dict[str, Any]]] = {
     "HybridMotionForce": (HYBRID, {"kfi": 5.0}),
     "NormalEstimate": (laws.NormalEstimate(law=HYBRID), {"rate": 4.0}),
     "LossOfContact": (laws.LossOfContact(law=HYBRID), {"patience": 0.1}),
+    "AppliedWrench": (
+        laws.AppliedWrench(law=laws.Impedance(K=(8.0, 1.0), B=(1.0, 0.1)), speed=(0.1, 0.5)),
+        {"speed": (0.2, 0.5)},
+    ),
     "EnergyTank": (laws.EnergyTank(law=laws.Impedance(K=(8.0, 1.0), B=(1.0, 0.1)), capacity=1.0), {"settle": 0.3}),
     "ForceControl": (laws.ForceControl(kfp=0.5, kfi=3.0), {"kfi": 4.0}),
     "StateFeedback": (laws.StateFeedback(K_q=[[1.0]], K_v=[[2.0]], tau_0=0.0), {"tau_0": 1.0}),

@@ -22,7 +22,7 @@ from taut.maths.model import Adds
 from taut.maths.snapshot import snapshot
 from taut.plant.rigid import RigidPlant
 
-MARGIN: Final = 1e-9  # [-] below one, of the modulus of a pole that is within the unit circle
+INSIDE: Final = 1e-9  # [-] below one, of the modulus of a pole that is within the unit circle
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -124,7 +124,7 @@ def lqr(
         closed = LinearSystem(A=A - B @ K, dt=1.0 / rate, states=states)
     except np.linalg.LinAlgError:
         closed = None
-    if closed is None or closed.radius > 1.0 - MARGIN:
+    if closed is None or closed.radius > 1.0 - INSIDE:
         raise RangeError(
             "Q must weigh every motion that does not come to rest by itself, positions above all, or no gain "
             f"that ends it is the best; got the diagonal {np.diag(weights[0]).tolist()}",

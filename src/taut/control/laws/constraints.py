@@ -63,7 +63,7 @@ def check_reference(constraint: Constraint, x: Snapshot, ref: Reference, tool: s
     Checked are samples of a chunk, 64 instants of a trajectory.
     """
     of_tool, here = of_one_body(constraint, x, tool), constraint.at(x).A
-    for t, sample in _known(ref):
+    for t, sample in known_samples(ref):
         if not isinstance(sample, HybridMotion):
             return
         presses = ref.presses if isinstance(ref, Pressing) else bool(np.any(sample.press))
@@ -141,7 +141,7 @@ def _check_pressed(one_sided: Sequence[bool], lam: Float64Array, name: str) -> N
             )
 
 
-def _known(ref: Reference) -> Iterator[tuple[float, Sample | None]]:
+def known_samples(ref: Reference) -> Iterator[tuple[float, Sample | None]]:
     """What is known of a reference before it is followed: time [s] and sample."""
     if isinstance(ref, (Hold, Sample)):
         yield 0.0, ref.sample if isinstance(ref, Hold) else ref

@@ -17,10 +17,10 @@ from taut.maths.spatial import exp_rows, to_body_rates
 from taut.trace.pose import Pose
 
 Ends: TypeAlias = tuple[Float64Array, Float64Array, Float64Array]
-LOOKS: Final = np.linspace(0.0, 1.0, 33)  # where the first estimate of the extremes is taken
-SPREAD: Final = np.geomspace(1e-2, 1e3, 250)  # durations that are tried, over the time scale of the motion
+ROUGHLY: Final = np.linspace(0.0, 1.0, 33)  # where the first estimate of the extremes is taken
+DURATIONS: Final = np.geomspace(1e-2, 1e3, 250)  # durations that are tried, over the time scale of the motion
 BISECTIONS: Final = 25
-AT_ONCE: Final = 1e-3  # [s] time scale of a motion that goes nowhere
+NOWHERE: Final = 1e-3  # [s] time scale of a motion that goes nowhere
 NO_TERM: Final = 1e-15  # [-] of a polynomial: a last coefficient below it is rounding
 KEPT: Final = 1.0 + 1e-9  # [-] of a limit: rounding of a start that is at it
 
@@ -168,9 +168,9 @@ class Transition(Motion[Sample]):
             for each in (y1 - y0, np.maximum(np.abs(v0), np.abs(v1)))
         )
         times = far / limits[0], np.sqrt(far / limits[1]), fast / limits[1]
-        tried: Float64Array = np.asarray(SPREAD * (float(np.max(times)) or AT_ONCE))
+        tried: Float64Array = np.asarray(DURATIONS * (float(np.max(times)) or NOWHERE))
         looks: list[Float64Array] = [
-            np.asarray(polynomial.polyval(LOOKS, rate)) for rate in rates(tried[:, np.newaxis])
+            np.asarray(polynomial.polyval(ROUGHLY, rate)) for rate in rates(tried[:, np.newaxis])
         ]
         rough = np.zeros(len(tried))
         for look, row in zip(looks, limits, strict=True):

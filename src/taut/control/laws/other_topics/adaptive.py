@@ -153,8 +153,8 @@ class Adaptive(Law):
         tool, R, p = x.model.placement(None)
         side = mass * PRIOR_SIDE**2 / 6.0
         cube = PayloadValues(mass=mass, com=np.zeros(3), inertia=tm.array([side, side, side, 0.0, 0.0, 0.0]))
-        for load in (x.payload, cube):
-            bodies[tool] = bodies[tool] + load.body().seen_from(R, p)
+        payload = x.bodies[tool] - x.model.bodies[tool]
+        bodies[tool] = bodies[tool] + payload + cube.body().seen_from(R, p)
         return tm.stack([rg.parameters_of(bodies[k]) for k in adapted(x.model, self.links)])
 
     def command(
@@ -166,9 +166,8 @@ class Adaptive(Law):
         for k, G in zip(which, memory.root, strict=True):
             bodies[k] = bodies[k] + (rg.body_of(_parameters(G)) - x.model.links[k])
         own = dyn.reference_dynamics(x.model, bodies, x.q, x.v, v_r, a_r)
-        added = x.inverse_dynamics(np.zeros(x.n)) - x.h  # by the plant itself; no operation where that is nothing
         feedback = Terms(P=self.lam @ e, D=e_dot).mapped(lambda s: self.k[()] * x.at(x.q, s).momentum)
-        torque = Terms(nonlinear=own - added) + feedback
+        torque = Terms(nonlinear=own - x.added) + feedback
 
         small = s @ feedback.total < self.k[()] * self.dead_zone[()] ** 2
         step = tm.where(small | (np.sum(tm.abs(x.tau_cut)) > 0.0), 0.0, dt)
