@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from taut.control.laws.null_space import LimitAvoidance as LimitAvoidance
     from taut.control.laws.null_space import Manipulability as Manipulability
     from taut.control.laws.null_space import Posture as Posture
+    from taut.control.laws.other_topics.adaptive import Adaptive as Adaptive
     from taut.control.laws.other_topics.disturbance import CollisionReflex as CollisionReflex
     from taut.control.laws.other_topics.disturbance import DisturbanceRejection as DisturbanceRejection
     from taut.control.laws.other_topics.flexible_joint import FastTorqueLoop as FastTorqueLoop

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from taut.analysis.identification.identify import Identification as Identification
     from taut.analysis.identification.identify import Verdict as Verdict
     from taut.analysis.identification.identify import identify as identify
+    from taut.analysis.identification.payload import PayloadEstimate as PayloadEstimate
+    from taut.analysis.identification.payload import payload_estimate as payload_estimate
     from taut.analysis.impedance_at_tool import ToolImpedance as ToolImpedance
     from taut.analysis.impedance_at_tool import tool_impedance as tool_impedance
     from taut.analysis.learning import Convergence as Convergence
