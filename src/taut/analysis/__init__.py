@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from taut.analysis.diagnosis.check import Threshold as Threshold
     from taut.analysis.diagnosis.checks import CHECKS as CHECKS
     from taut.analysis.diagnosis.diagnosis import Diagnosis as Diagnosis
+    from taut.analysis.flexible_joints import SetPointCondition as SetPointCondition
+    from taut.analysis.flexible_joints import set_point_condition as set_point_condition
     from taut.analysis.grading import Grade as Grade
     from taut.analysis.harmonic_balance import LimitCycle as LimitCycle
     from taut.analysis.harmonic_balance import LimitCycles as LimitCycles
@@ -32,6 +34,8 @@ if TYPE_CHECKING:
     from taut.analysis.identification.identify import Identification as Identification
     from taut.analysis.identification.identify import Verdict as Verdict
     from taut.analysis.identification.identify import identify as identify
+    from taut.analysis.identification.payload import PayloadEstimate as PayloadEstimate
+    from taut.analysis.identification.payload import payload_estimate as payload_estimate
     from taut.analysis.impedance_at_tool import ToolImpedance as ToolImpedance
     from taut.analysis.impedance_at_tool import tool_impedance as tool_impedance
     from taut.analysis.learning import Convergence as Convergence

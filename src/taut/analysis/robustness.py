@@ -55,10 +55,10 @@ class ConstantTorque(Law):
     """A constant torque on the joints: the disturbance of a search."""
 
     ignores_reference = True
-    tau: Gain = Gain(0.0, unit="N m | N", accepts=("scalar",), minimum=-math.inf)
+    tau: Gain = Gain(unit="N m | N", accepts=(), minimum=-math.inf)
 
     def command(self, x: Snapshot, ref: Sample) -> Command:  # noqa: ARG002
-        return Torque(disturbance=self.tau.as_array() * np.ones(x.n))
+        return Torque(disturbance=self.tau.as_array())
 
 
 class UncertainArm:
@@ -418,17 +418,18 @@ class Search:
         return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
 
     def cases(self, trials: int, rng: np.random.Generator) -> Iterator[Case]:
-        """All corners of a small set; else the heaviest and the lightest arm, other corners, and cases between."""
+        """All corners of a small set; else the heaviest and the lightest links, other corners, and cases between."""
         size, links = self.places["disturbance"].stop, self.places["links"].stop
         if 2**size <= trials:
             yield from itertools.product((1.0, -1.0), repeat=size)
             return
         for i in range(max(2, math.ceil(trials / TRIALS_PER_ARM)) if links else 1):
-            bodies = [1.0 - 2.0 * i] * links if i < 2 else rng.choice((-1.0, 1.0), links)
+            bodies = rng.choice((-1.0, 1.0), links) if i > 1 else np.full(links, 1.0 - 2.0 * i)
             for j in range(min(trials, TRIALS_PER_ARM)):
-                other = [1.0 - 2.0 * j] * (size - links) if j < 2 else rng.choice((-1.0, 1.0), size - links)
-                inside = rng.uniform(-1.0, 1.0, size - links)
-                yield (*map(float, bodies), *map(float, inside if j == TRIALS_PER_ARM - 1 else other))
+                other = rng.choice((-1.0, 1.0), size - links) if j > 1 else np.full(size - links, 1.0 - 2.0 * j)
+                if j == TRIALS_PER_ARM - 1:
+                    other = rng.uniform(-1.0, 1.0, size - links)
+                yield (*bodies.tolist(), *other.tolist())
 
     def improved(self, case: Case) -> Case:
         """A case after each unknown was moved to the other end of its interval, where that was worse."""
@@ -496,7 +497,7 @@ class Search:
         middle = arm.with_friction(Friction(viscous=b, coulomb=c))
         middle = dataclasses.replace(middle, payload=_carrying(arm.payload, float(np.mean(unknown.payload))))
         laws = {True: (self.law, arm), False: (usual, middle)}
-        push = [ConstantTorque()] if np.any(unknown.disturbance) else []
+        push = [ConstantTorque(tau=np.zeros(arm.n))] if np.any(unknown.disturbance) else []
         return {robust: compile(sum(push, start=law), known, rate=self.rate) for robust, (law, known) in laws.items()}
 
 
@@ -505,6 +506,8 @@ def _carrying(payload: Payload, mass: float) -> Payload:
     if mass == 0.0:
         return payload
     total = payload.mass + mass
+    if total == 0.0:
+        return Payload()
     com = payload.mass / total * payload.com
     # about the new centre of mass: both point masses lie on a line through the tool
     apart = payload.mass * mass / total
