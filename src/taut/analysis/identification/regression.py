@@ -64,11 +64,10 @@ class ArmRegression:
             raise UsageError(f"the tool '{arm.tool}' does not move: it carries no payload", name="arm")
         self._known = np.array([parameters_of(link) for link in model.links])
         payload = _transform(R, p) @ parameters_of(PayloadValues.of(arm.payload).body())
-        own = [
-            (*pair, _transform(A.T, np.zeros(3)))
-            for *pair, A in zip(arm.joint_names, range(n), model.aligned, strict=True)
-        ]
-        self._bodies = own if "links" in self.what else []
+        self._bodies: list[tuple[str, int, Float64Array]] = []
+        if "links" in self.what:
+            transforms = [_transform(A.T, np.zeros(3)) for A in model.aligned]
+            self._bodies = list(zip(arm.joint_names, range(n), transforms, strict=True))
         if "payload" in self.what:
             self._bodies = [("payload", carrier, _transform(R, p))]
         values = [np.linalg.solve(T, payload if who == "payload" else self._known[i]) for who, i, T in self._bodies]
