@@ -39,7 +39,7 @@ def test_without_contact_the_tool_goes_no_faster_than_stated(name, part, share):
         run = taut.run(taut.compile(law, arm, rate=rate), RigidPlant(arm, friction=None), ref, q0=q, duration=0.6)
         along = tool_speeds(arm, run)[:, at] @ u
         assert run.outcome.ok
-        assert along.max() < 1.1 * speed[part // 3]
+        assert along.max() < 1.2 * speed[part // 3]
         assert along.max() > 0.5 * speed[part // 3]
 
 
