@@ -54,6 +54,7 @@ LAWS: dict[str, tuple[Callable[[taut.Arm], taut.Law], str]] = {
         lambda arm: laws.PID(kp=400.0 * own(arm), kd=40.0 * own(arm), ki=400.0 * own(arm)),
         FREE,
     ),
+    "Adaptive": (lambda _: laws.Adaptive(lam=10.0, k=10.0, gamma=2.0), FREE),
     "StateFeedback": (
         lambda arm: taut.analysis.lqr(arm, Q=[400.0] * arm.n + [1.0] * arm.n, R=0.001, rate=RATE).law,
         FREE,

@@ -125,7 +125,7 @@ FOOLS: dict[str, tuple[Callable[..., Any], type[TautError]]] = {
     "no term": (lambda self, x, ref: Torque(), UsageError),
     "an unnamed term": (lambda self, x, ref: Torque(x.q), UsageError),
     "a frame that does not exist": (lambda self, x, ref: Torque(P=x.J("tol").T @ np.ones(6)), UnknownNameError),
-    "an attribute that does not exist": (lambda self, x, ref: Torque(P=x.mass), UsageError),
+    "an attribute that does not exist": (lambda self, x, ref: Torque(P=x.inverse_dynamic), UsageError),
 }
 
 

@@ -328,7 +328,90 @@ def test_for_one_joint_the_disturbance_observer_is_the_pid_of_its_gains() -> Non
     assert np.abs(errors[0] - errors[1]).max() < 0.03 * peak
 
 
+@pytest.mark.parametrize("name", ["ur10", "kinova"])
+def test_a_constant_disturbance_leaves_no_error(name: str, share: Callable[[int], int]) -> None:
+    """Seeded: arms with wrong links, an unknown load and a steady push hold any pose exactly."""
+    for seed in range(share(20)):
+        rng = np.random.default_rng(seed)
+        model = frictionless(name).with_joints(rotor_inertia=0.2)
+        plant = taut.RigidPlant(
+            heavier(model, rng.uniform(0.8, 1.2)).with_payload(rng.uniform(0.0, 2.0), com=[0.0, 0.0, 0.05]),
+            environment=taut.environments.Push(
+                peak=rng.normal(0.0, 10.0, 6), t=0.0, duration=99.0, shape="rectangular"
+            ),
+        )
+        target, errors = taut.JointMotion(q=model.home + rng.uniform(-0.2, 0.2, model.n)), []
+        for law in (CT, CT + laws.DisturbanceRejection()):
+            run = taut.run(taut.compile(law, model, sensing=observed(20.0)), plant, target, duration=4.0)
+            assert run.outcome.ok
+            assert run.error is not None
+            errors.append(np.abs(run.error[-1]).max())
+        assert errors[1] < 1e-4 < 1e-2 < errors[0], (seed, errors)
+
+
+@pytest.mark.parametrize("name", ["ur10", "planar2"])
+def test_the_limit_of_the_bandwidth_is_that_of_the_formula_on_any_arm(name: str, share: Callable[[int], int]) -> None:
+    """Seeded: stable below K_O T max eig(M^ M^-1) = 2 and unstable above, for models whose links are off."""
+    for seed in range(share(20)):
+        rng = np.random.default_rng(seed)
+        true = frictionless(name)
+        model = heavier(true, rng.uniform(1.0, 2.0)).with_payload(rng.uniform(0.0, 2.0), com=[0.0, 0.0, 0.05])
+        pose = true.home + rng.uniform(-0.3, 0.3, true.n)
+        M, M_model = (np.asarray(taut.snapshot(arm, pose).M) for arm in (true, model))
+        limit = 2.0 / T / np.linalg.eigvals(M_model @ np.linalg.inv(M)).real.max()
+        law = laws.ComputedTorque(kp=25.0, kd=10.0) + laws.DisturbanceRejection()
+        ctrl = taut.compile(law, model, sensing=observed(0.3 * limit))
+        loop = taut.Loop(ctrl, taut.RigidPlant(true, integrator="rk4"), duration=1.0)
+        period = Period(loop, pose)
+        for factor, stable in ((0.95, True), (1.05, False)):
+            point = period.changed(period.start, {"sensing.observer.bandwidth": factor * limit})
+            assert judgement._Model.at(period, point, 60).grows is not stable, (seed, factor)
+
+
+def test_a_new_bandwidth_moves_nothing_at_once() -> None:
+    arm = frictionless("planar2")
+    ctrl = taut.compile(CT, arm, sensing=observed(20.0))
+    plant = taut.RigidPlant(arm.with_payload(1.0, com=[0.0, 0.0, 0.0]))
+    change = taut.Event(t=1.0, set={"sensing.observer.bandwidth": 200.0})
+    run = taut.run(ctrl, plant, along_R(arm, "planar2"), duration=1.2, events=[change])
+    assert np.abs(np.diff(tau_ext(run), axis=0)[950:1100]).max() < 0.3
+    assert np.abs(tau_ext(run)[1000]).max() > 3.0
+
+
+def test_force_is_controlled_without_a_sensor_of_it() -> None:
+    arm = frictionless("panda")
+    x = taut.snapshot(arm, arm.home)
+    table = taut.environments.StiffWall(
+        point=x.T().p + 5e-4 * np.eye(3)[2], normal=[0, 0, 1], stiffness=5e3, damping=100.0
+    )
+    blind = taut.sensors.Sensors(wrench=None)
+    law = laws.ForceControl(kfp=0.3, kfi=5.0, kdamp=(100.0, 5.0))
+    task = [taut.Phase(law, taut.TaskForce(F_app=[0.0, 0.0, -10.0, 0.0, 0.0, 0.0]), name="press", contact=0.5)]
+    plant = taut.RigidPlant(arm, environment=table, sensors=blind)
+    waits = laws.GravityCompensation(kd=1.0)
+    begun = [taut.Phase(waits, name="wait", until=lambda x: x.elapsed > 0.03), *task]
+    run = taut.run(taut.compile(begun, arm, sensing=observed(200.0, F_ext="force")), plant, duration=1.5)
+    assert run.outcome.ok, run.outcome
+    assert run.extra["F_ext"][-1, 2] == pytest.approx(10.0, rel=0.02)
+    free = taut.RigidPlant(arm, sensors=blind)
+    run = taut.run(taut.compile(begun, arm, sensing=observed(200.0, F_ext="force")), free, duration=0.2)
+    assert "contact is 0.5 N or more" in run.outcome.message
+
+
 # ---------------------------------------------------------------- collisions
+
+
+def test_a_reflex_divides_the_inertia_that_contact_finds() -> None:
+    arm = one_joint(1.0)
+    push = taut.environments.Push(peak=[0.0, 0.0, -50.0], t=0.0, duration=9.0, shape="rectangular")
+    rates = []
+    for law in (laws.GravityCompensation(), laws.GravityCompensation() + laws.CollisionReflex(gain=2.0)):
+        ctrl = taut.compile(law, arm, sensing=observed(100.0))
+        run = taut.run(ctrl, taut.RigidPlant(arm, integrator="rk4", environment=push), duration=0.15)
+        exact = np.array([taut.snapshot(arm, q).J().T @ push.peak for q in run.q[-50:]])[:, 0]
+        rates.append(np.diff(run.v[-50:, 0]) / T / exact[:-1])
+    assert rates[0] == pytest.approx(1.0, rel=0.01)
+    assert rates[1] == pytest.approx(3.0, rel=0.03)
 
 
 def wall(arm: taut.Arm, name: str) -> taut.environments.StiffWall:

@@ -8,7 +8,6 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from taut.analysis.attraction import Attraction as Attraction
     from taut.analysis.attraction import region_of_attraction as region_of_attraction
-    from taut.analysis.collision import collision_threshold as collision_threshold
     from taut.analysis.comparison import Comparison as Comparison
     from taut.analysis.comparison import WrongModel as WrongModel
     from taut.analysis.constraints import ConstraintRow as ConstraintRow
@@ -24,6 +23,8 @@ if TYPE_CHECKING:
     from taut.analysis.diagnosis.check import Threshold as Threshold
     from taut.analysis.diagnosis.checks import CHECKS as CHECKS
     from taut.analysis.diagnosis.diagnosis import Diagnosis as Diagnosis
+    from taut.analysis.flexible_joints import SetPointCondition as SetPointCondition
+    from taut.analysis.flexible_joints import set_point_condition as set_point_condition
     from taut.analysis.grading import Grade as Grade
     from taut.analysis.harmonic_balance import LimitCycle as LimitCycle
     from taut.analysis.harmonic_balance import LimitCycles as LimitCycles
@@ -33,8 +34,16 @@ if TYPE_CHECKING:
     from taut.analysis.identification.identify import Identification as Identification
     from taut.analysis.identification.identify import Verdict as Verdict
     from taut.analysis.identification.identify import identify as identify
+    from taut.analysis.identification.payload import PayloadEstimate as PayloadEstimate
+    from taut.analysis.identification.payload import payload_estimate as payload_estimate
     from taut.analysis.impedance_at_tool import ToolImpedance as ToolImpedance
     from taut.analysis.impedance_at_tool import tool_impedance as tool_impedance
+    from taut.analysis.learning import Convergence as Convergence
+    from taut.analysis.learning import Learning as Learning
+    from taut.analysis.learning import LearningLaw as LearningLaw
+    from taut.analysis.learning import NormOptimal as NormOptimal
+    from taut.analysis.learning import PDLearning as PDLearning
+    from taut.analysis.learning import learn as learn
     from taut.analysis.loci import RootLocus as RootLocus
     from taut.analysis.loci import RouthTable as RouthTable
     from taut.analysis.loci import StabilityMap as StabilityMap
@@ -43,6 +52,9 @@ if TYPE_CHECKING:
     from taut.analysis.loci import stability_map as stability_map
     from taut.analysis.lqr import Lqr as Lqr
     from taut.analysis.lqr import lqr as lqr
+    from taut.analysis.robustness import Certificate as Certificate
+    from taut.analysis.robustness import boundary_layer as boundary_layer
+    from taut.analysis.robustness import certify as certify
     from taut.analysis.several_joints import Coupling as Coupling
     from taut.analysis.several_joints import Lyapunov as Lyapunov
     from taut.analysis.several_joints import coupling as coupling
@@ -64,6 +76,7 @@ if TYPE_CHECKING:
     from taut.linear.linear_system import OperatingPoint as OperatingPoint
     from taut.record.metrics import METRICS as METRICS
     from taut.record.metrics import Metric as Metric
+    from taut.record.metrics.collision import collision_threshold as collision_threshold
     from taut.scenarios.compare import grade as grade
 
 __getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

@@ -12,7 +12,7 @@ from taut.base.checks import instance_of, one_of, vector
 from taut.base.errors import MatchError, UsageError, unknown_name
 from taut.base.types import Array, ArrayLike, Matrix, Rotation, Twist, Vector, Wrench
 from taut.maths import dynamics as dyn
-from taut.maths.model import Adds, Model, PayloadValues, model_of
+from taut.maths.model import Adds, Model, PayloadValues, RigidBody, model_of
 from taut.trace import math as tm
 from taut.trace.linalg import LTDL
 from taut.trace.pose import Pose
@@ -250,6 +250,18 @@ class Snapshot:
             return dyn.inverse_dynamics(self.model, self.q, self.v, a, self._payload)
         bodies = dyn.loaded_bodies(self.model, self._payload)
         return dyn.reference_dynamics(self.model, bodies, self.q, self.v, v_ref, a)
+
+    @property
+    def bodies(self) -> list[RigidBody]:
+        """The body of each joint, with the payload, for `taut.dynamics` with other bodies than the model's."""
+        return dyn.loaded_bodies(self.model, self._payload)
+
+    @property
+    def added(self) -> Vector:
+        """(n,) gravity and Coriolis torques that the plant adds itself: what a law leaves out [N m | N]."""
+        self.used |= {"gravity", "coriolis"}
+        payload = self._payload if self._payload is not None else PayloadValues.of(Payload())
+        return dyn.compensation(self.model, self._adds, self.q, self._v, payload)
 
     @property
     def momentum(self) -> Vector:

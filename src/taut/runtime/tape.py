@@ -124,9 +124,8 @@ class Tape:
     def _contact_at(self, window: PhaseWindow) -> str:
         """Measurements of a phase in the tick in which it began without contact, in words."""
         row = {name: column[window.first] for name, column in self.outputs.items()}
-        seen: dict[str, Any] = {
-            name: row.get(f"sensed.{name}", row[name]) for name in ("q", "v", "F_ext") if name in row
-        }
+        row |= {name.removeprefix("sensed."): values for name, values in row.items() if name.startswith("sensed.")}
+        seen: dict[str, Any] = {name: row[name] for name in ("q", "v", "F_ext") if name in row}
         if "F_ext" in self._side.needs and "F_ext" not in seen:  # a plant of the user's that does not record it
             return ""
         x = Snapshot(self._side.model, q=seen["q"], v=seen["v"], t=window.start, measured=seen)

@@ -11,9 +11,9 @@ import numpy as np
 
 from taut.base.checks import finite_array, readable_file
 from taut.base.errors import FileError, RangeError, ShapeError, TautError
-from taut.base.fields import Field, Parts
+from taut.base.fields import Field, Parts, Plain
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.trajectories.reference import JointMotion, Sample, stacked
+from taut.control.trajectories.reference import JointMotion, Sample, Trajectory, rows_of, stacked
 from taut.control.trajectories.task_reference import TaskMotion, differences, rotated_rows
 from taut.control.trajectories.timing import COEFFICIENTS, MAX_OF_MOTION, Motion, S
 from taut.trace.pose import Pose
@@ -21,6 +21,7 @@ from taut.trace.pose import Pose
 MIN_SAMPLE_GAP: Final = 1e-12  # [s]
 MAX_CSV_BYTES: Final = 32 * 2**20  # half a million samples of an arm
 MAX_QUOTED: Final = 300  # letters of a quotation in a message
+SAME_TICK: Final = 1e-6  # [ticks] by which rounding may put a time before its tick
 
 
 def sample_times(times: ArrayLike) -> Float64Array:
@@ -107,6 +108,40 @@ class Samples(Sampled[JointMotion]):
         letters = dict.fromkeys(word[0] for word in header[1:])
         parts = {letter: table[:, 1 + k * n : 1 + (k + 1) * n] for k, letter in enumerate(letters)}
         return cls(times=table[:, 0], **parts)
+
+
+class Learned(Motion[JointMotion]):
+    """A motion of joints with an input added to its acceleration, such as `taut.analysis.learn` finds.
+
+    The input is held from tick to tick, and is zero before and after its samples.
+
+    Args:
+        motion: A sample or a trajectory of joints.
+        u: (k, n) input [rad/s^2 | m/s^2], from time 0 on.
+        period: Time between samples of the input [s].
+
+    Example:
+        >>> Learned(motion=JointMotion(q=[0.5]), u=[[1.0], [2.0]], period=0.1).at(0.15).a.tolist()
+        [2.0]
+    """
+
+    motion: Plain[Any] = Plain()
+    u: Field = Field(unit="rad/s^2 | m/s^2", shape=("k", "n"), minimum=-MAX_OF_MOTION, maximum=MAX_OF_MOTION)
+    period: Field = Field(unit="s", above=0.0, run_time=False)
+
+    def check(self) -> None:
+        if not isinstance(self.motion, (Sample, Trajectory)):
+            self.refuse("motion", f"must be a sample or a trajectory of joints; got {type(self.motion).__name__}")
+        n = rows_of(self.motion, np.zeros(1), JointMotion).q.shape[1]  # type: ignore[attr-defined]  # of joints
+        if self.u.shape[1] != n:
+            self.refuse("u", f"must have a column for each of the {n} joints; got {self.u.shape}", ShapeError)
+
+    def rows(self, times: Float64Array) -> JointMotion:
+        sample: Any = rows_of(self.motion, times, JointMotion)
+        k = np.floor(times / self.period + SAME_TICK).astype(np.intp)
+        inside = (k >= 0) & (k < len(self.u))
+        held = self.u[np.clip(k, 0, len(self.u) - 1)] * inside[:, np.newaxis]
+        return JointMotion.of({"q": sample.q, "v": sample.v, "a": sample.a + held})
 
 
 def _rates(times: Float64Array, values: Float64Array) -> Float64Array:

@@ -39,12 +39,12 @@ class CollisionReflex(Law):
     """Reflex after a collision: torque along the estimated contact, so that the arm flees it; add gravity to it.
 
     Law:          tau = gain x.tau_ext, as in GravityCompensation() + CollisionReflex()
-    Closed loop:  M a + C v = (1 + gain r / tau_ext) tau_ext: an arm that contact finds lighter by 1 + gain, below the
-                  observer's bandwidth. It is pushed away and goes on in free motion: without friction nothing stops
-                  it, so damping or a stop follows once it is free
+    Closed loop:  M a + C v = tau_ext + gain r: below the observer's bandwidth contact finds an arm whose inertia is
+                  divided by 1 + gain
 
-    K_O T <= 0.5 for a reflex: beyond it the estimate, and the torque with it, alternates from tick to tick under a
-    model whose inertia is twice the arm's.
+    The arm is pushed away and goes on in free motion: without friction nothing stops it, so damping or a stop follows
+    once it is free. K_O T <= 0.5 for a reflex: beyond it the estimate, and the torque with it, alternates from tick
+    to tick under a model whose inertia is twice the arm's.
 
     Args:
         gain: Torque per estimated torque.

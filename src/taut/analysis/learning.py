@@ -1,0 +1,461 @@
+"""Iterative learning control: an input that is learned from trial to trial of one repeated motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from taut.arm.description import Arm
+from taut.arm.parts import short_way
+from taut.base.checks import instance_of, whole_number
+from taut.base.errors import MatchError, RangeError, UsageError, count_of
+from taut.base.fields import Declared, Field, Whole
+from taut.base.result import Content, Result, Table
+from taut.base.types import ArrayLike, Float64Array
+from taut.control.trajectories.reference import Hold, JointMotion, Stream, as_reference, rows_of
+from taut.control.trajectories.samples import Learned
+from taut.controller import Controller
+from taut.linear.judgement import without_dry_friction
+from taut.linear.lifted import Lifted
+from taut.linear.linearise import linearise
+from taut.linear.period import model_in_place_of
+from taut.loop import Loop, duration_of_ticks, state_at_start
+from taut.plant.rigid import RigidPlant
+from taut.record.run import Run
+from taut.runtime.events import Event
+from taut.runtime.simulate import Plant, run
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SAME_START: Final = 1e-3  # [rad | m, per second] within which all trials start alike
+NO_LEAD: Final = 1e-9  # [-] of the largest Markov parameter: the input has not reached the joints yet
+SAME_RESPONSE: Final = 1e-6  # [-] of the largest response: two models are the same
+NOT_ABOVE_ONE: Final = 1e-9  # [-] rounding of a norm that is one
+MAX_DROOP: Final = 3.0  # [rad | m] of an arm whose weight the law does not know, which the learned input lifts
+
+
+class LearningLaw(Declared):
+    """Base of learning laws u+ = F (Q u + K e + D e_dot), over all samples of a trial; F is the Q-filter.
+
+    The filter runs forwards and then backwards over the trial from a zero state, so that it has no phase lag and a
+    norm of at most one, also at the ends of a trial.
+
+    Args:
+        cutoff: Of the Q-filter [Hz], a Butterworth filter; no filter if left out.
+        order: Of the Butterworth filter, in each direction.
+    """
+
+    cutoff: Field = Field(unit="Hz", above=0.0, optional=True, run_time=False)
+    order: Whole = Whole(2, minimum=1, maximum=10)
+
+    def maps(self, G: Lifted) -> tuple[Lifted, Lifted, Lifted | None]:
+        """Q, K and D, from the response G of the joint positions to the input."""
+        raise NotImplementedError
+
+    @property
+    def is_one(self) -> bool:
+        """Whether nothing of the input is forgotten, F Q = 1, so that the error itself can vanish."""
+        return self.cutoff is None
+
+    def filtered(self, G: Lifted, rate: float) -> tuple[Lifted, Lifted, Lifted | None]:
+        """F Q, F K and F D at a rate [Hz]."""
+        Q, K, D = self.maps(G)
+        if self.cutoff is None:
+            return Q, K, D
+        from scipy.signal import butter, sosfilt
+
+        if self.cutoff >= 0.5 * rate:
+            self.refuse("cutoff", f"must be below half the rate, {0.5 * rate:g} Hz; got {self.cutoff:g}", RangeError)
+        h = sosfilt(butter(self.order, self.cutoff, fs=rate, output="sos"), np.eye(1, G.samples)[0])
+        forwards = Lifted.causal(h[:, np.newaxis, np.newaxis] * np.eye(G.symbol.shape[2]))
+        F = forwards.T @ forwards
+        return F @ Q, F @ K, None if D is None else F @ D
+
+
+class PDLearning(LearningLaw):
+    """PD-type learning; P-type with Ld = 0.
+
+    Law:          u+ = F (u + Lp e + Ld e_dot), e of the first tick that an input reaches
+    Closed loop:  u+ - u_inf = F (1 - L G) (u - u_inf), e = r - G u
+
+    Args:
+        Lp: Learning gain of the error [1/s^2]; kp of the law underneath is a good first choice.
+        Ld: Learning gain of its rate [1/s]; kd of the law underneath.
+
+    References:
+        Arimoto, Kawamura and Miyazaki (1984). Bristow, Tharayil and Alleyne, A survey of iterative learning control,
+        IEEE Control Systems Magazine 26 (2006).
+    """
+
+    Lp: Field = Field(unit="1/s^2", shape="n", minimum=0.0, run_time=False)
+    Ld: Field = Field(0.0, unit="1/s", shape="n", minimum=0.0, run_time=False)
+
+    def maps(self, G: Lifted) -> tuple[Lifted, Lifted, Lifted | None]:
+        n = G.symbol.shape[2]
+        Q, K, D = (Lifted.constant(np.ones(n) * gains, G.samples) for gains in (1.0, self.Lp, self.Ld))
+        return Q, K, D
+
+
+class NormOptimal(LearningLaw):
+    """Norm-optimal learning.
+
+    Law:          u+ minimises |e+|^2 + effort |u+|^2 + change |u+ - u|^2, with e+ = e - G (u+ - u)
+                  u+ = (G'G + effort + change)^-1 ((G'G + change) u + G' e)
+    Closed loop:  e+ = change (G G' + change)^-1 e for effort = 0: the modelled loop's error falls in every trial
+
+    Args:
+        change: Weight of the change of the input [s^4], small against 1 / kp^2 of a computed torque underneath: less
+            learns faster, and follows noise and model errors more.
+        effort: Weight of the input [s^4]; what it forgets remains as an error.
+
+    References:
+        Amann, Owens and Rogers, Iterative learning control using optimal feedback and feedforward actions,
+        International Journal of Control 65 (1996).
+    """
+
+    change: Field = Field(1e-8, unit="s^4", above=0.0, run_time=False)
+    effort: Field = Field(0.0, unit="s^4", minimum=0.0, run_time=False)
+
+    @property
+    def is_one(self) -> bool:
+        return self.cutoff is None and self.effort == 0.0
+
+    def maps(self, G: Lifted) -> tuple[Lifted, Lifted, Lifted | None]:
+        change, both = (
+            Lifted.constant(np.full(G.symbol.shape[2], weight), G.samples)
+            for weight in (self.change, self.effort + self.change)
+        )
+        inverse = (G.T @ G + both).inverse()
+        Q = inverse @ (G.T @ G + change) if self.effort else Lifted.constant(np.ones(G.symbol.shape[2]), G.samples)
+        return Q, inverse @ G.T, None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Convergence:
+    """The convergence test for one model of the loop: sigma_max of Q (1 - L G), or of 1 - G L where Q = 1.
+
+    Args:
+        model: The arm, and the pose about which the loop was linearised.
+        factor: Over the samples of the trial: by at least so much the distance falls from trial to trial.
+        long_trial: The largest over all frequencies, a bound for trials of any length.
+        frequency: [Hz] where it is largest.
+    """
+
+    model: str
+    factor: float
+    long_trial: float
+    frequency: float
+
+    @property
+    def ok(self) -> bool:
+        """Whether learning converges."""
+        return self.factor <= 1.0 + NOT_ABOVE_ONE
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Learning(Result):
+    """A learned input, and how the error fell.
+
+    Args:
+        law: The learning law.
+        tests: The convergence test, made before the first trial, for each model.
+        rms: Error of each trial [rad | m]: root of the mean over time of |e|^2.
+        reference: The reference with the input of the best trial, `reference.u` (k, n) [rad/s^2 | m/s^2]: for any
+            later run, or for more trials.
+        lead: Ticks between an input and its first effect on the joints.
+        errors_fall: Whether a passed test promises that no error is larger than the one before (Q = 1).
+        unit: Of the error.
+        faults: Why the trials ended early, or the test that failed.
+    """
+
+    law: LearningLaw
+    tests: tuple[Convergence, ...]
+    rms: tuple[float, ...]
+    reference: Learned
+    lead: int
+    errors_fall: bool
+    unit: str
+    faults: tuple[str, ...]
+
+    @property
+    def factor(self) -> float:
+        """The largest factor of all models."""
+        return max(test.factor for test in self.tests)
+
+    @property
+    def best(self) -> int:
+        """The trial with the smallest error, from 0 on, whose input is kept."""
+        return int(np.argmin(self.rms))
+
+    @property
+    def promise(self) -> str:
+        """What the convergence test promises, in words."""
+        if not all(test.ok for test in self.tests):
+            return "nothing is promised: the convergence test failed"
+        if self.errors_fall:
+            return "for the modelled loop no trial is worse than the one before (Q = 1)"
+        return (
+            f"for the modelled loop the input comes nearer to its limit by the factor {self.factor:.4g} at least in "
+            "each trial; the error may rise on its way" + ("" if self.law.is_one else ", and a part of it stays")
+        )
+
+    def content(self) -> Content:
+        """The promise, the errors, the tests."""
+        end = f"RMS error from {self.rms[0]:.4g} to {self.rms[self.best]:.4g} {self.unit} in trial {self.best + 1}"
+        rows = [(test.model, test.factor, test.long_trial, test.frequency, test.ok) for test in self.tests]
+        columns = ("model", "over the trial [-]", "long trials [-]", "largest at [Hz]", "converges")
+        return Content(
+            title=f"iterative learning control by {self.law!r}: {count_of(len(self.rms), 'trial')}",
+            summary=(self.promise, end),
+            faults=self.faults,
+            tables=[
+                Table(title="convergence test: sigma_max of Q (1 - L G)", columns=columns, rows=rows),
+                Table(title="trials", columns=("trial", f"RMS error [{self.unit}]"), rows=[*enumerate(self.rms, 1)]),
+            ],
+            notes=[f"an input reaches the joints after {count_of(self.lead, 'tick')}"],
+            figures={"RMS error by trial": self.plot},
+        )
+
+    def plot(self) -> Figure:
+        """RMS error by trial."""
+        from matplotlib.figure import Figure as NewFigure
+
+        from taut.base.plot_style import WIDTH, colour, prepared
+
+        figure = NewFigure(figsize=(WIDTH, 3.0), dpi=150, layout="constrained")
+        ax = prepared(figure.subplots(), f"{self.law!r}", f"RMS error [{self.unit}]", "trial")
+        ax.semilogy(range(1, len(self.rms) + 1), self.rms, "o-", color=colour(0), markersize=4.0)
+        return figure
+
+
+def learn(
+    ctrl: Controller,
+    plant: Plant,
+    ref: object,
+    *,
+    by: LearningLaw,
+    duration: float,
+    trials: int = 10,
+    q0: ArrayLike | None = None,
+    v0: ArrayLike | None = None,
+    seed: int = 0,
+    events: Iterable[Event] | Callable[[int], Iterable[Event]] = (),
+    arms: Sequence[Arm] = (),
+    anyway: bool = False,
+) -> Learning:
+    """Learn an input for a repeated motion, from trial to trial: iterative learning control.
+
+    Law:          u+ = F (Q u + K e + D e_dot), u [rad/s^2] added to the acceleration of the reference
+    Closed loop:  e = r - G u in each trial, r the error without learning; see the learning law
+
+    G is the response of the sampled loop, linearised by `taut.linearise` with the controller's arm, viscous friction
+    and the plant's drives and sensors, about the middle, the start and the end of the motion; it is known before the
+    first trial, and so is the convergence test. Its promise is for that linear loop. A payload, friction and gravity
+    that repeat are learned; noise, stick-slip and what changes from trial to trial are not, and set the floor.
+
+    Each trial is a run: law, sensing, drives and environment begin anew, so that no memory is carried over. What a
+    plant carries over by itself, such as a scene of yours that goes on, shows in the start of a trial and is refused.
+    The law learns from what the sensors show, and the errors that are reported are true ones.
+
+    Args:
+        ctrl: A controller whose law uses the reference's acceleration: `ComputedTorque`, or `PID` + `FeedForward`.
+        plant: `taut.RigidPlant`, `taut.MujocoPlant`, ...
+        ref: A sample or trajectory of joints; `result.reference`, to go on.
+        by: `PDLearning` or `NormOptimal`.
+        duration: Of a trial [s].
+        trials: Their number.
+        q0: (n,) where each trial starts [rad | m]; where the reference starts if left out.
+        v0: (n,) [rad/s | m/s], likewise.
+        seed: Of the noise in the first trial; each trial has another.
+        events: Of each trial, or a function of the number of the trial, from 0 on, for what changes.
+        arms: Further arms that the plant may have, such as with a payload: the test is made for each.
+        anyway: Run even if the convergence test fails.
+
+    Raises:
+        RangeError: The convergence test fails.
+        UsageError: A law or reference that learning is not for; an unstable loop; a plant that does not start alike.
+
+    Example:
+        >>> import taut
+        >>> arm = taut.load_arm("planar2")
+        >>> ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm)
+        >>> plant = taut.RigidPlant(arm.with_payload(0.5))
+        >>> ref = taut.trajectories.Quintic(q0=[0.0, 0.0], q1=[0.8, -0.6], duration=0.4)
+        >>> found = taut.analysis.learn(ctrl, plant, ref, by=NormOptimal(), duration=0.5, trials=4)
+        >>> found.rms[3] < 0.1 * found.rms[0], found.promise
+        (True, 'for the modelled loop no trial is worse than the one before (Q = 1)')
+
+    References:
+        Bristow, Tharayil and Alleyne (2006). Norrlof and Gunnarsson, Time and frequency domain convergence properties
+        in iterative learning control, International Journal of Control 75 (2002).
+    """
+    instance_of("ctrl", ctrl, Controller, "a controller from taut.compile")
+    instance_of("by", by, LearningLaw, "a learning law, such as taut.analysis.NormOptimal()")
+    instance_of("plant", plant, Plant, "a plant, such as taut.RigidPlant(arm)")
+    trials = whole_number("trials", trials, minimum=1)
+    side, n = ctrl.side, ctrl.side.arm.n
+    ticks = round(duration_of_ticks(duration, side.dt) / side.dt) + 1
+    motion = _motion(ctrl, ref, ticks)
+    q0, v0 = state_at_start(plant.arm, motion.q[0] if q0 is None else q0, motion.v[0] if v0 is None else v0)
+    models = _models(ctrl, plant, motion.q[[ticks // 2, 0, -1]], arms, ticks)
+    by.check_size(side.arm.joint_names, "by.")
+    Q, K, D = by.filtered(models[0].G, side.rate)
+    tests = tuple(_test(by, model, (Q, K, D), side.rate) for model in models)
+    faults = _failure(tests, anyway)
+    lead, u = models[0].lead, np.zeros((ticks, n))
+    first, references, rms = None, [], []
+    for trial in range(trials):
+        reference = Learned(motion=ref, u=u, period=side.dt)
+        happens = events(trial) if callable(events) else events
+        done = run(ctrl, plant, reference, duration=duration, q0=q0, v0=v0, seed=seed + trial, events=happens)
+        if not done.outcome.ok:
+            faults.append(f"trial {trial + 1} ended early: {done.outcome.message}")
+            break
+        first = first or done
+        _require_same_start(first, done, trial)
+        references.append(reference)
+        rms.append(float(np.sqrt(np.mean(np.sum(short_way(motion.q - done.q, done.continuous) ** 2, axis=1)))))
+        e = short_way(motion.q - done.extra.get("sensed.q", done.q), done.continuous)[lead:]
+        new = Q.act(u[: ticks - lead]) + K.act(e)
+        if D is not None:
+            new = new + D.act((motion.v - done.extra.get("sensed.v", done.v))[lead:])
+        u = np.vstack([new, np.zeros((lead, n))])
+    if not rms:
+        raise UsageError(f"{faults[-1]}; learning needs a law that follows its reference without it", name="ctrl")
+    return Learning(
+        law=by,
+        tests=tests,
+        rms=tuple(rms),
+        reference=references[int(np.argmin(rms))],
+        lead=lead,
+        errors_fall=by.is_one and (D is None or all(model.decoupled for model in models)),
+        unit=" | ".join(dict.fromkeys(side.arm.units)),
+        faults=tuple(faults),
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Model:
+    """Response of joint positions and velocities to the input over a trial, from the first tick that it reaches."""
+
+    name: str
+    lead: int
+    G: Lifted
+    V: Lifted
+
+    @property
+    def decoupled(self) -> bool:
+        """Whether no joint follows the input of another."""
+        size = np.abs(self.G.symbol).max(axis=0)
+        return bool((size - np.diag(np.diag(size))).max() <= SAME_RESPONSE * size.max())
+
+
+def _motion(ctrl: Controller, ref: object, ticks: int) -> Any:
+    """The reference at every tick of a trial."""
+    side, given = ctrl.side, as_reference(ref)
+    if side.task is not None or side.law.reference is not JointMotion:
+        raise UsageError(
+            f"an input is learned for one law of joint motion; {side.title} follows "
+            f"{side.law.reference.described()}; use a law of joints, such as taut.laws.ComputedTorque",
+            name="ctrl",
+        )
+    if isinstance(given, (Hold, Stream)):
+        raise UsageError(
+            "an input is learned for a motion that is known before, as a sample or a trajectory of joints; got "
+            f"{type(given).__name__}",
+            name="ref",
+        )
+    motion: Any = rows_of(given, side.dt * np.arange(ticks, dtype=np.float64), JointMotion)
+    if motion.q.shape[1] != side.arm.n:
+        raise MatchError(f"ref must have {count_of(side.arm.n, 'joint')}; got {motion.q.shape[1]}", name="ref")
+    return motion
+
+
+def _models(
+    ctrl: Controller, plant: Plant, poses: Float64Array, arms: Sequence[Arm], ticks: int
+) -> tuple[_Model, ...]:
+    """The response of the controller's arm at some poses, and of further arms; each that differs once."""
+    known = plant if isinstance(plant, RigidPlant) else model_in_place_of(plant, ctrl.side)
+    out: list[_Model] = []
+    for arm in (ctrl.side.arm, *arms):
+        model = replace(known, arm=arm, friction=None if known.friction is None else "arm")
+        loop = Loop(ctrl, model, duration=ctrl.side.dt)
+        changes = without_dry_friction(ctrl.side, loop.parameters)
+        for path in sorted(changes, key=lambda path: path.endswith("static")):  # never less than in motion
+            loop.parameters[path] = changes[path]
+        for pose in poses:
+            name = f"arm '{arm.name}' at q = {np.round(pose, 3).tolist()}"
+            new = _model(name, loop, pose, ticks, out[0].lead if out else None)
+            if not any(
+                np.abs(new.G.symbol - one.G.symbol).max() <= SAME_RESPONSE * np.abs(one.G.symbol).max() for one in out
+            ):
+                out.append(new)
+    return tuple(out)
+
+
+def _model(name: str, loop: Loop, pose: Float64Array, ticks: int, lead: int | None) -> _Model:
+    """The Markov parameters of a loop about a pose, as lifted maps."""
+    lin, title = linearise(loop, at=pose, within=MAX_DROOP), loop.side.title
+    if not lin.stable:
+        raise UsageError(
+            f"learning needs a stable loop; {title}, {name}, is {lin.unstable_because}; change its gains", name="ctrl"
+        )
+    columns, rows = lin.columns("ref.a"), [*lin.rows("q"), *lin.rows("v")]
+    x, h = lin.B[:, columns], np.zeros((ticks, len(rows), len(columns)))
+    h[0] = lin.D[np.ix_(rows, columns)]
+    for k in range(1, ticks):
+        h[k], x = lin.C[rows] @ x, lin.A @ x
+    size = np.abs(h[:, : len(columns)]).max(axis=(1, 2))
+    if not size.any():
+        raise UsageError(
+            f"{title} does not use the reference's acceleration, to which the learned input is added; take "
+            "taut.laws.ComputedTorque, or add + taut.laws.FeedForward() to a taut.laws.PID",
+            name="ctrl",
+        )
+    first = int(np.argmax(size > NO_LEAD * size.max())) if lead is None else lead
+    q, v = (Lifted.causal(part[first:]) for part in np.split(h, 2, axis=1))
+    return _Model(name=name, lead=first, G=q, V=v)
+
+
+def _test(by: LearningLaw, model: _Model, maps: tuple[Lifted, Lifted, Lifted | None], rate: float) -> Convergence:
+    """sigma_max of the map from one trial to the next: of the error where Q = 1, else of the input."""
+    Q, K, D = maps
+    if D is None:
+        change = Q - model.G @ K if by.is_one else Q - K @ model.G
+    else:
+        change = Q - K @ model.G - D @ model.V
+    gains = change.gains()
+    k = int(np.argmax(gains))
+    frequency = 0.5 * rate * k / (len(gains) - 1)
+    return Convergence(model=model.name, factor=change.norm(), long_trial=float(gains[k]), frequency=frequency)
+
+
+def _failure(tests: Sequence[Convergence], anyway: bool) -> list[str]:
+    """The sentence on the test that fails most, if any; RangeError unless learning goes on anyway."""
+    worst = max(tests, key=lambda test: test.factor)
+    if worst.ok:
+        return []
+    text = f"the convergence test must give at most 1; got {worst.factor:.4g} ({worst.model}; largest at "
+    text += f"{worst.frequency:.3g} Hz)"
+    if not anyway:
+        hint = "lower the cutoff of the Q-filter, change the gains, or learn with anyway=True"
+        raise RangeError(f"{text}; {hint}", name="by", value=worst.factor, rule="at most 1")
+    return [text]
+
+
+def _require_same_start(first: Run, done: Run, trial: int) -> None:
+    """UsageError if a trial did not start as the first one did: something was carried over."""
+    one, other = ({"q": each.q, "v": each.v, **each.extra} for each in (first, done))
+    for name in ("q", "v", "scene.poses"):
+        off = float(np.abs(one[name][0] - other[name][0]).max(initial=0.0)) if name in one else 0.0
+        if off > SAME_START:
+            raise UsageError(
+                f"every trial must start in the same state, within {SAME_START:g}; {name} of trial {trial + 1} "
+                f"starts {off:.3g} away from that of trial 1: the plant carries it over; its reset() must reset it",
+                name="plant",
+                value=off,
+            )

@@ -1,0 +1,260 @@
+"""Robust control of joint motion: section 10.6, with the uncertainty of the model stated once as intervals."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Any
+
+import numpy as np
+
+from taut.arm.description import BASE, Friction
+from taut.base.errors import MatchError, RangeError, ShapeError
+from taut.base.fields import Declared, Field, Part
+from taut.base.types import Array, ArrayLike, Float64Array, Vector
+from taut.control.command import Command, Terms, Torque
+from taut.control.gains import Gain
+from taut.control.law import Law
+from taut.control.trajectories.reference import JointMotion
+from taut.maths import dynamics as dyn
+from taut.maths.model import Model, PayloadValues, RigidBody
+from taut.maths.regressor import parameters_of, pseudo_inertia
+from taut.maths.snapshot import Snapshot
+from taut.trace import math as tm
+
+SMALLEST_EIGENVALUE = -1e-9  # of a pseudo-inertia, relative to the largest: a thin rod has eigenvalues of zero
+KILOGRAM = PayloadValues(mass=1.0, com=np.zeros(3), inertia=np.zeros(6))
+NO_BODY = RigidBody(m=0.0, h=np.zeros(3), I=np.zeros((3, 3)))
+
+
+def _rows(interval: Any) -> Float64Array:
+    """(2, k) smallest and largest value, of two numbers or of two with one for each joint."""
+    try:
+        return np.atleast_2d(np.stack(np.broadcast_arrays(*interval)).astype(np.float64).T).T
+    except (TypeError, ValueError) as cause:
+        raise ShapeError(f"must be (smallest, largest), each a number or one per joint; got {interval!r}") from cause
+
+
+class _Interval(Field):
+    """The smallest and the largest value of a number, or of one for each joint: kept as (2, k), k = 1 or n."""
+
+    def __init__(self, *, unit: str) -> None:
+        super().__init__(unit=unit, shape=(2, "k"), minimum=0.0, run_time=False, optional=True, convert=_rows)
+
+
+class Uncertainty(Declared):
+    """Everything that is not known of an arm, as intervals: stated once, for the law, its layer and its certificate.
+
+    Model:        link l is known to +-links[l], mass and inertia together
+                  the arm carries a point mass of min..max kg at the tool beyond its own payload
+                  friction is b v + c sgn(v) with b and c between min and max, whatever the load
+                  a further torque of at most +-d acts on each joint
+                  every combination belongs to the set; rotors, lengths and gravity are known
+
+    Args:
+        links: (n,) or a number, relative, below 1 [1].
+        payload: (min, max) at the tool's origin, beyond the arm's own payload, or short of it if negative [kg].
+        viscous: (min, max), each a number or (n,) [N m s/rad | N s/m]; the model's own if left out.
+        coulomb: (min, max), each a number or (n,), static friction included [N m | N]; the model's own if left out.
+        disturbance: (n,) or a number, the largest further torque [N m | N].
+
+    Raises:
+        RangeError: A link known to +-100 % or worse, whose mass may be zero; negative friction; min above max.
+
+    Example:
+        >>> import taut
+        >>> taut.laws.Uncertainty(links=0.2, payload=(0.0, 1.0), viscous=(0.05, 0.15)).payload.tolist()
+        [0.0, 1.0]
+    """
+
+    links: Field = Field(0.0, unit="1", shape="n", minimum=0.0, run_time=False)
+    payload: Field = Field((0.0, 0.0), unit="kg", shape=2, run_time=False)
+    viscous: _Interval = _Interval(unit="N m s/rad | N s/m")
+    coulomb: _Interval = _Interval(unit="N m | N")
+    disturbance: Field = Field(0.0, unit="N m | N", shape="n", minimum=0.0, run_time=False)
+
+    def check(self) -> None:
+        if np.max(self.links) >= 1.0:
+            worst = float(np.max(self.links))
+            self.refuse("links", f"must be < 1 [1], or a mass may be zero or negative; got {worst:g}", RangeError)
+        for name in ("payload", "viscous", "coulomb"):
+            low, high = (0.0, 0.0) if getattr(self, name) is None else getattr(self, name)
+            if np.any(low > high):
+                self.refuse(name, f"must be (smallest, largest); got {np.stack([low, high]).tolist()}", RangeError)
+
+    def check_arm(self, model: Model) -> None:
+        """Refuse an arm that these intervals are not for: other joints, or links that are no rigid bodies."""
+        n, names = model.n, model.arm.joint_names
+        for name in ("viscous", "coulomb"):
+            size = np.shape(getattr(self, name))[-1:]  # () of None
+            if size not in ((), (1,), (n,)):
+                raise ShapeError(f"uncertainty.{name} is for {size[0]} joints and the arm has {n}", name=name)
+        own = model.arm.payload.mass
+        if own + self.payload[0] < 0.0:
+            raise RangeError(
+                f"uncertainty.payload must begin at {-own:g} [kg] or above, for the arm carries {own:g} kg; got "
+                f"{self.payload[0]:g}",
+                name="payload",
+            )
+        if np.any(self.payload) and model.placement(None)[0] == BASE:
+            raise MatchError("uncertainty.payload: the tool is fixed to the base, so the arm carries nothing")
+        least = [scaled(link, 1.0 - float(x)) for link, x in zip(model.links, self._links(n), strict=True)]
+        if self.payload[0] != 0.0:
+            body, missing = _carried(model, float(self.payload[0]))
+            least[body] = (
+                dyn.loaded_bodies(dataclasses.replace(model, bodies=tuple(least)), _own(model))[body] + missing
+            )
+        for joint, link, light in zip(names, model.links, least, strict=True):
+            P = np.asarray(pseudo_inertia(parameters_of(light)), dtype=np.float64)
+            smallest, largest = np.linalg.eigvalsh(P)[[0, -1]]
+            if light is not link and (light.m <= 0.0 or smallest < SMALLEST_EIGENVALUE * largest):
+                raise MatchError(
+                    f"uncertainty: the lightest body of joint '{joint}' in its intervals cannot be: its mass is "
+                    f"{light.m:g} kg and the smallest eigenvalue of its pseudo-inertia {smallest:g}, which must not "
+                    "be negative; mend the model, or narrow the intervals",
+                    name="links",
+                )
+
+    def _links(self, n: int) -> Float64Array:
+        return np.broadcast_to(np.asarray(self.links, dtype=np.float64), (n,))
+
+    def middle(self, model: Model, bodies: list[RigidBody]) -> list[RigidBody]:
+        """The bodies with the payload in the middle of its interval."""
+        if not np.any(self.payload):
+            return bodies
+        body, carried = _carried(model, float(np.mean(self.payload)))
+        return [own + carried if i == body else own for i, own in enumerate(bodies)]
+
+    def unknown(self, model: Model) -> list[list[RigidBody]]:
+        """What may be missing or too much: sets of bodies, each of which acts by any factor from -1 to 1."""
+        parts = [(i, scaled(model.links[i], float(x))) for i, x in enumerate(self._links(model.n))]
+        if np.ptp(self.payload) > 0.0:
+            parts.append(_carried(model, 0.5 * float(np.ptp(self.payload))))
+        return [[body if j == i else NO_BODY for j in range(model.n)] for i, body in parts if body.m > 0.0]
+
+    def torques(self, model: Model, q: Vector, v: Vector, v_ref: Vector, a_ref: Vector) -> Array:
+        """(m, n) torques Y_l pi_l of each unknown at its largest: s . (M a_ref + C v_ref + g) errs by their sum."""
+        bare, unknown = without_rotors(model), self.unknown(model)
+
+        def each(v: Vector, a: Vector, gravity: Any) -> Array:
+            return tm.array([dyn.newton_euler(bare, part, q, v, a, gravity=gravity) for part in unknown])
+
+        if not unknown:
+            return tm.zeros((0, model.n))
+        rows = dyn.along_reference(each, v, v_ref, a_ref)
+        return tm.array(np.reshape(rows, (len(unknown), model.n)))
+
+    def friction(self, known: Friction) -> tuple[Float64Array, Float64Array]:
+        """(2, n) each: viscous and Coulomb friction, smallest and largest; that of the model where none is given."""
+        b = np.stack([known.viscous, known.viscous])
+        c = np.stack([known.coulomb, np.asarray(known.static)])
+        given = ((self.viscous, b), (self.coulomb, c))
+        b, c = (own if stated is None else np.broadcast_to(stated, own.shape) for stated, own in given)
+        return b, c
+
+
+def friction_and_error(
+    b: Float64Array, c: Float64Array, v: Vector, v_des: Vector, width: ArrayLike
+) -> tuple[Vector, Vector]:
+    """(n,) each: friction at the desired velocity in the middle of its intervals, and the largest error of it.
+
+    With b v + c sgn v true and b^ v_des + c^ tanh(v_des / width) assumed, for every sgn v that is right: also one
+    between -1 and 1 of a joint that sticks.
+    """
+    (b_mid, b_half), (c_mid, c_half) = ((0.5 * (low + high), 0.5 * (high - low)) for low, high in (b, c))
+    sign, assumed = tm.tanh(v / width), tm.tanh(v_des / width)
+    wrong = tm.abs(sign - assumed) + 1.0 - tm.abs(sign)
+    error = b_half * tm.abs(v_des) + (b_mid + b_half) * tm.abs(v - v_des) + c_half + c_mid * wrong
+    return b_mid * v_des + c_mid * assumed, error
+
+
+def scaled(body: RigidBody, factor: float) -> RigidBody:
+    """A body of the same shape and another density; itself where that is the same."""
+    if factor == 1.0:
+        return body
+    return RigidBody(m=factor * body.m, h=factor * body.h, I=factor * body.I)
+
+
+def without_rotors(model: Model) -> Model:
+    """The model with rotors that have no inertia, for the torques of single bodies."""
+    return dataclasses.replace(
+        model, joints=tuple(dataclasses.replace(joint, rotor_inertia=0.0) for joint in model.joints)
+    )
+
+
+def _own(model: Model) -> PayloadValues:
+    return PayloadValues.of(model.arm.payload)
+
+
+def _carried(model: Model, mass: float) -> tuple[int, RigidBody]:
+    """The body that carries the tool, and a point mass at the tool."""
+    body, R, p = model.placement(None)
+    return body, scaled(KILOGRAM.body().seen_from(R, p), mass)
+
+
+@functools.lru_cache(maxsize=64)
+def _check_once(unknown: Uncertainty, model: Model) -> None:
+    unknown.check_arm(model)
+
+
+class Robust(Law):
+    """Robust computed torque: a bounded torque beats every model error in stated intervals (sliding mode with layer).
+
+    Law:          tau = M^ (a_ref + k s) + C^ v_ref + g^ + f^ + u,   u_i = rho_i sat(s_i / phi_i)
+                  s = e_dot + lam e,   v_ref = v_des + lam e,   a_ref = a_des + lam e_dot,   sat clipped at +-1
+                  rho_i = sum over links of sig_l |Y_il pi_l| + (m_max - m_min)/2 |Y_i of 1 kg at the tool|
+                          + |friction - f^|_max + d_i, the largest model error now, of `uncertainty`
+                  ^ is the model with the payload in the middle of its interval; f^ is friction at v_des
+    Closed loop:  M s_dot + C s = Delta - k M^ s - u,   |Delta_i| <= rho_i,   e_i follows s_i through 1/(p + lam_i)
+                  V = s . M s / 2 falls at the rate (2 k / c) V less (1/4) sum rho_i phi_i,   c = max eig(M^^-1 M)
+                  with an exact model and no friction e_ddot + (k + lam) e_dot + k lam e = -M^-1 u
+
+    Proved, for every arm of the set, in continuous time and while no torque saturates: from a start on the reference,
+    s stays in a level set of V and e inside eps, which `taut.analysis.certify` computes. Not proved: the sampled loop
+    (`taut.linearise`; a layer that is too thin chatters) and anything at torque limits. |s_i| <= phi_i is not
+    implied joint by joint. `taut.analysis.boundary_layer` gives the thinnest layer that a rate allows.
+
+    Args:
+        lam: Rate at which e follows s, a number or (n,) [1/s].
+        k: Rate of s; kp = k lam and kd = k + lam are computed torque's gains of the same nominal loop [1/s].
+        phi: Boundary layer of s, a number or (n,): the certified error falls with its root [rad/s | m/s].
+        width: Speed over which the sign of a velocity changes [rad/s | m/s].
+        uncertainty: The intervals.
+
+    Raises:
+        ShapeError, MatchError: An uncertainty that does not fit the arm, when it is compiled.
+
+    Example:
+        >>> import taut
+        >>> unknown = taut.laws.Uncertainty(links=0.2, payload=(0.0, 1.0))
+        >>> law = taut.laws.Robust(lam=10.0, k=10.0, phi=0.2, uncertainty=unknown)
+        >>> ctrl = taut.compile(law, taut.load_arm("planar2"))
+
+    References:
+        Slotine and Li, Applied Nonlinear Control (1991), chapters 7 to 9. Corless and Leitmann, IEEE TAC 26 (5)
+        (1981). Spong, IEEE TAC 37 (11) (1992).
+    """
+
+    lam: Gain = Gain(unit="1/s", accepts=("scalar",), above=0.0)
+    k: Gain = Gain(unit="1/s", shape="scalar", above=0.0)
+    phi: Gain = Gain(unit="rad/s | m/s", accepts=("scalar",), above=0.0)
+    width: Gain = Gain(0.01, unit="rad/s | m/s", shape="scalar", above=0.0)
+    uncertainty: Part[Uncertainty] = Part(Uncertainty)
+
+    def command(self, x: Snapshot, ref: JointMotion) -> Command:
+        _check_once(self.uncertainty, x.model)
+        e, e_dot = x.difference(ref.q), ref.v - x.v
+        v_ref, a_ref = ref.v + self.lam @ e, ref.a + self.lam @ e_dot
+        s = v_ref - x.v
+        bodies, unknown = self.uncertainty.middle(x.model, x.bodies), self.uncertainty
+
+        def model(a: Vector) -> Vector:
+            return dyn.reference_dynamics(x.model, bodies, x.q, x.v, v_ref, a) - x.added
+
+        width = self.width.as_array()
+        wrong = tm.abs(unknown.torques(x.model, x.q, x.v, v_ref, a_ref))
+        friction, of_friction = friction_and_error(*unknown.friction(x.friction), x.v, ref.v, width)
+        rho = np.sum(wrong, axis=0) + of_friction + unknown.disturbance
+        robust = rho * tm.clip(s / self.phi.as_array(), -1.0, 1.0)
+        tau = Terms(nonlinear=model(a_ref)).up_to(model(a_ref + self.k @ s), "P")
+        return Torque(tau + Terms(friction=friction, robust=robust))
