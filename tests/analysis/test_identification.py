@@ -376,8 +376,9 @@ def test_records_that_do_not_fit_are_refused() -> None:
         identify(dataclasses.replace(run, info=dataclasses.replace(run.info, rate=50.0)), arm)
     with pytest.raises(errors.MatchError, match="joints of the run"):
         identify(run, taut.load_arm("planar3"))
-    with pytest.raises(errors.UsageError, match="one run at least"):
-        identify([], arm)
+    for runs in ([], 3, "run.mcap", [1]):
+        with pytest.raises(errors.UsageError, match="runs must be a run"):
+            identify(runs, arm)  # type: ignore[arg-type]
     law = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm)
     event = taut.Event(t=1.0, set={"plant.payload.mass": 1.0})
     changed = taut.run(law, taut.RigidPlant(arm), motion, duration=3.0, events=[event])
@@ -403,6 +404,8 @@ def test_motions_that_cannot_be_are_refused() -> None:
         "amplitude must be > 0": {"amplitude": 0.0},
         "one number or 2": {"speed": [1.0, 1.0, 1.0]},
         "harmonics must be a whole number >= 2": {"harmonics": 1},
+        "seed must be a whole number >= 0": {"seed": -1},
+        "what must name one or more of": {"what": 3},
     }.items():
         with pytest.raises(taut.TautError, match=match):
             make(arm, **options)  # type: ignore[arg-type]

@@ -95,7 +95,7 @@ def excitation(
     search, dense = (
         _Search(regression, harmonics, frequency, (up, down, *rates), count) for count in (COARSE, DENSE)
     )
-    points = np.random.default_rng(seed).standard_normal((RANDOM, search.size))
+    points = np.random.default_rng(whole_number("seed", seed)).standard_normal((RANDOM, search.size))
     best = points[int(np.argmin(search.costs(points)))]
     found = minimize(search.cost_and_slope, best, jac=True, method="L-BFGS-B", options={"maxiter": ITERATIONS})
     cosines, sines = dense.within_torques(*dense.coefficients(found.x[np.newaxis]))

@@ -228,9 +228,10 @@ def identify(
         Swevers et al. (1997), IEEE T-RA 13 (5). Rucker and Wensing (2022), IEEE RA-L 7 (2): possible bodies.
     """
     regression = ArmRegression(arm, what)
-    samples = [Samples.of(run, regression) for run in ([runs] if isinstance(runs, Run) else runs)]
-    if not samples:
-        raise UsageError("identify needs one run at least; got none", name="runs")
+    given = [runs] if isinstance(runs, Run) else runs
+    if not isinstance(given, Sequence) or not given or not all(isinstance(run, Run) for run in given):
+        raise UsageError(f"runs must be a run of taut.run, or a list of some; got {runs!r}", name="runs")
+    samples = [Samples.of(run, regression) for run in given]
     _require_motion(samples, regression)
     names, units = ([words[j] for j in regression.base] for words in (regression.names, regression.units))
     plain = Fit(samples, names)

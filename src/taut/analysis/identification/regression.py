@@ -49,9 +49,10 @@ class ArmRegression:
 
     def __init__(self, arm: Arm, what: Sequence[Unknown]) -> None:
         instance_of("arm", arm, Arm, "an Arm from taut.load_arm")
-        self.what = {one_of("what", part, UNKNOWNS) for part in ([what] if isinstance(what, str) else what)}
-        if not self.what:
-            raise UsageError(f"what must name one or more of {', '.join(UNKNOWNS)}", name="what")
+        parts = [what] if isinstance(what, str) else what
+        if not isinstance(parts, Sequence) or not parts:
+            raise UsageError(f"what must name one or more of {', '.join(UNKNOWNS)}; got {what!r}", name="what")
+        self.what = {one_of("what", part, UNKNOWNS) for part in parts}
         if {"payload", "links"} <= self.what:
             raise UsageError(
                 "the ten parameters of a payload add to those of the link that carries it; identify 'payload' or "
