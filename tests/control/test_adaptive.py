@@ -128,6 +128,45 @@ def test_the_lyapunov_function_falls_at_the_rate_of_the_proof(name: str, links: 
     np.testing.assert_allclose(V + fallen, V[0], rtol=5e-3)
 
 
+@pytest.mark.parametrize(("name", "least"), [("panda", 0.05), ("ur5", 0.1)])
+def test_composite_adaptation_is_faster_at_first_and_changes_nothing_without_an_error(
+    name: str, least: float
+) -> None:
+    arm = taut.load_arm(name)
+    laws = (Adaptive(**SAME, gamma=20.0), Adaptive(**SAME, gamma=20.0, composite=1.0))
+    plain, run = (tracked(law, arm, [at(2.0, 2.0, 0.05)], duration=4.0) for law in laws)
+    assert rms(run, 2.0, 4.0) < (1.0 - least) * rms(plain, 2.0, 4.0)
+    assert rms(run, 1.0, 2.0) < 1.1 * rms(plain, 1.0, 2.0)
+    before = run.between(0.0, 1.999).extra["law.estimate"][:, 0, 0]
+    np.testing.assert_allclose(before, before[0], rtol=5e-3)
+
+
+@pytest.mark.parametrize("links", ["payload", "all"])
+def test_composite_adaptation_lets_v_fall(links: Any) -> None:
+    arm = taut.load_arm("planar2")
+    true, which = arm.with_payload(**cube(1.0, 0.0)), list(adapted(model_of(arm), links))
+    last = []
+    for composite in (None, 1.0):
+        law = Adaptive(**SAME, gamma=5.0, links=links, composite=composite)
+        run = tracked(law, arm, [], duration=2.0, rate=1e4, plant=true)
+        V = []
+        for i in range(1, len(run), 100):
+            s = run.reference.v[i] - run.v[i] + 10.0 * (run.reference.q[i] - run.q[i])
+            pairs = zip(bodies(true)[which], run.extra["law.estimate"][i - 1], strict=True)
+            d = [divergence(rg.pseudo_inertia(own), rg.pseudo_inertia(row)) for own, row in pairs]
+            V.append(0.5 * s @ taut.snapshot(true, run.q[i]).M @ s + sum(d) / 5.0)
+        assert np.diff(V).max() < 1e-5 * V[0]
+        last.append(V[-1])
+    assert links == "all" or last[1] < last[0]  # of the tool alone; with more the motions differ too much
+
+
+def test_no_weight_of_composite_adaptation_is_too_large() -> None:
+    """Beyond dt gamma max eig(Q W^T R W) = 2 the sampled update would let the estimate collapse."""
+    run = tracked(Adaptive(**SAME, gamma=20.0, composite=1e6), taut.load_arm("planar2"), [at(2.0, 1.0)])
+    assert run.extra["law.estimate"][2000:, 0, 0].min() > 1.9
+    assert run.extra["law.estimate"][-1, 0, 0] == pytest.approx(3.0, rel=0.02)
+
+
 @pytest.mark.parametrize("name", ["planar2", "ur10", "z1"])
 def test_the_error_tends_to_zero(name: str) -> None:
     arm = taut.load_arm(name)
@@ -247,7 +286,9 @@ def test_a_plant_that_adds_gravity_is_given_only_the_rest(adds: tuple[str, ...])
 def test_native_and_float_agree() -> None:
     arm = taut.load_arm("panda").with_friction(taut.Friction(viscous=0.3, coulomb=0.2))
     rng = np.random.default_rng(4)
-    for law in (Adaptive(**SAME, gamma=5.0, gamma_friction=1.0), Adaptive(**SAME, gamma=5.0, links="all")):
+    plain = {**SAME, "gamma": 5.0}
+    laws = [Adaptive(**plain, gamma_friction=1.0), Adaptive(**plain, links="all"), Adaptive(**plain, composite=1.0)]
+    for law in laws:
         pair = [taut.compile(law, arm, engine=engine) for engine in ("native", "float")]  # type: ignore[arg-type]
         for _ in range(3):
             q, v = arm.home + 0.1 * rng.standard_normal(7), rng.standard_normal(7)
@@ -261,6 +302,8 @@ def test_what_cannot_be_adapted_is_refused() -> None:
         taut.compile(Adaptive(**SAME, gamma=5.0, gamma_friction=1.0), arm)
     with pytest.raises(taut.errors.RangeError, match=r"lam must be <= 1000"):
         taut.compile(Adaptive(lam=2000.0, k=10.0, gamma=5.0), arm)
+    with pytest.raises(taut.errors.UsageError, match="leave out composite or gamma_friction"):
+        Adaptive(**SAME, gamma=5.0, gamma_friction=1.0, composite=1.0)
     with pytest.raises(taut.errors.RangeError, match="gamma must be >= 0"):
         Adaptive(**SAME, gamma=-1.0)
     rod = taut.load_arm("one_joint").with_body("joint1", inertia=np.diag([1e-12, 0.1, 0.1]))

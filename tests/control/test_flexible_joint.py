@@ -132,15 +132,15 @@ K2, K7 = np.array([1000.0, 400.0]), np.array([4000.0] * 4 + [1500.0] * 3)
 
 
 def motor_side(K: Any) -> taut.Law:
-    return taut.laws.MotorSidePD(K=K, kp=100.0, kd=20.0)
+    return taut.laws.MotorSidePD(stiffness=K, kp=100.0, kd=20.0)
 
 
 def fast(bandwidth: float, K: Any) -> taut.Law:
-    return taut.laws.FastTorqueLoop(law=CT, K=K, bandwidth=bandwidth)
+    return taut.laws.FastTorqueLoop(law=CT, stiffness=K, bandwidth=bandwidth)
 
 
 def linearising(omega: float, K: Any) -> taut.Law:
-    return taut.laws.FlexibleJointLinearisation(K=K, omega=omega)
+    return taut.laws.FlexibleJointLinearisation(stiffness=K, omega=omega)
 
 
 class TestFigures:
@@ -244,7 +244,7 @@ class TestResonance:
 def upright(kp: float) -> taut.Run:
     """One joint with alpha = 20 N m/rad, K 100 and M + B = 0.7 at its steepest point, a little off."""
     arm = taut.load_arm("one_joint", gravity=[0.0, 0.0, -200.0]).with_joints(rotor_inertia=0.2).with_friction(FREE)
-    law = taut.laws.MotorSidePD(K=100.0, kp=kp / 0.7, kd=1.0)
+    law = taut.laws.MotorSidePD(stiffness=100.0, kp=kp / 0.7, kd=1.0)
     top = taut.JointMotion(q=[0.5 * np.pi])
     return taut.run(taut.compile(law, arm), elastic(arm, 100.0, D=0.2), top, duration=12.0, q0=[0.5 * np.pi - 1e-3])
 
@@ -261,7 +261,7 @@ class TestSetPoints:
     @pytest.mark.parametrize(("name", "alpha"), [("planar2", 24.30), ("panda", 68.2), ("ur5", 64.5)])
     def test_the_steepest_gravity_of_arms(self, name: str, alpha: float) -> None:
         arm = taut.load_arm(name).with_joints(rotor_inertia=0.3)
-        law = taut.laws.MotorSidePD(K=1000.0, kp=100.0, kd=20.0)
+        law = taut.laws.MotorSidePD(stiffness=1000.0, kp=100.0, kd=20.0)
         found = taut.analysis.set_point_condition(law, arm)
         assert found.alpha == pytest.approx(alpha, rel=0.01)
         kp = np.diag(taut.snapshot(arm, arm.home).M) * 100.0
@@ -279,7 +279,7 @@ class TestSetPoints:
     ) -> None:
         rng = np.random.default_rng(2)
         M = np.diag(taut.snapshot(arm, arm.home).M)
-        law = taut.laws.MotorSidePD(K=3000.0, kp=300.0 / M, kd=60.0 / M)
+        law = taut.laws.MotorSidePD(stiffness=3000.0, kp=300.0 / M, kd=60.0 / M)
         condition = taut.analysis.set_point_condition(law, arm)
         assert condition.ok, str(condition)
         ctrl, plant = taut.compile(law, arm), elastic(arm, 3000.0, D=3.0, substeps=20)
@@ -290,7 +290,7 @@ class TestSetPoints:
             assert np.abs(run.q[-1] - arm.home).max() < 0.02
 
     def test_too_weak_gains_are_named(self) -> None:
-        law = taut.laws.MotorSidePD(K=[1000.0, 400.0], kp=10.0, kd=5.0)
+        law = taut.laws.MotorSidePD(stiffness=[1000.0, 400.0], kp=10.0, kd=5.0)
         found = taut.analysis.set_point_condition(law, PLANAR2)
         assert not found.ok
         assert "joint2" in str(found)
@@ -332,7 +332,7 @@ class TestClosedLoops:
             M, B, K, D = 0.5, rng.uniform(0.05, 0.5), rng.uniform(100.0, 2000.0), rng.uniform(0.0, 1.0)
             arm = ONE.with_joints(rotor_inertia=B)
             poles = -rng.uniform(8.0, 14.0) * np.array([1.0, 1.3, 1.6 + 0.8j, 1.6 - 0.8j])
-            law = taut.laws.FullStateFeedback.placed(arm, K=K, D=D, poles=poles, rate=500.0)
+            law = taut.laws.FullStateFeedback.placed(arm, stiffness=K, damping=D, poles=poles, rate=500.0)
             A = [[0, 1, 0, 0], [-K / M, -D / M, K / M, D / M], [0, 0, 0, 1], [K / B, D / B, -K / B, -D / B]]
             plant = taut.LinearSystem(A=A, B=[[0.0], [0.0], [0.0], [1.0 / B]]).zoh(1.0 / 500.0)
             closed = plant.A - plant.B @ law.feedback.as_array()[np.newaxis]
@@ -343,7 +343,7 @@ class TestClosedLoops:
     def test_full_state_feedback_follows_and_knows_gravity_s_slope(self) -> None:
         arm = taut.load_arm("one_joint").with_joints(rotor_inertia=0.2).with_friction(FREE)
         poles = [-20.0, -22.0, -24.0, -26.0]
-        law = taut.laws.FullStateFeedback.placed(arm, K=50.0, D=0.5, poles=poles, rate=1000.0, at=[1.0])
+        law = taut.laws.FullStateFeedback.placed(arm, stiffness=50.0, damping=0.5, poles=poles, rate=1000.0, at=[1.0])
         loop = taut.Loop(
             taut.compile(law, arm), elastic(arm, 50.0, D=0.5, substeps=40), taut.JointMotion(q=[1.0]), duration=1.0
         )
@@ -352,7 +352,7 @@ class TestClosedLoops:
         assert np.abs(lin.point.moved).max() < 1e-9
         ref = reference(arm, [0.8], [0.6])
         K = 500.0
-        law = taut.laws.FullStateFeedback.placed(arm, K=K, poles=poles, rate=1000.0)
+        law = taut.laws.FullStateFeedback.placed(arm, stiffness=K, poles=poles, rate=1000.0)
         assert np.abs(followed(law, arm, K, ref)).max() < 2e-4
 
     @pytest.mark.parametrize(("K", "limit"), [(2000.0, 12.0), (5000.0, 9.5), (10000.0, 4.1)])
@@ -374,6 +374,16 @@ class TestClosedLoops:
 
         assert stable(0.95 * limit)
         assert not stable(1.05 * limit)
+
+    def test_a_law_of_the_tool_runs_inside_the_fast_torque_loop(self) -> None:
+        K = K7.tolist()
+        law = taut.laws.FastTorqueLoop(
+            law=taut.laws.Impedance(K=(800.0, 30.0), zeta=1.0), stiffness=K, bandwidth=200.0
+        )
+        T = taut.snapshot(PANDA, PANDA.home).T()
+        goal = taut.TaskMotion(pose=taut.Pose(T.p + np.array([0.0, 0.0, 0.03]), R=T.R))
+        run = taut.run(taut.compile(law, PANDA), elastic(PANDA, K, D=1.0), goal, duration=1.5)
+        assert np.abs(taut.snapshot(PANDA, run.q[-1]).T().p - goal.pose.p).max() < 1e-4
 
     def test_torque_feedback_shows_another_rotor(self) -> None:
         """The loop is that of the same law on an arm with rotors of B_des, as far as sampling goes."""
@@ -497,7 +507,7 @@ class TestMessages:
         errors = taut.errors
         elsewhere = taut.load_arm("one_joint")
         with refused(errors.RangeError):
-            taut.laws.MotorSidePD(K=0.0, kp=1.0, kd=1.0)
+            taut.laws.MotorSidePD(stiffness=0.0, kp=1.0, kd=1.0)
         with refused(errors.MatchError):
             taut.run(
                 taut.compile(linearising(20.0, 500.0), elsewhere),
@@ -514,15 +524,15 @@ class TestMessages:
             taut.compile(fast(2000.0, 500.0), arm)
         for poles in ([-20.0] * 4, [-1.0, -2.0, -3.0, -4.0 + 1.0j], [np.nan] * 4):
             with refused(errors.RangeError):
-                taut.laws.FullStateFeedback.placed(arm, K=500.0, poles=poles, rate=1000.0)
+                taut.laws.FullStateFeedback.placed(arm, stiffness=500.0, poles=poles, rate=1000.0)
         with refused(errors.ShapeError):
-            taut.laws.FullStateFeedback.placed(arm, K=500.0, poles=[-1.0, -2.0], rate=1000.0)
+            taut.laws.FullStateFeedback.placed(arm, stiffness=500.0, poles=[-1.0, -2.0], rate=1000.0)
         with refused(errors.MatchError):
-            taut.laws.FullStateFeedback.placed(PLANAR2, K=500.0, poles=[-1.0, -2.0, -3.0, -4.0], rate=1000.0)
+            taut.laws.FullStateFeedback.placed(PLANAR2, stiffness=500.0, poles=[-1.0, -2.0, -3.0, -4.0], rate=1000.0)
 
     def test_the_desired_motor_holds_gravity(self) -> None:
         x = taut.snapshot(PLANAR2, PLANAR2.home)
         ref = SmoothMotion.at_rest(x, None)
-        motor = DesiredMotor.of(x, ref, motor_side(K2).K)  # type: ignore[attr-defined]
+        motor = DesiredMotor.of(x, ref, motor_side(K2).stiffness)  # type: ignore[attr-defined]
         assert motor.q == pytest.approx(PLANAR2.home + x.g / K2)
         assert motor.tau == pytest.approx(x.g)

@@ -58,7 +58,7 @@ def test_no_certificate_for_the_panda_with_its_thickest_layer_and_yet_a_tenth_of
     assert found.computed_torque.max() > 0.321
 
 
-@pytest.mark.parametrize("name", ["planar2", "ur10", *(("panda", "xarm7") if WHOLE else ())])
+@pytest.mark.parametrize("name", ["planar2", "ur10", *(("panda", "kinova") if WHOLE else ())])
 def test_certified_is_never_below_found(name: str, share: Callable[[int], int]) -> None:
     """Seeded sets: the certified error of each joint against simulations of corners, samples and a search."""
     for seed in range(share(10)):
@@ -70,8 +70,8 @@ def test_certified_is_never_below_found(name: str, share: Callable[[int], int]) 
         )
         phi = 0.3 * layer(name, unknown, k=40.0, duration=1.0)
         found = certificate(name, unknown, phi=phi, k=40.0, duration=1.0, trials=8, seed=seed)
-        assert found.certified is None or (found.found <= found.certified).all()
-        assert found.ok == (found.certified is not None)
+        assert found.certified is not None
+        assert (found.found <= found.certified).all()
         assert found.found.max() <= 0.5 * found.computed_torque.max()
 
 

@@ -24,7 +24,7 @@ FULL_TURN: Final = np.pi  # [rad] either way, of a joint without limits
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SetPointCondition(Result):
-    """Check of K m kp / (K + m kp) > alpha >= |dg/dq|, for each joint."""
+    """Check of K m kp / (K + m kp) > alpha for each joint, with alpha the largest slope of gravity."""
 
     joints: tuple[str, ...]
     alpha: float  # [N m/rad] largest |dg/dq| (2-norm) of the sampled poses
@@ -77,7 +77,7 @@ def set_point_condition(law: MotorSidePD, arm: Arm, *, at: ArrayLike | None = No
     Example:
         >>> import taut
         >>> arm = taut.load_arm("planar2").with_joints(rotor_inertia=[0.3, 0.1])
-        >>> law = taut.laws.MotorSidePD(K=[1000.0, 400.0], kp=100.0, kd=20.0)
+        >>> law = taut.laws.MotorSidePD(stiffness=[1000.0, 400.0], kp=100.0, kd=20.0)
         >>> found = taut.analysis.set_point_condition(law, arm)
         >>> found.ok, round(found.alpha, 1), round(found.margin, 2)
         (False, 24.3, 0.81)
@@ -96,6 +96,6 @@ def set_point_condition(law: MotorSidePD, arm: Arm, *, at: ArrayLike | None = No
     lower, upper = (np.where(np.isfinite(end), end, np.sign(end) * FULL_TURN) for end in (arm.lower, arm.upper))
     sampled = np.random.default_rng(0).uniform(lower, upper, (POSES, arm.n))
     alpha = max(float(np.linalg.norm(steepness(q), 2)) for q in sampled)
-    K, kp = law.K.as_array(), np.diag(x.M) * law.kp.as_array()
+    K, kp = law.stiffness.as_array(), np.diag(x.M) * law.kp.as_array()
     series = np.broadcast_to(K * kp / (K + kp), (arm.n,))
     return SetPointCondition(joints=arm.joint_names, alpha=alpha, series=read_only(series))

@@ -24,6 +24,7 @@ from taut.trace import math as tm
 Links = Literal["payload", "all"]
 MAX_STEP: Final = 0.2  # [-] relative change of an estimate in one tick: a single bad tick must not overflow it
 PRIOR_SIDE: Final = 0.1  # [m] of the cube that the prior payload is taken for
+MAX_REACH: Final = 0.5  # [-] dt gamma max eig(Q W^T R W) of composite adaptation, which is unstable beyond 2
 THINNEST: Final = 1e-9  # [-] smallest eigenvalue of a pseudo-inertia, relative to its largest
 
 
@@ -36,6 +37,9 @@ class Adaptive(Law):
                     P^ is the pseudo-inertia of an adapted body, its first and second moments of mass
                     tr(L P) = s . (the body's part of M a_r + C v_r + g) for every P
                     at most 0.2 of itself in one tick
+                  composite: s . (...) less e_p . R W pi for L, where e_p = W pi^ - tau and W pi, tau are filtered:
+                    Y pi = d(M v)/dt - C^T v + g through a low-pass, for which accelerations are not needed
+                    R = composite 1, less where dt gamma sum eig(Q W^T R W) would be above 0.5
                   b^' = b^ exp(gamma_friction b^ v_r s dt), c^' = c^ exp(gamma_friction c^ tanh(v_des / width) s dt)
                   all estimates rest where sqrt(s . M s) < dead_zone, and while limits cut the torque
     Closed loop:  M_true ds/dt + C s + b s + k M s = Y (pi - pi^), and e_dot + lam e = s
@@ -45,6 +49,8 @@ class Adaptive(Law):
                     tend to 0, for constant parameters, no other torques and no saturation, in continuous time
                     d(P, P^) = log(det P^ / det P) + tr(P^^-1 P) - 4
                   |s_i| <= sqrt(2 V(0) (M_true^-1)_ii): a payload step adds d / gamma to V
+
+                  composite adaptation lets V fall at e_p . R e_p besides
 
     Guaranteed in the sampled loop: every estimate is that of a possible body, whatever is measured (P^ > 0: positive
     mass, and an inertia that a body can have). Not guaranteed there: that V falls in every tick. Keep k dt <= 0.1 and
@@ -68,8 +74,12 @@ class Adaptive(Law):
         dead_zone: Of sqrt(s . M s): residual torque / (k sqrt(min eig M)), so that a disturbance is not learned.
         prior: Mass that the tool is taken to carry at first beyond the model's payload, a cube of 0.1 m: half the
             rated load is a good start, since the error of a nearly massless flange is large relative to itself.
+        composite: Weight of the error of the filtered torques in composite adaptation; without it the tracking error
+            alone adapts. It takes all torque for the bodies', so that friction is no part of it.
+        cutoff: Of the low-pass of composite adaptation.
 
     Raises:
+        UsageError: Composite adaptation and friction.
         MatchError: The arm's tool does not move, or friction is to be adapted and the model has none.
         RangeError: A body of the model that no real body can be, such as an infinitely thin rod; a gain too large for
             the rate.
@@ -83,8 +93,8 @@ class Adaptive(Law):
         np.float64(1.496)
 
     References:
-        Section 10.6 other topics. Slotine and Li (1987), IJRR 6 (3). Lee, Kwon and Park (2018), IROS, the natural
-        adaptation law.
+        Section 10.6 other topics. Slotine and Li (1987), IJRR 6 (3); composite: (1989), Automatica 25 (4). Lee, Kwon
+        and Park (2018), IROS, the natural adaptation law.
     """
 
     lam: Gain = Gain(unit="1/s", accepts=("scalar",))
@@ -95,9 +105,18 @@ class Adaptive(Law):
     width: Gain = Gain(0.01, unit="rad/s | m/s", accepts=("scalar",), above=0.0)
     dead_zone: Gain = Gain(0.0, unit="J^0.5", shape="scalar")
     prior: Gain = Gain(0.0, unit="kg", shape="scalar")
+    composite: Gain = Gain(unit="1/(N m s)", shape="scalar", optional=True)
+    cutoff: Gain = Gain(50.0, unit="1/s", shape="scalar", above=0.0)
     root = Memory(unit="kg^0.5, kg^0.5 m", doc="G of each adapted body")
     estimate = Memory(unit="kg, kg m, kg m^2", record=True, doc="ten parameters of each adapted body")
     friction = Memory(unit="N m s/rad, N m", record=True, doc="viscous and dry friction, where they are adapted")
+
+    filtered = Memory(unit="N m, and that per parameter", doc="low-pass of composite adaptation")
+    begun = Memory(doc="0 in the first tick, 1 after it")
+
+    def check(self) -> None:
+        if self.composite is not None and self.gamma_friction is not None:
+            self.refuse("composite", "takes all torque for the bodies'; leave out composite or gamma_friction")
 
     def check_rate(self, rate: float) -> None:
         for name in ("lam", "k"):
@@ -145,7 +164,8 @@ class Adaptive(Law):
         estimate = self._at_start(x)
         roots = [tm.factor_spd(rg.pseudo_inertia(row)).root() for row in estimate]
         friction = tm.zeros(0) if self.gamma_friction is None else _friction(x.friction)
-        return {"root": tm.stack(roots), "estimate": estimate, "friction": friction}
+        size = 0 if self.composite is None else (x.n, 1 + 10 * len(estimate))
+        return {"root": tm.stack(roots), "estimate": estimate, "friction": friction, "filtered": tm.zeros(size)}
 
     def _at_start(self, x: Snapshot) -> Matrix:
         """(m, 10) of the model's bodies with payload and prior."""
@@ -172,7 +192,11 @@ class Adaptive(Law):
         small = s @ feedback.total < self.k[()] * self.dead_zone[()] ** 2
         step = tm.where(small | (np.sum(tm.abs(x.tau_cut)) > 0.0), 0.0, dt)
         y = rg.reference_covectors(x.model, x.q, x.v, v_r, a_r, s)
-        roots = [natural_step(G, y[k], self.gamma[()] * step) for k, G in zip(which, memory.root, strict=True)]
+        rows, filtered = [y[k] for k in which], memory.filtered
+        if self.composite is not None:
+            corrections, filtered = self._corrections(x, memory, dt)
+            rows = [row - change for row, change in zip(rows, corrections, strict=True)]
+        roots = [natural_step(G, row, self.gamma[()] * step) for row, G in zip(rows, memory.root, strict=True)]
         after = {"root": tm.stack(roots), "estimate": tm.stack([_parameters(G) for G in roots])}
         friction = memory.friction
         if self.gamma_friction is not None:
@@ -180,7 +204,44 @@ class Adaptive(Law):
             torque = torque + Terms(friction=np.sum(friction * per_friction, axis=0))
             change = self.gamma_friction[()] * step * friction * per_friction * s
             friction = friction * tm.exp(tm.clip(change, -MAX_STEP, MAX_STEP))
-        return Torque(torque), {**after, "friction": friction}
+        return Torque(torque), {**after, "friction": friction, "filtered": filtered, "begun": 1.0}
+
+    def _momenta(self, x: Snapshot) -> tuple[Matrix, Matrix]:
+        """(n, 1 + 10 m) p, and C^T v - g: of the model without payload, and per parameter of each adapted body."""
+        model, rest = x.model, np.zeros(x.n)
+        p, rate = dyn.momentum(model, x.q, x.v)
+        columns = [[p], [rate - dyn.gravity_torque(model, x.q)]]
+
+        def quadratic(v: Vector, a: Vector, gravity: Any) -> Matrix:  # noqa: ARG001
+            return rg.covectors(model, x.q, v, a, x.v, gravity=False)
+
+        units = np.eye(x.n)
+        along = [dyn.along_reference(quadratic, x.v, unit, rest).reshape(x.n, 10) for unit in units]
+        of_p = [rg.covectors(model, x.q, rest, x.v, unit, gravity=False) for unit in units]
+        of_g = [rg.covectors(model, x.q, rest, rest, unit) for unit in units]
+        for k in adapted(model, self.links):
+            columns[0] += list(tm.stack([y[k] for y in of_p]).T)
+            columns[1] += list(tm.stack([c[k] - g[k] for c, g in zip(along, of_g, strict=True)]).T)
+        return tm.stack(columns[0]).T, tm.stack(columns[1]).T
+
+    def _corrections(self, x: Snapshot, memory: MemoryView, dt: Any) -> tuple[list[Vector], Matrix]:
+        """W^T R e_p of each adapted body (10,), and the new memory of the filter."""
+        assert self.composite is not None
+        a, (p, rate) = 1.0 - tm.exp(-self.cutoff[()] * dt), self._momenta(x)
+        applied = tm.stack([x.tau_applied + x.added, *np.zeros((p.shape[1] - 1, x.n))]).T
+        # Exact for held torques: p-dot is the difference of two ticks, C^T v - g the mean of both.
+        impulse = (a / dt) * p
+        before = tm.where(memory.begun > 0.0, memory.filtered + a * applied, impulse - 0.5 * a * rate)
+        W, which = impulse - before - 0.5 * a * rate, adapted(x.model, self.links)
+        filtered = before + a * (impulse + (1.0 - 0.5 * a) * rate - before)
+        e_p, reach = W[:, 0], 0.0
+        for i, (k, G) in enumerate(zip(which, memory.root, strict=True)):
+            own = W[:, 1 + 10 * i : 11 + 10 * i]
+            e_p = e_p + own @ (_parameters(G) - rg.parameters_of(x.model.links[k]))
+            reach = reach + sum(np.sum((G.T @ rg.covector_matrix(w) @ G) ** 2) for w in own)
+        R = self.composite[()]
+        R = R * MAX_REACH / tm.maximum(dt * self.gamma[()] * R * reach, MAX_REACH)
+        return [R * (e_p @ W[:, 1 + 10 * i : 11 + 10 * i]) for i in range(len(which))], filtered
 
 
 def adapted(model: Model, links: Links) -> tuple[int, ...]:

@@ -4,9 +4,9 @@
     Motors:  B a_motor + tau_J = tau
 
 B is the rotor inertia of the controller's arm, which rigid laws count as part of M; these laws take it from there,
-and use the model of the links alone. So it is stated once and counted once. K is a gain of each law: the arm has none
-(a plant's spring is its `taut.drives.Transmission`), and so it may be wrong, change and be swept like any gain. Only
-`FullStateFeedback` needs D; the others leave it out of their model.
+and use the model of the links alone. So it is stated once and counted once. K is a gain of each law, `stiffness`: the
+arm has none (a plant's spring is its `taut.drives.Transmission`), and so it may be wrong, change and be swept like
+any gain. Only `FullStateFeedback` needs D; the others leave it out of their model.
 
 q_motor and v_motor are measured on the motor's side of the spring, in joint units; tau_J is the joint torque sensor.
 
@@ -127,14 +127,14 @@ class MotorSidePD(Law):
     error that it leaves in a rigid arm, and the error of gravity / K in the spring.
 
     Args:
-        K: Stiffness of each joint.
+        stiffness: K of each joint.
         kp: omega^2 of a rigid joint.
         kd: 2 zeta omega.
 
     Example:
         >>> import taut
         >>> arm = taut.load_arm("one_joint").with_gears(ratio=100.0, motor_inertia=2e-5)
-        >>> ctrl = taut.compile(taut.laws.MotorSidePD(K=500.0, kp=100.0, kd=20.0), arm)
+        >>> ctrl = taut.compile(taut.laws.MotorSidePD(stiffness=500.0, kp=100.0, kd=20.0), arm)
         >>> ctrl.step(q=[0.0], q_motor=[0.0], v_motor=[0.0], ref=taut.JointMotion(q=[0.0])).round(3).tolist()
         [1.118]
 
@@ -144,7 +144,7 @@ class MotorSidePD(Law):
     """
 
     reference = SmoothMotion
-    K: Gain = Gain(unit=SPRING, accepts=("scalar",), above=0.0)
+    stiffness: Gain = Gain(unit=SPRING, accepts=("scalar",), above=0.0)
     kp: Gain = Gain(unit="1/s^2", accepts=("scalar",))
     kd: Gain = Gain(unit="1/s", accepts=("scalar",))
 
@@ -152,7 +152,7 @@ class MotorSidePD(Law):
         check_whole_torque(self, x)
 
     def command(self, x: Snapshot, ref: SmoothMotion) -> Command:
-        motor, M = DesiredMotor.of(x, ref, self.K), x.at(ref.q, ref.v).M
+        motor, M = DesiredMotor.of(x, ref, self.stiffness), x.at(ref.q, ref.v).M
         m = tm.array([M[i, i] for i in range(x.n)])
         e, e_dot = x.arm.difference(motor.q, x.q_motor), motor.v - x.v_motor
         return Torque(m * Terms(P=self.kp @ e, D=self.kd @ e_dot) + Terms(feedforward=motor.tau))
@@ -200,20 +200,21 @@ class FastTorqueLoop(Wrapper):
 
     Args:
         law: Any law that gives torques, such as `taut.laws.ComputedTorque` or `Impedance`.
-        K: Stiffness of each joint.
+        stiffness: K of each joint.
         bandwidth: Of the torque, both poles.
 
     Example:
         >>> import taut
-        >>> law = taut.laws.FastTorqueLoop(law=taut.laws.ComputedTorque(kp=100.0, kd=20.0), K=500.0, bandwidth=200.0)
+        >>> rigid = taut.laws.ComputedTorque(kp=100.0, kd=20.0)
+        >>> law = taut.laws.FastTorqueLoop(law=rigid, stiffness=500.0, bandwidth=200.0)
         >>> sorted(law.parameters())
-        ['K', 'bandwidth', 'kd', 'ki', 'kp']
+        ['bandwidth', 'kd', 'ki', 'kp', 'stiffness']
 
     References:
         Spong (1987). Kokotovic, Khalil and O'Reilly, Singular Perturbation Methods in Control (1986), section 1.3.
     """
 
-    K: Gain = Gain(unit=SPRING, accepts=("scalar",), above=0.0)
+    stiffness: Gain = Gain(unit=SPRING, accepts=("scalar",), above=0.0)
     bandwidth: Gain = Gain(unit="rad/s", accepts=("scalar",), above=0.0)
 
     def check_rate(self, rate: float) -> None:
@@ -227,9 +228,9 @@ class FastTorqueLoop(Wrapper):
         return Wrapper.closed_loop(self, with_rotors(x, 0.0))
 
     def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
-        links, K, w = with_rotors(x, 0.0), self.K.as_array(), self.bandwidth.as_array()
+        links, K, w = with_rotors(x, 0.0), self.stiffness.as_array(), self.bandwidth.as_array()
         command, after = self.inner(self.law, links, ref, memory, dt)
-        B, tau_J, rate = x.arm.rotor_inertia, x.tau_meas, self.K @ (x.v_motor - x.v)
+        B, tau_J, rate = x.arm.rotor_inertia, x.tau_meas, self.stiffness @ (x.v_motor - x.v)
         moved = tau_J + B * (links.forward_dynamics(tau_J) - (w * w * tau_J + 2.0 * w * rate) / K)
         return Torque((B * w * w / K) * torques(self, command) + Terms(torque_loop=moved)), after
 
@@ -254,9 +255,10 @@ class JointTorqueFeedback(Wrapper):
 
     Example:
         >>> import taut
-        >>> law = taut.laws.JointTorqueFeedback(law=taut.laws.MotorSidePD(K=500.0, kp=100.0, kd=20.0), inertia=0.05)
+        >>> motor = taut.laws.MotorSidePD(stiffness=500.0, kp=100.0, kd=20.0)
+        >>> law = taut.laws.JointTorqueFeedback(law=motor, inertia=0.05)
         >>> sorted(law.parameters())
-        ['K', 'kd', 'kp']
+        ['kd', 'kp', 'stiffness']
 
     References:
         Albu-Schaeffer, Ott and Hirzinger, A unified passivity-based control framework for position, torque and
@@ -299,13 +301,13 @@ class FullStateFeedback(Law):
                   the resonance need torques that grow as pole^4 B M / K
 
     Args:
-        K: Stiffness of the joint, for x_des.
+        stiffness: K of the joint, for x_des.
         feedback: (4,) k: of link position and velocity, motor position and velocity [N m/rad, N m s/rad, ...].
 
     Example:
         >>> import taut
         >>> arm = taut.load_arm("one_joint", gravity=[0.0, 0.0, 0.0]).with_gears(ratio=100.0, motor_inertia=2e-5)
-        >>> law = FullStateFeedback.placed(arm, K=500.0, poles=[-20.0, -22.0, -24.0, -26.0], rate=1000.0)
+        >>> law = FullStateFeedback.placed(arm, stiffness=500.0, poles=[-20.0, -22.0, -24.0, -26.0], rate=1000.0)
         >>> law.feedback.as_array().shape
         (4,)
 
@@ -314,30 +316,37 @@ class FullStateFeedback(Law):
     """
 
     reference = SmoothMotion
-    K: Gain = Gain(unit=SPRING, shape="scalar", above=0.0)
+    stiffness: Gain = Gain(unit=SPRING, shape="scalar", above=0.0)
     feedback: Gain = Gain(unit="N m/rad, N m s/rad", shape=4, accepts=(), minimum=-np.inf)
 
     @classmethod
     def placed(
-        cls, arm: Arm, *, K: float, poles: ArrayLike, rate: float, D: float = 0.0, at: ArrayLike | None = None
+        cls,
+        arm: Arm,
+        *,
+        stiffness: float,
+        poles: ArrayLike,
+        rate: float,
+        damping: float = 0.0,
+        at: ArrayLike | None = None,
     ) -> Self:
         """The law whose sampled loop has four poles, by SciPy's placement on the zero-order-hold model.
 
         Args:
             arm: One joint with rotor inertia.
-            K: Its stiffness [N m/rad | N/m].
+            stiffness: K of its spring [N m/rad | N/m].
             poles: Four in s [1/s], all different, conjugates in pairs.
             rate: [Hz].
-            D: Damping of its spring [N m s/rad | N s/m].
+            damping: D of its spring [N m s/rad | N s/m].
             at: Position for which it is made [rad | m]; home if left out.
 
         Raises:
             MatchError: More than one joint, or no rotor inertia.
-            RangeError: K that is not positive, or poles that cannot be placed.
+            RangeError: A stiffness that is not positive, or poles that cannot be placed.
         """
         from scipy.signal import cont2discrete, place_poles
 
-        K, D = positive_scalar("K", K, unit=SPRING), finite_scalar("D", D, unit="N m s/rad", minimum=0.0)
+        K, D = positive_scalar("stiffness", stiffness, unit=SPRING), finite_scalar("damping", damping, minimum=0.0)
         dt = 1.0 / positive_scalar("rate", rate, unit="Hz")
         x = snapshot(arm, arm.home if at is None else finite_array("at", at, shape=(arm.n,)))
         check_one_joint(x)
@@ -358,14 +367,14 @@ class FullStateFeedback(Law):
                 f"{desired.tolist()}",
                 name="poles",
             ) from cause
-        return cls(K=K, feedback=gains)
+        return cls(stiffness=K, feedback=gains)
 
     def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
         check_one_joint(x)
         check_whole_torque(self, x)
 
     def command(self, x: Snapshot, ref: SmoothMotion) -> Command:
-        motor, k = DesiredMotor.of(x, ref, self.K), self.feedback.as_array()
+        motor, k = DesiredMotor.of(x, ref, self.stiffness), self.feedback.as_array()
         e, e_motor = x.difference(ref.q), x.arm.difference(motor.q, x.q_motor)
         return Torque(
             P=k[0] * e + k[2] * e_motor, D=k[1] * (ref.v - x.v) + k[3] * (motor.v - x.v_motor), feedforward=motor.tau
@@ -403,12 +412,12 @@ class FlexibleJointLinearisation(Law):
     its torque sensor: a friction of the motor that is left in, D, or a late sensor count as errors of the model.
 
     Args:
-        K: Stiffness of each joint.
+        stiffness: K of each joint.
         omega: The four poles of each joint.
 
     Example:
         >>> import taut
-        >>> law = taut.laws.FlexibleJointLinearisation(K=1000.0, omega=30.0)
+        >>> law = taut.laws.FlexibleJointLinearisation(stiffness=1000.0, omega=30.0)
         >>> law.reference.__name__
         'SmoothMotion'
 
@@ -417,7 +426,7 @@ class FlexibleJointLinearisation(Law):
     """
 
     reference = SmoothMotion
-    K: Gain = Gain(unit=SPRING, accepts=("scalar",), above=0.0)
+    stiffness: Gain = Gain(unit=SPRING, accepts=("scalar",), above=0.0)
     omega: Gain = Gain(unit="rad/s", accepts=("scalar",), above=0.0)
 
     def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
@@ -426,10 +435,10 @@ class FlexibleJointLinearisation(Law):
 
     def command(self, x: Snapshot, ref: SmoothMotion) -> Command:
         links, none, B = with_rotors(x, 0.0), tm.zeros(x.n), x.arm.rotor_inertia
-        K, w = self.K.as_array(), self.omega.as_array()
+        K, w = self.stiffness.as_array(), self.omega.as_array()
         a = links.forward_dynamics(x.tau_meas)
         without_jerk = SpringTorque.along(links, x.q, x.v, a, none, none).rate
-        j = tm.solve_spd(links.M_factors, self.K @ (x.v_motor - x.v) - without_jerk)
+        j = tm.solve_spd(links.M_factors, self.stiffness @ (x.v_motor - x.v) - without_jerk)
         without_snap = SpringTorque.along(links, x.q, x.v, a, j, none).second
         snap = Terms(
             feedforward=ref.s + 4.0 * w * (ref.j - j) + 6.0 * w**2 * (ref.a - a),
