@@ -55,6 +55,13 @@ LAWS: dict[str, tuple[Callable[[taut.Arm], taut.Law], str]] = {
         FREE,
     ),
     "Adaptive": (lambda _: laws.Adaptive(lam=10.0, k=10.0, gamma=2.0), FREE),
+    "Robust": (
+        # without intervals: a bound on what is zero at rest, such as weight without gravity, is not smooth there
+        lambda _: laws.Robust(
+            lam=10.0, k=10.0, phi=1.0, uncertainty=laws.Uncertainty(viscous=(0.0, 0.0), coulomb=(0.0, 0.0))
+        ),
+        FREE,
+    ),
     "StateFeedback": (
         lambda arm: taut.analysis.lqr(arm, Q=[400.0] * arm.n + [1.0] * arm.n, R=0.001, rate=RATE).law,
         FREE,

@@ -27,6 +27,7 @@ LAWS: dict[str, tuple[taut.Law, dict[str, Any]]] = {
     "GravityCompensation": (laws.GravityCompensation(), {}),
     "FrictionCompensation": (laws.FrictionCompensation(at="meas"), {}),
     "Dither": (laws.Dither(amplitude=0.1, frequency=50.0), {"amplitude": 0.2}),
+    "Robust": (laws.Robust(lam=10.0, k=10.0, phi=0.1, uncertainty=laws.Uncertainty(links=0.1)), {"phi": 0.2}),
     "RaisedGains": (
         laws.RaisedGains(inner=laws.PID(kp=1.0, kd=2.0), factor=2.0),
         {"inner": laws.PID(kp=2.0, kd=2.0)},
