@@ -28,6 +28,20 @@ LAWS: dict[str, tuple[taut.Law, dict[str, Any]]] = {
     "FrictionCompensation": (laws.FrictionCompensation(at="meas"), {}),
     "Dither": (laws.Dither(amplitude=0.1, frequency=50.0), {"amplitude": 0.2}),
     "Robust": (laws.Robust(lam=10.0, k=10.0, phi=0.1, uncertainty=laws.Uncertainty(links=0.1)), {"phi": 0.2}),
+    "DisturbanceRejection": (laws.DisturbanceRejection(), {}),
+    "CollisionReflex": (laws.CollisionReflex(), {"gain": 0.5}),
+    "MotorSide": (laws.MotorSide(law=JOINT), {"law": laws.PID(kp=2.0, kd=2.0)}),
+    "MotorSidePD": (laws.MotorSidePD(stiffness=1000.0, kp=100.0, kd=20.0), {"stiffness": 500.0}),
+    "FastTorqueLoop": (laws.FastTorqueLoop(law=JOINT, stiffness=1000.0, bandwidth=200.0), {"bandwidth": 80.0}),
+    "JointTorqueFeedback": (laws.JointTorqueFeedback(law=JOINT, inertia=0.1), {"inertia": 0.2}),
+    "FullStateFeedback": (
+        laws.FullStateFeedback(stiffness=1000.0, feedback=[1.0, 1.0, 1.0, 1.0]),
+        {"feedback": [2.0, 1.0, 1.0, 1.0]},
+    ),
+    "FlexibleJointLinearisation": (
+        laws.FlexibleJointLinearisation(stiffness=1000.0, omega=30.0),
+        {"omega": 15.0},
+    ),
     "RaisedGains": (
         laws.RaisedGains(inner=laws.PID(kp=1.0, kd=2.0), factor=2.0),
         {"inner": laws.PID(kp=2.0, kd=2.0)},
