@@ -136,14 +136,6 @@ def test_every_law_of_motion_and_force_is_here() -> None:
         "VirtualGroove",
         "VirtualBall",
     }
-    parts |= {  # of flexible joints: they need rotors and sensors of their own, as in test_flexible_joint.py
-        "FastTorqueLoop",
-        "FlexibleJointLinearisation",
-        "FullStateFeedback",
-        "JointTorqueFeedback",
-        "MotorSide",
-        "MotorSidePD",
-    }
     here = {name.partition(" ")[0].partition(",")[0] for name in LAWS} | {"ViaJointSpace"}
     assert set(law_classes(laws)) - parts <= here
 
