@@ -222,8 +222,8 @@ class Certificate(Result):
         computed_torque: (n,) the largest of computed torque with the same nominal loop and friction compensation.
         worst: The unknowns of the arm with the largest error, each as a position in its interval from -1 to 1.
         runs: Number of simulations of the robust law.
-        alpha: max |eig(M^-1 M^) - 1| over the set: inverse dynamics with an additional term (Corless and Leitmann's
-            form) has no bound where this is 1 or more.
+        alpha: Largest distance of an eigenvalue of M^-1 M^ from 1 over the set: inverse dynamics with an additional
+            term (Corless and Leitmann's form) has no bound where this is 1 or more.
         sampled: T times the largest rate of the loop in its layer: explicit steps are stable below 2.
     """
 
@@ -287,7 +287,7 @@ def certify(
                   the level set grows until it contains what it implies; where it never does there is no certificate
 
     Over the set of arms c, M^-1 and rho are exact, and over velocities rho is bounded: its parts are affine in s.
-    Over position errors |e_i| <= S_i / lam_i the corners are taken, at instants of the reference: an estimate.
+    Over position errors up to S_i / lam_i the corners are taken, at instants of the reference: an estimate.
     Simulations start on the reference; unknowns stand at corners of the set, between them, and where a search
     leads that changes one at a time. A disturbance is constant in them.
 

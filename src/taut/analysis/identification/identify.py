@@ -115,7 +115,7 @@ class Identification(Result):
 
     @property
     def residual(self) -> tuple[Float64Array, Float64Array]:
-        """(n,) each: RMS of the torque that the arm before and after does not explain [N m | N]."""
+        """RMS of the torques [N m | N] that the arm before and after does not explain."""
         return _rms(self.measured - self.before), _rms(self.measured - self.after)
 
     def verdict(self, ctrl: Controller, *, error: float) -> Verdict:

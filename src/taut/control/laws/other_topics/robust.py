@@ -207,8 +207,8 @@ class Robust(Law):
 
     Proved, for every arm of the set, in continuous time and while no torque saturates: from a start on the reference,
     s stays in a level set of V and e inside eps, which `taut.analysis.certify` computes. Not proved: the sampled loop
-    (`taut.linearise`; a layer that is too thin chatters) and anything at torque limits. |s_i| <= phi_i is not
-    implied joint by joint. `taut.analysis.boundary_layer` gives the thinnest layer that a rate allows.
+    (`taut.linearise`; a layer that is too thin chatters) and anything at torque limits; nor that s_i
+    stays within phi_i, joint by joint. `taut.analysis.boundary_layer` gives the thinnest layer that a rate allows.
 
     Args:
         lam: Rate at which e follows s, a number or (n,) [1/s].
