@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 import taut
-from taut.analysis.loci import bisected
+from taut.analysis.stability.loci import bisected
 from taut.base.plot_style import COLOURS, DASHED, INK, SMALL, WIDTH, prepared
 from taut.linear.performance import powers
 

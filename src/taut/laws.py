@@ -29,8 +29,15 @@ if TYPE_CHECKING:
     from taut.control.laws.null_space import LimitAvoidance as LimitAvoidance
     from taut.control.laws.null_space import Manipulability as Manipulability
     from taut.control.laws.null_space import Posture as Posture
+    from taut.control.laws.other_topics.adaptive import Adaptive as Adaptive
     from taut.control.laws.other_topics.disturbance import CollisionReflex as CollisionReflex
     from taut.control.laws.other_topics.disturbance import DisturbanceRejection as DisturbanceRejection
+    from taut.control.laws.other_topics.flexible_joint import FastTorqueLoop as FastTorqueLoop
+    from taut.control.laws.other_topics.flexible_joint import FlexibleJointLinearisation as FlexibleJointLinearisation
+    from taut.control.laws.other_topics.flexible_joint import FullStateFeedback as FullStateFeedback
+    from taut.control.laws.other_topics.flexible_joint import JointTorqueFeedback as JointTorqueFeedback
+    from taut.control.laws.other_topics.flexible_joint import MotorSide as MotorSide
+    from taut.control.laws.other_topics.flexible_joint import MotorSidePD as MotorSidePD
     from taut.control.laws.other_topics.robust import Robust as Robust
     from taut.control.laws.other_topics.robust import Uncertainty as Uncertainty
     from taut.control.laws.task import TaskComputedTorque as TaskComputedTorque

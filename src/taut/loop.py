@@ -125,8 +125,8 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
     if side.gives != plant.takes:
         wrapped = ", such as taut.laws.ViaMit(law=law)," if (side.gives, plant.takes) == ("torque", "mit") else ""
         raise MatchError(
-            f"{law} gives a {side.gives} and plant '{plant.name}' takes a {plant.takes}; choose a law for "
-            f"{plant.takes} commands,{wrapped[1:]} or a plant that takes '{side.gives}'",
+            f"{law} gives {side.gives} commands and plant '{plant.name}' takes {plant.takes} commands; choose a law "
+            f"for those,{wrapped[1:]} or a plant that takes '{side.gives}'",
             name="takes",
         )
     for name in side.needs:

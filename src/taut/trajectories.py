@@ -9,9 +9,11 @@ if TYPE_CHECKING:
     from taut.control.trajectories.joint import Fourier as Fourier
     from taut.control.trajectories.joint import JerkLimited as JerkLimited
     from taut.control.trajectories.joint import Quintic as Quintic
+    from taut.control.trajectories.joint import Septic as Septic
     from taut.control.trajectories.joint import Sine as Sine
     from taut.control.trajectories.joint import Spline as Spline
     from taut.control.trajectories.joint import Trapezoidal as Trapezoidal
+    from taut.control.trajectories.reference import SmoothMotion as SmoothMotion
     from taut.control.trajectories.samples import Learned as Learned
     from taut.control.trajectories.samples import Samples as Samples
     from taut.control.trajectories.samples import TaskSamples as TaskSamples

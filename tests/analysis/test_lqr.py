@@ -5,6 +5,7 @@ from __future__ import annotations
 import control
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.linalg import expm
 
 import taut
@@ -76,28 +77,28 @@ def test_friction_and_what_the_plant_adds_belong_to_the_model():
 
 
 @pytest.mark.parametrize(
-    ("options", "kind", "text"),
+    ("options", "kind"),
     [
-        ({"Q": [0.0] * 6 + [1.0] * 6, "arm": "ur10"}, RangeError, "Q must weigh every motion"),
-        ({"R": 0.0}, RangeError, "R must be positive definite"),
-        ({"Q": [1.0, 1.0]}, ShapeError, r"Q must have shape \(4,\) or \(4, 4\); got \(2,\)"),
-        ({"Q": -np.eye(4)}, RangeError, "Q must be positive semidefinite"),
-        ({"R": [[1.0, 0.5], [0.0, 1.0]]}, RangeError, "R must be a symmetric matrix"),
-        ({"plant": {"actuation": taut.drives.Actuation(delay=0.002)}}, UsageError, r"other states too: plant\.delay"),
-        ({"at": [0.1]}, ShapeError, r"at must have shape \(2,\)"),
+        ({"Q": [0.0] * 6 + [1.0] * 6, "arm": "ur10"}, RangeError),
+        ({"R": 0.0}, RangeError),
+        ({"Q": [1.0, 1.0]}, ShapeError),
+        ({"Q": -np.eye(4)}, RangeError),
+        ({"R": [[1.0, 0.5], [0.0, 1.0]]}, RangeError),
+        ({"plant": {"actuation": taut.drives.Actuation(delay=0.002)}}, UsageError),
+        ({"at": [0.1]}, ShapeError),
     ],
 )
-def test_what_has_no_meaning_is_refused(options, kind, text):
+def test_what_has_no_meaning_is_refused(options, kind):
     arm = taut.load_arm(options.get("arm", "planar2"))
     options = {name: value for name, value in options.items() if name != "arm"}
     if "plant" in options:
         options = {"plant": taut.RigidPlant(arm, **options["plant"])}
-    with pytest.raises(kind, match=text):
+    with refused(kind):
         taut.analysis.lqr(arm, **{"Q": np.eye(4), "R": 1.0, **options})
 
 
 def test_a_law_of_another_size_is_refused():
-    with pytest.raises(ShapeError, match="K_q must be square"):
+    with refused(ShapeError):
         taut.laws.StateFeedback(K_q=np.zeros((2, 3)), K_v=np.eye(2), tau_0=0.0)
     law = taut.laws.StateFeedback(K_q=np.eye(3), K_v=np.eye(3), tau_0=0.0)
     with pytest.raises(taut.TautError):

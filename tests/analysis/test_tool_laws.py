@@ -54,6 +54,14 @@ LAWS: dict[str, tuple[Callable[[taut.Arm], taut.Law], str]] = {
         lambda arm: laws.PID(kp=400.0 * own(arm), kd=40.0 * own(arm), ki=400.0 * own(arm)),
         FREE,
     ),
+    "Adaptive": (lambda _: laws.Adaptive(lam=10.0, k=10.0, gamma=2.0), FREE),
+    "Robust": (
+        # without intervals: a bound on what is zero at rest, such as weight without gravity, is not smooth there
+        lambda _: laws.Robust(
+            lam=10.0, k=10.0, phi=1.0, uncertainty=laws.Uncertainty(viscous=(0.0, 0.0), coulomb=(0.0, 0.0))
+        ),
+        FREE,
+    ),
     "StateFeedback": (
         lambda arm: taut.analysis.lqr(arm, Q=[400.0] * arm.n + [1.0] * arm.n, R=0.001, rate=RATE).law,
         FREE,
@@ -128,6 +136,8 @@ def test_every_law_of_motion_and_force_is_here() -> None:
         "VirtualGroove",
         "VirtualBall",
     }
+    parts |= {"CollisionReflex", "DisturbanceRejection", "MotorSide", "FastTorqueLoop", "JointTorqueFeedback"}
+    parts |= {"MotorSidePD", "FullStateFeedback", "FlexibleJointLinearisation"}  # of plants with elastic joints
     here = {name.partition(" ")[0].partition(",")[0] for name in LAWS} | {"ViaJointSpace"}
     assert set(law_classes(laws)) - parts <= here
 

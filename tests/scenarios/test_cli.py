@@ -240,7 +240,11 @@ class TestALawOfTheUsersOwn:
                 "taut: --law {file}:Spring: k must be a number, (1,) or (1, 1) [N m/rad] for 1 joint",
             ),
             ("Fails", [], "taut: --law {file}:Fails: Fails fails on plain numbers, at rest at home: ValueError: no"),
-            ("Moves", [], "[plant] Moves gives a velocity and plant 'RigidPlant(one_joint)' takes a torque"),
+            (
+                "Moves",
+                [],
+                "[plant] Moves gives velocity commands and plant 'RigidPlant(one_joint)' takes torque commands",
+            ),
         ],
     )
     def test_what_does_not_fit_is_refused(

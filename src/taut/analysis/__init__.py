@@ -6,8 +6,6 @@ from taut.base.front_door import lazy_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from taut.analysis.attraction import Attraction as Attraction
-    from taut.analysis.attraction import region_of_attraction as region_of_attraction
     from taut.analysis.comparison import Comparison as Comparison
     from taut.analysis.comparison import WrongModel as WrongModel
     from taut.analysis.constraints import ConstraintRow as ConstraintRow
@@ -23,15 +21,16 @@ if TYPE_CHECKING:
     from taut.analysis.diagnosis.check import Threshold as Threshold
     from taut.analysis.diagnosis.checks import CHECKS as CHECKS
     from taut.analysis.diagnosis.diagnosis import Diagnosis as Diagnosis
+    from taut.analysis.flexible_joints import SetPointCondition as SetPointCondition
+    from taut.analysis.flexible_joints import set_point_condition as set_point_condition
     from taut.analysis.grading import Grade as Grade
-    from taut.analysis.harmonic_balance import LimitCycle as LimitCycle
-    from taut.analysis.harmonic_balance import LimitCycles as LimitCycles
-    from taut.analysis.harmonic_balance import limit_cycles as limit_cycles
     from taut.analysis.identification.excitation import excitation as excitation
     from taut.analysis.identification.identify import Estimate as Estimate
     from taut.analysis.identification.identify import Identification as Identification
     from taut.analysis.identification.identify import Verdict as Verdict
     from taut.analysis.identification.identify import identify as identify
+    from taut.analysis.identification.payload import PayloadEstimate as PayloadEstimate
+    from taut.analysis.identification.payload import payload_estimate as payload_estimate
     from taut.analysis.impedance_at_tool import ToolImpedance as ToolImpedance
     from taut.analysis.impedance_at_tool import tool_impedance as tool_impedance
     from taut.analysis.learning import Convergence as Convergence
@@ -40,12 +39,6 @@ if TYPE_CHECKING:
     from taut.analysis.learning import NormOptimal as NormOptimal
     from taut.analysis.learning import PDLearning as PDLearning
     from taut.analysis.learning import learn as learn
-    from taut.analysis.loci import RootLocus as RootLocus
-    from taut.analysis.loci import RouthTable as RouthTable
-    from taut.analysis.loci import StabilityMap as StabilityMap
-    from taut.analysis.loci import root_locus as root_locus
-    from taut.analysis.loci import routh as routh
-    from taut.analysis.loci import stability_map as stability_map
     from taut.analysis.lqr import Lqr as Lqr
     from taut.analysis.lqr import lqr as lqr
     from taut.analysis.robustness import Certificate as Certificate
@@ -55,6 +48,17 @@ if TYPE_CHECKING:
     from taut.analysis.several_joints import Lyapunov as Lyapunov
     from taut.analysis.several_joints import coupling as coupling
     from taut.analysis.several_joints import lyapunov as lyapunov
+    from taut.analysis.stability.attraction import Attraction as Attraction
+    from taut.analysis.stability.attraction import region_of_attraction as region_of_attraction
+    from taut.analysis.stability.harmonic_balance import LimitCycle as LimitCycle
+    from taut.analysis.stability.harmonic_balance import LimitCycles as LimitCycles
+    from taut.analysis.stability.harmonic_balance import limit_cycles as limit_cycles
+    from taut.analysis.stability.loci import RootLocus as RootLocus
+    from taut.analysis.stability.loci import RouthTable as RouthTable
+    from taut.analysis.stability.loci import StabilityMap as StabilityMap
+    from taut.analysis.stability.loci import root_locus as root_locus
+    from taut.analysis.stability.loci import routh as routh
+    from taut.analysis.stability.loci import stability_map as stability_map
     from taut.analysis.stiffness import StiffnessCheck as StiffnessCheck
     from taut.analysis.stiffness import check_stiffness as check_stiffness
     from taut.analysis.stiffness import check_virtual_wall as check_virtual_wall

@@ -163,7 +163,7 @@ class Learning(Result):
     Args:
         law: The learning law.
         tests: The convergence test, made before the first trial, for each model.
-        rms: Error of each trial [rad | m]: root of the mean over time of |e|^2.
+        rms: Error of each trial [rad | m]: root of the mean over time of the squared error of all joints.
         reference: The reference with the input of the best trial, `reference.u` (k, n) [rad/s^2 | m/s^2]: for any
             later run, or for more trials.
         lead: Ticks between an input and its first effect on the joints.

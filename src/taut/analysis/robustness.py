@@ -16,7 +16,7 @@ from scipy.optimize import brentq
 from taut.arm.description import Arm, Friction, Payload
 from taut.arm.parts import inertia_entries
 from taut.base.checks import instance_of, positive_scalar, rate_in_hertz, whole_number
-from taut.base.errors import RangeError, UsageError
+from taut.base.errors import RangeError
 from taut.base.result import Content, Result, Table
 from taut.base.types import Array, ArrayLike, Float64Array
 from taut.codegen.engine import Steps, best_engine
@@ -55,10 +55,10 @@ class ConstantTorque(Law):
     """A constant torque on the joints: the disturbance of a search."""
 
     ignores_reference = True
-    tau: Gain = Gain(0.0, unit="N m | N", accepts=("scalar",), minimum=-math.inf)
+    tau: Gain = Gain(unit="N m | N", accepts=(), minimum=-math.inf)
 
     def command(self, x: Snapshot, ref: Sample) -> Command:  # noqa: ARG002
-        return Torque(disturbance=self.tau.as_array() * np.ones(x.n))
+        return Torque(disturbance=self.tau.as_array())
 
 
 class UncertainArm:
@@ -99,14 +99,12 @@ class UncertainArm:
 
     def friction_error(self, v: Float64Array, v_des: Float64Array) -> Float64Array:
         """(k, n) largest error of the friction that the law assumes, and the disturbance."""
-        error: Float64Array = friction_and_error(self.b, self.c, v, v_des, self.width)[1] + self.unknown.disturbance
-        return error
+        return np.asarray(friction_and_error(self.b, self.c, v, v_des, self.width)[1] + self.unknown.disturbance)
 
     def rho(self, rows: JointMotion) -> Float64Array:
         """(k, n) the bound on a reference."""
         parts = self.torques(q=rows.q, v=rows.v, v_ref=rows.v, a_ref=rows.a)
-        bound: Float64Array = np.abs(parts).sum(axis=1) + self.friction_error(rows.v, rows.v)
-        return bound
+        return np.asarray(np.abs(parts).sum(axis=1) + self.friction_error(rows.v, rows.v))
 
 
 def _of_rows(function: Callable[..., dict[str, Any]], n: int, *names: str) -> Callable[..., dict[str, Float64Array]]:
@@ -141,12 +139,8 @@ def _along(reference: Trajectory | Sample, duration: float, instants: int, n: in
 
 def _checked(arm: Arm, reference: object, duration: object) -> float:
     instance_of("arm", arm, Arm, "an Arm from taut.load_arm")
-    if not isinstance(reference, (Trajectory, Sample)):
-        raise UsageError(
-            f"a reference that is known beforehand is needed, a trajectory with at(t) or a taut.JointMotion; got "
-            f"{type(reference).__name__}",
-            name="reference",
-        )
+    known = "a reference that is known beforehand, a trajectory with at(t) or a taut.JointMotion"
+    instance_of("reference", reference, (Trajectory, Sample), known)
     return positive_scalar("duration", duration, unit="s")
 
 
@@ -228,8 +222,8 @@ class Certificate(Result):
         computed_torque: (n,) the largest of computed torque with the same nominal loop and friction compensation.
         worst: The unknowns of the arm with the largest error, each as a position in its interval from -1 to 1.
         runs: Number of simulations of the robust law.
-        alpha: max |eig(M^-1 M^) - 1| over the set: inverse dynamics with an additional term (Corless and Leitmann's
-            form) has no bound where this is 1 or more.
+        alpha: Largest distance of an eigenvalue of M^-1 M^ from 1 over the set: inverse dynamics with an additional
+            term (Corless and Leitmann's form) has no bound where this is 1 or more.
         sampled: T times the largest rate of the loop in its layer: explicit steps are stable below 2.
     """
 
@@ -257,17 +251,15 @@ class Certificate(Result):
         rows = list(zip(self.joints, *(column.tolist() for column in columns), self.units, strict=True))
         heads = ("joint", "certified", "found", "computed torque, found", "unit")
         none = (
-            "no certificate: the level set on which rho holds grows without end; choose a thinner phi or a larger k, "
-            "or narrow the intervals"
+            "no certificate: the level set on which rho holds grows without end; choose a thinner phi or a larger k"
         )
-        law_b = "has no bound" if self.alpha >= 1.0 else "would have a bound too"
         notes = [
             f"found: in {self.runs} simulations of arms of the set, corners among them, and a search from the worst",
             "certified: in continuous time, from a start on the reference, while no torque saturates; exact over the "
             "set and over velocities in the level set; positions in it are sampled at corners: an estimate there",
-            f"sampled loop: T times its largest rate is {self.sampled:.3g}, which must stay below 2 and should below "
-            f"{MAX_LAYER_RATE:g}",
-            f"inverse dynamics with an additional term {law_b}: its alpha is {self.alpha:.3g}, and must be below 1",
+            f"sampled loop: T times its largest rate is {self.sampled:.3g}; it should stay below {MAX_LAYER_RATE:g}",
+            f"inverse dynamics with an additional term has {'no' if self.alpha >= 1.0 else 'a'} bound: its alpha is "
+            f"{self.alpha:.3g}, and must be below 1",
         ]
         return Content(
             title="robust control: error certified, and largest error found",
@@ -295,7 +287,7 @@ def certify(
                   the level set grows until it contains what it implies; where it never does there is no certificate
 
     Over the set of arms c, M^-1 and rho are exact, and over velocities rho is bounded: its parts are affine in s.
-    Over position errors |e_i| <= S_i / lam_i the corners are taken, at instants of the reference: an estimate.
+    Over position errors up to S_i / lam_i the corners are taken, at instants of the reference: an estimate.
     Simulations start on the reference; unknowns stand at corners of the set, between them, and where a search
     leads that changes one at a time. A disturbance is constant in them.
 
@@ -357,9 +349,9 @@ def _level_set(uncertain: UncertainArm, law: Robust, rows: JointMotion, start: f
     """(n,) bounds S of |s| on the smallest level set of V that holds what it implies; None where there is none."""
     n = rows.q.shape[1]
     k, phi, lam = float(law.k), np.broadcast_to(law.phi, (n,)), np.broadcast_to(law.lam, (n,))
-    signs = np.array(list(itertools.islice(itertools.product((-1.0, 1.0), repeat=n), MAX_CORNERS)))
-    if 2**n > MAX_CORNERS:
-        signs = np.random.default_rng(0).choice((-1.0, 1.0), (MAX_CORNERS, n))
+    corners = itertools.product((-1.0, 1.0), repeat=n)
+    drawn = np.random.default_rng(0).choice((-1.0, 1.0), (MAX_CORNERS, n))
+    signs = np.array(list(corners)) if 2**n <= MAX_CORNERS else drawn
     V, S = start, np.zeros(n)
     for _ in range(ROUNDS):
         asked, mobility = 0.0, np.zeros(n)
@@ -418,17 +410,18 @@ class Search:
         return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
 
     def cases(self, trials: int, rng: np.random.Generator) -> Iterator[Case]:
-        """All corners of a small set; else the heaviest and the lightest arm, other corners, and cases between."""
+        """All corners of a small set; else the heaviest and the lightest links, other corners, and cases between."""
         size, links = self.places["disturbance"].stop, self.places["links"].stop
         if 2**size <= trials:
             yield from itertools.product((1.0, -1.0), repeat=size)
             return
         for i in range(max(2, math.ceil(trials / TRIALS_PER_ARM)) if links else 1):
-            bodies = [1.0 - 2.0 * i] * links if i < 2 else rng.choice((-1.0, 1.0), links)
+            bodies = rng.choice((-1.0, 1.0), links) if i > 1 else np.full(links, 1.0 - 2.0 * i)
             for j in range(min(trials, TRIALS_PER_ARM)):
-                other = [1.0 - 2.0 * j] * (size - links) if j < 2 else rng.choice((-1.0, 1.0), size - links)
-                inside = rng.uniform(-1.0, 1.0, size - links)
-                yield (*map(float, bodies), *map(float, inside if j == TRIALS_PER_ARM - 1 else other))
+                other = rng.choice((-1.0, 1.0), size - links) if j > 1 else np.full(size - links, 1.0 - 2.0 * j)
+                if j == TRIALS_PER_ARM - 1:
+                    other = rng.uniform(-1.0, 1.0, size - links)
+                yield (*bodies.tolist(), *other.tolist())
 
     def improved(self, case: Case) -> Case:
         """A case after each unknown was moved to the other end of its interval, where that was worse."""
@@ -464,8 +457,7 @@ class Search:
         first = sample_rows(self.reference, np.zeros(1), JointMotion, n)
         run = simulated(loop, q0=first["q"].reshape(n), v0=first["v"].reshape(n), progress=False)
         assert run.error is not None
-        largest: Float64Array = np.abs(run.error).max(axis=0)
-        return largest if run.outcome.ok else np.full(n, np.inf)
+        return np.asarray(np.abs(run.error).max(axis=0)) if run.outcome.ok else np.full(n, np.inf)
 
     def _loop(self, links: Case, robust: bool) -> Loop:
         """The loop with an arm of these links, whose payload, friction and disturbance are still to be set."""
@@ -496,7 +488,7 @@ class Search:
         middle = arm.with_friction(Friction(viscous=b, coulomb=c))
         middle = dataclasses.replace(middle, payload=_carrying(arm.payload, float(np.mean(unknown.payload))))
         laws = {True: (self.law, arm), False: (usual, middle)}
-        push = [ConstantTorque()] if np.any(unknown.disturbance) else []
+        push = [ConstantTorque(tau=np.zeros(arm.n))] if np.any(unknown.disturbance) else []
         return {robust: compile(sum(push, start=law), known, rate=self.rate) for robust, (law, known) in laws.items()}
 
 
@@ -505,6 +497,8 @@ def _carrying(payload: Payload, mass: float) -> Payload:
     if mass == 0.0:
         return payload
     total = payload.mass + mass
+    if total == 0.0:
+        return Payload()
     com = payload.mass / total * payload.com
     # about the new centre of mass: both point masses lie on a line through the tool
     apart = payload.mass * mass / total

@@ -391,7 +391,7 @@ def check_stiffness(
     """
     instance_of("ctrl", ctrl, Controller, "a controller from taut.compile")
     if ctrl.kind != "torque" or "F_ext" in ctrl.side.needs:
-        why = f"commands a {ctrl.kind}" if ctrl.kind != "torque" else "reads the wrist sensor"
+        why = f"gives {ctrl.kind} commands" if ctrl.kind != "torque" else "reads the wrist sensor"
         raise UsageError(
             f"check_stiffness is for laws from joint motion to torque, and {type(ctrl.law).__name__} {why}; judge "
             "the whole loop with taut.linearise",

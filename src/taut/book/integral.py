@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 import taut
 from taut import JointMotion, LinearSystem, Run, error_dynamics, linearise
 from taut.analysis import root_locus, second_order
-from taut.analysis.loci import bisected
+from taut.analysis.stability.loci import bisected
 from taut.base.plot_style import DASHED, INK, SMALL
 from taut.base.types import Float64Array
 from taut.book.models import (

@@ -45,8 +45,9 @@ class Sum(Law):
 
     def check(self) -> None:
         followers = [law for law in self.parts.values() if not law.ignores_reference]
-        first = next(iter(followers or self.parts.values()))
-        self.__dict__.update(reference=first.reference, ignores_reference=not followers)
+        kinds = [law.reference for law in followers or self.parts.values()]
+        narrowest = max(kinds, key=lambda kind: len(kind.__mro__))  # the one that the others are bases of
+        self.__dict__.update(reference=narrowest, ignores_reference=not followers)
 
     def declared_parts(self) -> dict[str, Declared]:
         return dict(self.parts)
@@ -292,7 +293,8 @@ def bare(law: Law) -> Law:
 def added(first: Law, second: Law) -> Sum:
     """The sum of two laws, flattened; UsageError if they follow different kinds of reference."""
     follows = second.reference if first.ignores_reference else first.reference
-    if not second.ignores_reference and second.reference is not follows:
+    related = issubclass(second.reference, follows) or issubclass(follows, second.reference)
+    if not second.ignores_reference and not related:
         raise UsageError(
             f"{type(first).__name__} follows {first.reference.__name__} and {type(second).__name__} "
             f"{second.reference.__name__}; only laws that follow the same kind of reference add; "

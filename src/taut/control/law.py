@@ -161,7 +161,7 @@ class Law(Remembers):
     def check_references(self, x: Snapshot, ref: Reference, rate: float) -> None:
         """This law, and inner laws with the same reference, can follow it from x. Raises RangeError, UsageError."""
         for law in self.children().values():
-            if law.reference is self.reference:
+            if issubclass(self.reference, law.reference):
                 law.check_references(x, ref, rate)
         self.check_reference(x, ref, rate)
 

@@ -245,7 +245,7 @@ class LawSide:
     def check_start(self, q: Float64Array, parameters: Mapping[str, Any], ref: Reference | None = None) -> None:
         """The law and its reference must have a meaning where a run starts, or where its parameters change."""
         payload = _payload_of(parameters)
-        x = Snapshot(self.model, q=q, v=np.zeros(self.arm.n), payload=payload)
+        x = Snapshot(self.model, q=q, v=np.zeros(self.arm.n), payload=payload, adds=self.adds)
         law = self.law.bound(subtree(parameters, "law"))
         law.check_states(x, self.rate)
         if ref is not None:

@@ -63,11 +63,12 @@ def sample_arguments(side: LawSide, ref: Any) -> dict[str, Any]:
     kind = side.law.reference
     if ref is None and side.law.ignores_reference:
         return {}
-    if not isinstance(ref, kind):
+    taken = kind.taken(ref)
+    if taken is None:
         hint = "; for a trajectory pass ref.at(t)" if isinstance(ref, Trajectory) else ""
         got = "none" if ref is None else type(ref).__name__
         raise UsageError(f"step needs ref, a taut.{kind.described()}; got {got}{hint}", name="ref")
-    return {f"ref.{field}": getattr(ref, field) for field in kind.fields(side.arm.n)}
+    return {f"ref.{field}": getattr(taken, field) for field in kind.fields(side.arm.n)}
 
 
 def checked_arguments(

@@ -23,6 +23,7 @@ from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.combine import all_laws
 from taut.control.laws.joint import FrictionCompensation
+from taut.control.laws.other_topics.adaptive import Adaptive
 from taut.control.lawside import LawSide
 from taut.linear.linear_system import Complex, LinearSystem, Mode, balancing
 from taut.linear.linearise import NEWTON_STEPS, acting_states, equilibrium, pose_at
@@ -325,7 +326,10 @@ def _judged(period: Period, plant: str, limits: tuple[str, ...] | None = None) -
 
 
 def without_dry_friction(side: LawSide, values: Changes) -> dict[str, Any]:
-    """Parameters that leave limits, dry friction, that of its compensation too, and ripple out of a loop."""
+    """Parameters that leave limits, dry friction, that of its compensation too, and ripple out of a loop.
+
+    Estimates of an adaptive law stay as they are: of the many equilibria with others none is the one to judge.
+    """
     out = {path: np.full_like(values[path], path == EFFICIENCY) for path in values if _is_dry(path)}
     if RIPPLE in values:
         out[RIPPLE] = np.zeros_like(values[RIPPLE])
@@ -334,6 +338,8 @@ def without_dry_friction(side: LawSide, values: Changes) -> dict[str, Any]:
     for path, law in all_laws(side.law, "law"):
         if isinstance(law, FrictionCompensation):
             out[f"{path}.width"] = HUGE
+        if isinstance(law, Adaptive):
+            out |= {f"{path}.{name}": 0.0 for name in ("gamma", "gamma_friction") if f"{path}.{name}" in values}
     return out
 
 

@@ -191,6 +191,47 @@ class LinearSystem(Result):
         s[some] = np.log(poles[some]) / self.dt
         return s
 
+    def s_zeros(self, *, input: str, output: str) -> Complex:
+        """Transmission zeros in s [1/s], the lowest frequency first; log(z) / dt of a sampled system.
+
+        At a zero some input has no effect on the outputs: of torques on the motors to their positions, the
+        frequencies at which the links alone would oscillate behind locked motors (anti-resonance). Feedback leaves
+        them where they are. Sampling adds zeros at half the rate, and some near z = 0, which are left out.
+
+        Args:
+            input: One input or a group.
+            output: As many outputs, or states by name: "plant.q_motor".
+
+        Raises:
+            UnknownNameError: No such input, output or state.
+            UsageError: Not as many outputs as inputs.
+
+        References:
+            Astrom and Wittenmark, Computer-controlled systems (1997), section 2.8, zeros of sampled systems.
+        """
+        from scipy.linalg import eigvals
+
+        columns, is_state = self.columns(input), any(output in (x, x.partition("[")[0]) for x in self.states)
+        rows = self.state_places(output) if is_state else self.rows(output)
+        if len(rows) != len(columns):
+            raise UsageError(
+                f"zeros are of as many outputs as inputs; got {len(rows)} of '{output}' and {len(columns)} of "
+                f"'{input}'; take groups of one size, such as 'plant.q_motor' and 'disturbance.command'",
+                name="output",
+            )
+        n, m = len(self.A), len(columns)
+        C, D = (np.eye(n), np.zeros((n, len(self.inputs)))) if is_state else (self.C, self.D)
+        B, C = self.B[:, columns], C[rows]
+        scale = balancing(self.A)
+        A, B, C = self.A * scale / scale[:, np.newaxis], B / scale[:, np.newaxis], C * scale
+        pencil, left = np.block([[A, B], [C, D[np.ix_(rows, columns)]]]), np.diag([1.0] * n + [0.0] * m)
+        size = np.abs(pencil).sum(axis=1, keepdims=True)
+        top, bottom = eigvals(pencil / size, left / size, homogeneous_eigvals=True)
+        finite = np.abs(bottom) > SINGULAR * np.abs(top)
+        zeros = np.asarray(top[finite] / bottom[finite], dtype=np.complex128)
+        zeros = self._in_s(zeros[np.abs(zeros) > INSTANT] if self.dt else zeros)
+        return zeros[np.lexsort((zeros.imag, np.abs(zeros)))]
+
     @property
     def omega_n(self) -> Float64Array:
         """(n,) natural frequency of each pole [rad/s]."""

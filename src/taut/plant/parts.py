@@ -340,23 +340,17 @@ def _require_whole_inner_steps(actuation: Actuation, steps: Steps) -> None:
     """RangeError unless the period of the motors' loop is a whole part of the controller's, and of whole steps."""
     if actuation.inner_rate is None:
         return
-    rate = float(actuation.inner_rate)
-    ticks, number = rate * steps.period, 1.0 / (rate * steps.dt)
-    if round(ticks) < 1 or abs(ticks - round(ticks)) > 1e-6 * ticks:
-        raise RangeError(
-            f"actuation.inner_rate must be a whole multiple of the control rate, {1.0 / steps.period:g} Hz; got "
-            f"{rate:g} Hz",
-            name="actuation.inner_rate",
-            value=rate,
-        )
-    if round(number) < 1 or abs(number - round(number)) > 1e-6 * number:
-        raise RangeError(
-            f"actuation.inner_rate must be that of every step of the integrator, or of every second, third, ...: "
-            f"{1.0 / steps.dt:g} Hz divided by a whole number; got {rate:g} Hz; give the plant "
-            f"{steps.shorter(rate * steps.dt)}",
-            name="actuation.inner_rate",
-            value=rate,
-        )
+    rate, control, fine = float(actuation.inner_rate), 1.0 / steps.period, 1.0 / steps.dt
+    for ratio, rule in (
+        (rate / control, f"a whole multiple of the control rate, {control:g} Hz"),
+        (fine / rate, f"the rate of the integrator's steps, {fine:g} Hz, divided by a whole number"),
+    ):
+        if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * ratio:
+            raise RangeError(
+                f"actuation.inner_rate must be {rule}; got {rate:g} Hz; change it, or the substeps of the plant",
+                name="actuation.inner_rate",
+                value=rate,
+            )
 
 
 def _require_slow_torque_loop(names: Sequence[str], p: Values, share: Float64Array, steps: Steps) -> None:

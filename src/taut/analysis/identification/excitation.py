@@ -17,16 +17,15 @@ from taut.base.types import ArrayLike, Float64Array
 from taut.control.trajectories.joint import ACCELERATION, POSITION, SPEED, Fourier
 
 AMPLITUDE: Final = 0.3  # [rad | m] from home, where the caller states none
-MARGIN: Final = 0.05  # of the range of a joint, kept free at each end
-SHARE: Final = 0.5  # of the arm's limits of speed and torque that the motion takes
+RANGE: Final = 0.9  # of the room of a joint about home that the motion takes
+USED: Final = 0.5  # of the arm's limits of speed and torque that the motion takes
 UNLIMITED_SPEED: Final = 2.0  # [rad/s | m/s] where the arm has no limit
-PER_HARMONIC: Final = 8  # samples in a period of the highest harmonic
-FINE: Final = 10  # times as many, on which the limits of the motion that was found are met
-STARTS: Final = 40  # random motions, the best of which is improved
+COARSE, DENSE = 8, 80  # samples in a period of the highest harmonic: to search; to meet limits
+RANDOM: Final = 40  # motions, the best of which is improved
 ITERATIONS: Final = 25
 STEP: Final = 1e-5  # of the differences of the gradient; coefficients are about 1
 TORQUE_WEIGHT: Final = 100.0  # of torques beyond the limit, against the logarithm of the condition number
-SHRINK: Final = 1.05  # at least, where torques of the motion are too large
+SMALLER: Final = 1.05  # at least, where torques of the motion are too large
 SINGULAR: Final = 1e-12  # smallest eigenvalue of a regressor whose condition number still counts
 
 
@@ -45,7 +44,7 @@ def excitation(
     """A motion that excites parameters of an arm: a Fourier series with the smallest condition number that was found.
 
     It starts and ends at home, at rest in velocity and acceleration, and stays within the limits of the arm: 90 % of
-    the range of positions, half of the speeds and, by the model, half of the torques beyond those at home.
+    the room about home, half of the speeds and, by the model, half of the torque that is left at home.
     Collisions are not considered: state a smaller amplitude where space is narrow.
 
     Args:
@@ -63,7 +62,7 @@ def excitation(
         The trajectory; follow it with `taut.run(ctrl, plant, motion, duration=motion.duration)`.
 
     Raises:
-        RangeError: A duration that is no whole number of periods; a limit <= 0; a home at the end of the range.
+        RangeError: A duration that is no whole number of periods; a limit <= 0; no room or torque left at home.
 
     Example:
         >>> import taut
@@ -76,45 +75,35 @@ def excitation(
     """
     regression = ArmRegression(arm, what)
     duration, frequency = positive_scalar("duration", duration, unit="s"), positive_scalar("frequency", frequency)
-    harmonics = whole_number("harmonics", harmonics, minimum=2)
-    if abs(duration * frequency - round(duration * frequency)) > 1e-9 or duration * frequency < 0.5:
+    harmonics, periods = whole_number("harmonics", harmonics, minimum=2), duration * frequency
+    if abs(periods - round(periods)) > 1e-9 or periods < 0.5:
         raise RangeError(
             f"duration must be whole periods of the first harmonic, {1.0 / frequency:g} s each; got {duration:g}",
             name="duration",
             value=duration,
         )
-    reach = _per_joint(arm, "amplitude", AMPLITUDE if amplitude is None else amplitude, POSITION)
-    free = MARGIN * np.where(np.isfinite(arm.upper - arm.lower), arm.upper - arm.lower, 0.0)
-    up, down = (np.minimum(reach, room - free) for room in (arm.upper - arm.home, arm.home - arm.lower))
-    if (np.minimum(up, down) <= 0.0).any():
-        i = int(np.argmin(np.minimum(up, down)))
-        raise RangeError(
-            f"joint '{arm.joint_names[i]}' has no room about home, {arm.home[i]:.4g}, within 90 % of its range; give "
-            "the arm another home",
-            name="arm",
-            joint=arm.joint_names[i],
+    fastest = np.where(np.isfinite(arm.velocity), USED * arm.velocity, UNLIMITED_SPEED)
+    reach, *rates = (
+        _per_joint(arm, *given)
+        for given in (
+            ("amplitude", AMPLITUDE if amplitude is None else amplitude, POSITION),
+            ("speed", fastest if speed is None else speed, SPEED),
+            ("acceleration", np.inf if acceleration is None else acceleration, ACCELERATION),
         )
-    limits = np.where(np.isfinite(arm.velocity), SHARE * arm.velocity, UNLIMITED_SPEED)
-    fastest = _per_joint(arm, "speed", limits if speed is None else speed, SPEED)
-    strongest = (
-        np.full(arm.n, np.inf)
-        if acceleration is None
-        else _per_joint(arm, "acceleration", acceleration, ACCELERATION)
     )
-    search, fine = (
-        _Search(regression, harmonics, frequency, (up, down, fastest, strongest), samples)
-        for samples in (PER_HARMONIC, FINE * PER_HARMONIC)
+    up, down = (np.minimum(reach, RANGE * room) for room in (arm.upper - arm.home, arm.home - arm.lower))
+    search, dense = (
+        _Search(regression, harmonics, frequency, (up, down, *rates), count) for count in (COARSE, DENSE)
     )
-    rng = np.random.default_rng(seed)
-    starts = rng.standard_normal((STARTS, search.size))
-    best = starts[int(np.argmin(search.costs(starts)))]
+    points = np.random.default_rng(whole_number("seed", seed)).standard_normal((RANDOM, search.size))
+    best = points[int(np.argmin(search.costs(points)))]
     found = minimize(search.cost_and_slope, best, jac=True, method="L-BFGS-B", options={"maxiter": ITERATIONS})
-    cosines, sines = fine.within_torques(*fine.coefficients(found.x[np.newaxis]))
+    cosines, sines = dense.within_torques(*dense.coefficients(found.x[np.newaxis]))
     return Fourier(q0=arm.home, cosines=cosines[0], sines=sines[0], frequency=frequency, duration=duration)
 
 
 def _per_joint(arm: Arm, name: str, given: ArrayLike, unit: str) -> Float64Array:
-    values = finite_array(name, given, unit=unit, above=0.0, joints=arm.joint_names)
+    values = finite_array(name, given, unit=unit, above=0.0, joints=arm.joint_names, infinite=True)
     if values.shape not in ((), (arm.n,)):
         raise ShapeError(f"{name} must be one number or {arm.n}, one per joint; got shape {values.shape}", name=name)
     return np.broadcast_to(values, (arm.n,))
@@ -131,55 +120,51 @@ class _Search:
         regression: ArmRegression,
         harmonics: int,
         frequency: float,
-        limits: tuple[Float64Array, ...],
+        limits: tuple[Float64Array, ...],  # (n,) each: upwards, downwards, of speed, of acceleration
         samples: int,  # in a period of the highest harmonic
     ) -> None:
-        self._regression, self._limits = regression, limits
+        self._regression, self._limits, arm = regression, limits, regression.arm
         order = np.arange(1, harmonics + 1)
         omega = 2.0 * np.pi * frequency * order
         self._bases = null_space(order[np.newaxis] ** 2.0), null_space(order[np.newaxis] * 1.0)
         t = np.arange(samples * harmonics) / (samples * harmonics * frequency)
         c, s = np.cos(np.outer(t, omega)), np.sin(np.outer(t, omega))
         self._parts = ((c - 1.0, s), (-s * omega, c * omega), (-c * omega**2, -s * omega**2))
-        self.size = 2 * (harmonics - 1) * regression.arm.n
-        arm = regression.arm
-        rest = np.zeros((1, arm.n))
-        self._weight = self._torques(*regression.at(arm.home[np.newaxis], rest, rest))[0]
-        self._room = SHARE * (arm.effort - np.abs(self._weight))
-        if (self._room <= 0.0).any():
-            i = int(np.argmin(self._room))
-            raise RangeError(
-                f"joint '{arm.joint_names[i]}' needs {abs(self._weight[i]):.4g} to hold the arm at home and has "
-                f"{arm.effort[i]:.4g} [N m | N]; give the arm another home, or less payload",
-                name="arm",
-                joint=arm.joint_names[i],
-            )
-
-    def _torques(self, Y: Float64Array, known: Float64Array) -> Float64Array:
-        return np.asarray(known + Y @ (self._regression.K @ self._regression.nominal))
+        self.size = 2 * (harmonics - 1) * arm.n
+        self._x, rest = regression.K @ regression.nominal, np.zeros((1, arm.n))
+        Y, known = regression.at(arm.home[np.newaxis], rest, rest)
+        self._weight = (known + Y @ self._x)[0]
+        self._torque = USED * (arm.effort - np.abs(self._weight))
+        for what, room in (("room about home", np.minimum(*limits[:2])), ("torque left at home", self._torque)):
+            if (room <= 0.0).any():
+                joint = arm.joint_names[int(np.argmin(room))]
+                raise RangeError(
+                    f"joint '{joint}' has no {what} to move with; give the arm another home, or less payload",
+                    name="arm",
+                    joint=joint,
+                )
 
     def coefficients(self, points: Float64Array) -> tuple[Float64Array, Float64Array]:
         """(k, h, n) each: cosines and sines within the limits."""
-        parts = np.split(points.reshape(len(points), 2, -1, self._regression.arm.n), 2, axis=1)
-        cosines, sines = (basis @ part[:, 0] for basis, part in zip(self._bases, parts, strict=True))
+        parts = points.reshape(len(points), 2, -1, self._regression.arm.n)
+        cosines, sines = (basis @ parts[:, i] for i, basis in enumerate(self._bases))
         q, v, a = (C @ cosines + S @ sines for C, S in self._parts)
-        up, down, speed, acceleration = self._limits
-        used = [q.max(axis=1) / up, -q.min(axis=1) / down, np.abs(v).max(axis=1) / speed]
-        scale = 1.0 / np.max([*used, np.abs(a).max(axis=1) / acceleration], axis=0)[:, np.newaxis]
-        return cosines * scale, sines * scale
+        sizes = (q.max(axis=1), -q.min(axis=1), np.abs(v).max(axis=1), np.abs(a).max(axis=1))
+        used = np.max([size / limit for size, limit in zip(sizes, self._limits, strict=True)], axis=0)[:, np.newaxis]
+        return cosines / used, sines / used
 
     def _regressors(self, cosines: Float64Array, sines: Float64Array) -> tuple[Float64Array, Float64Array]:
         """(k, samples, n, b) columns, and (k, samples, n) torques beyond those at home over their limit."""
         q, v, a = (C @ cosines + S @ sines for C, S in self._parts)
         flat = (x.reshape(-1, x.shape[2]) for x in (self._regression.arm.home + q, v, a))
         Y, known = self._regression.at(*flat)
-        used = np.abs(self._torques(Y, known) - self._weight) / self._room
+        used = np.abs(known + Y @ self._x - self._weight) / self._torque
         return Y.reshape(*q.shape, -1), used.reshape(q.shape)
 
     def within_torques(self, cosines: Float64Array, sines: Float64Array) -> tuple[Float64Array, Float64Array]:
         """Coefficients of one motion, made smaller where the torques need it."""
-        while (worst := float(self._regressors(cosines, sines)[1].max())) > 1.0:
-            cosines, sines = cosines / max(worst, SHRINK), sines / max(worst, SHRINK)
+        while (used := float(self._regressors(cosines, sines)[1].max())) > 1.0:
+            cosines, sines = cosines / max(used, SMALLER), sines / max(used, SMALLER)
         return cosines, sines
 
     def costs(self, points: Float64Array) -> Float64Array:

@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from taut.analysis.identification.least_squares import SIGNIFICANT, UNCERTAIN, Fit
-from taut.analysis.identification.physical import changed_arm, possible_bodies
-from taut.analysis.identification.regression import ArmRegression, Unknown
-from taut.analysis.identification.samples import Samples
+from taut.analysis.identification.least_squares import SIGNIFICANT, UNCERTAIN, Fit, Samples
+from taut.analysis.identification.regression import ArmRegression, Unknown, changed_arm, possible_bodies
 from taut.base.checks import instance_of, positive_scalar
 from taut.base.errors import NumericalError, UsageError, quoted_list
 from taut.base.paths import Named
@@ -34,6 +32,7 @@ if TYPE_CHECKING:
 
 CONFIDENCE: Final = 1.96  # standard deviations of an interval of 95 %
 EXACT: Final = 1e-2  # standard deviations between the estimate and a possible body, by the search for it
+IMPOSSIBLE: Final = 10.0  # the same of what no noise explains; test_torques_without_gravity_are_pointed_out
 REMARKS: Final = {
     "uncertain": "uncertain by more than 20 %",
     "without_slow_motion": "static friction is not identifiable, for want of slow reversals, of",
@@ -116,7 +115,7 @@ class Identification(Result):
 
     @property
     def residual(self) -> tuple[Float64Array, Float64Array]:
-        """(n,) each: RMS of the torque that the arm before and after does not explain [N m | N]."""
+        """RMS of the torques [N m | N] that the arm before and after does not explain."""
         return _rms(self.measured - self.before), _rms(self.measured - self.after)
 
     def verdict(self, ctrl: Controller, *, error: float) -> Verdict:
@@ -158,11 +157,10 @@ class Identification(Result):
         if "payload" in {name.partition(".")[0] for name in self.estimates}:
             com = ", ".join(f"{x:.4g}" for x in payload.com)
             summary.append(f"payload {payload.mass:.4g} kg, centre of mass ({com}) m")
-        if not self.physical:
-            summary.append(
-                f"the estimate is of no possible body; the arm has the nearest one, {self.distance:.2g} standard "
-                "deviations away"
-            )
+        away = f"the estimate is of no possible body; the nearest is {self.distance:.2g} standard deviations away"
+        wrong = f"{away}: the torques are not those of this arm alone (does the plant add gravity itself?)"
+        if not self.physical and self.distance < IMPOSSIBLE:
+            summary.append(f"{away}, and the arm has it")
         summary += [f"{text}: {', '.join(names)}" for name, text in REMARKS.items() if (names := getattr(self, name))]
         rows = [(name, each.value, CONFIDENCE * each.std, each.unit) for name, each in self.estimates.items()]
         residual = zip(self.arm.joint_names, *(part.tolist() for part in self.residual), strict=True)
@@ -178,6 +176,7 @@ class Identification(Result):
         return Content(
             title=f"identification from {len(self.t)} samples",
             summary=summary,
+            faults=[wrong] if self.distance >= IMPOSSIBLE else [],
             tables=[table for table in tables if table.rows],
             notes=[f"condition number {self.condition:.3g}; correlation of successive residuals {self.lag:.2g}"],
             figures={"torques": partial(_figure, self)},
@@ -229,9 +228,10 @@ def identify(
         Swevers et al. (1997), IEEE T-RA 13 (5). Rucker and Wensing (2022), IEEE RA-L 7 (2): possible bodies.
     """
     regression = ArmRegression(arm, what)
-    samples = [Samples.of(run, regression) for run in ([runs] if isinstance(runs, Run) else runs)]
-    if not samples:
-        raise UsageError("identify needs one run at least; got none", name="runs")
+    given = [runs] if isinstance(runs, Run) else runs
+    if not isinstance(given, Sequence) or not given or not all(isinstance(run, Run) for run in given):
+        raise UsageError(f"runs must be a run of taut.run, or a list of some; got {runs!r}", name="runs")
+    samples = [Samples.of(run, regression) for run in given]
     _require_motion(samples, regression)
     names, units = ([words[j] for j in regression.base] for words in (regression.names, regression.units))
     plain = Fit(samples, names)
@@ -243,7 +243,7 @@ def identify(
         units += [unit if arm.units[i] == "rad" else ("N", "m/s")[k] for i in fit.speeds]
     unknowns, distance = possible_bodies(regression, fit.x[:b], fit.covariance[:b, :b])
     if "payload.m" in names and values[names.index("payload.m")] < SIGNIFICANT * std[names.index("payload.m")]:
-        unknowns[: len(regression.nominal[:10])] = 0.0  # no payload
+        unknowns[:10] = 0.0  # no payload
     slow = {i: (float(values[b + k]), speed) for k, (i, speed) in enumerate(fit.speeds.items())}
     known, share = (np.concatenate([getattr(part, name) for part in samples]) for name in ("known", "share"))
     numbers = zip(names, values.tolist(), std.tolist(), units, strict=True)

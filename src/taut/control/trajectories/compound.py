@@ -81,6 +81,17 @@ class SampleTogether(Compound):
     __slots__ = ()
 
     @classmethod
+    def taken(cls, sample: object) -> Self | None:
+        """The samples of the same names, each as one of its kind here."""
+        if isinstance(sample, cls) or not isinstance(sample, SampleTogether):
+            return sample if isinstance(sample, cls) else None
+        if [(name, n) for name, _, n in sample.parts] != [(name, n) for name, _, n in cls.parts]:
+            return None
+        taken = {name: kind.taken(getattr(sample, name)) for name, kind, _ in cls.parts}
+        fitting = {name: one for name, one in taken.items() if one is not None}
+        return cls(fitting) if len(fitting) == len(taken) else None
+
+    @classmethod
     def described(cls) -> str:
         return f"Together({', '.join(f'{part.name}={part.kind.described()}' for part in cls.parts)})"
 
@@ -102,7 +113,9 @@ def together_kind(parts: tuple[tuple[str, type[Sample], int], ...]) -> type[Samp
     for name, _, _ in parts:
         require_part_name("together", name)
     # Parts whose size matters to nobody have none, so that equal ones are one kind.
-    return _together_kind(tuple(Part(name, kind, n if kind is JointMotion else 0) for name, kind, n in parts))
+    return _together_kind(
+        tuple(Part(name, kind, n if issubclass(kind, JointMotion) else 0) for name, kind, n in parts)
+    )
 
 
 def joined(samples: Mapping[str, Sample]) -> SampleTogether:

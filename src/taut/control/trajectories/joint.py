@@ -55,7 +55,8 @@ class Sine(JointTrajectory):
         angle = np.outer(times, omega) + self.phase
         q = self.center + self.amplitude * np.sin(angle)
         v = self.amplitude * omega * np.cos(angle)
-        return JointMotion.of({"q": q, "v": v, "a": -self.amplitude * omega**2 * np.sin(angle)})
+        a = -self.amplitude * omega**2 * np.sin(angle)
+        return JointMotion.of({"q": q, "v": v, "a": a, "j": -(omega**2) * v, "s": -(omega**2) * a})
 
 
 class Fourier(JointTrajectory):
@@ -116,9 +117,11 @@ class PointToPoint(JointTrajectory):
         """The timing of s, from how far each joint goes [rad | m]."""
 
     def rows(self, times: Float64Array) -> JointMotion:
-        s, s_dot, s_ddot = (x[:, np.newaxis] for x in self.__dict__["_timing"].at(times))
+        timing: Timing = self.__dict__["_timing"]
+        scaling = [*timing.at(times), *timing.jerk_and_snap(times)]
         distance = self.q1 - self.q0
-        return JointMotion.of({"q": self.q0 + distance * s, "v": distance * s_dot, "a": distance * s_ddot})
+        rows = {name: distance * s[:, np.newaxis] for name, s in zip("qvajs", scaling, strict=False)}
+        return JointMotion.of({**rows, "q": self.q0 + rows["q"]})
 
 
 class InTime(PointToPoint):
@@ -157,6 +160,24 @@ class Quintic(InTime):
     """
 
     scaling: ClassVar[ScalingKind] = "quintic"
+
+
+class Septic(InTime):
+    """From rest at q0 to rest at q1 in `duration` seconds, s = 35 x^4 - 84 x^5 + 70 x^6 - 20 x^7: minimum snap.
+
+    Its jerk is continuous and its snap finite: what laws of flexible joints need, `taut.laws.MotorSidePD` for one.
+
+    Args:
+        q0: (n,) [rad | m].
+        q1: (n,) [rad | m].
+        duration: [s].
+
+    Example:
+        >>> Septic(q0=[0.0], q1=[2.0], duration=1.0).at(0.5).s.tolist()
+        [0.0]
+    """
+
+    scaling: ClassVar[ScalingKind] = "septic"
 
 
 class Trapezoidal(PointToPoint):

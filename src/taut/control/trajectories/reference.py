@@ -51,6 +51,15 @@ class Sample(ABC):
             object.__setattr__(made, name, values[name])
         return made
 
+    @classmethod
+    def taken(cls, sample: object) -> Self | None:
+        """The sample as one of this kind; None where it is none."""
+        return sample if isinstance(sample, cls) else None
+
+    def stated(self) -> dict[str, Any]:
+        """What it holds, by field."""
+        return {name: getattr(self, name) for name in self.fields(1)}
+
     @property
     def motion(self) -> Sample:
         """The motion that it asks for; of a sample that asks for forces too, without them."""
@@ -80,6 +89,8 @@ class JointMotion(Sample):
         q: (n,) positions [rad | m].
         v: (n,) velocities [rad/s | m/s]; zero if left out.
         a: (n,) accelerations [rad/s^2 | m/s^2]; zero if left out.
+        j: (n,) jerks [rad/s^3 | m/s^3], for laws that follow a `SmoothMotion`; unknown if left out.
+        s: (n,) snaps, their rates [rad/s^4 | m/s^4]; likewise.
 
     Raises:
         ShapeError, RangeError: Different lengths; NaN or infinite entries.
@@ -94,8 +105,18 @@ class JointMotion(Sample):
     q: Array
     v: Array
     a: Array
+    j: Array | None
+    s: Array | None
 
-    def __init__(self, *, q: ArrayLike, v: ArrayLike | None = None, a: ArrayLike | None = None) -> None:
+    def __init__(
+        self,
+        *,
+        q: ArrayLike,
+        v: ArrayLike | None = None,
+        a: ArrayLike | None = None,
+        j: ArrayLike | None = None,
+        s: ArrayLike | None = None,
+    ) -> None:
         q = finite_array("ref.q", q, unit="rad | m")
         if q.ndim != 1:
             raise ShapeError(f"ref.q must be a vector (n,); got shape {q.shape}", name="ref.q")
@@ -103,6 +124,18 @@ class JointMotion(Sample):
         object.__setattr__(self, "q", q)
         object.__setattr__(self, "v", _zeros(n) if v is None else vector("ref.v", v, n, unit="rad/s | m/s"))
         object.__setattr__(self, "a", _zeros(n) if a is None else vector("ref.a", a, n, unit="rad/s^2 | m/s^2"))
+        object.__setattr__(self, "j", None if j is None else vector("ref.j", j, n, unit="rad/s^3 | m/s^3"))
+        object.__setattr__(self, "s", None if s is None else vector("ref.s", s, n, unit="rad/s^4 | m/s^4"))
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> Self:
+        made = object.__new__(cls)
+        for name in "qvajs":
+            object.__setattr__(made, name, values.get(name) if name in "js" else values[name])
+        return made
+
+    def stated(self) -> dict[str, Any]:
+        return {name: value for name in "qvajs" if (value := getattr(self, name)) is not None}
 
     @classmethod
     def between(cls, times: Float64Array, knots: Float64Array, rows: Rows) -> dict[str, Float64Array]:
@@ -113,13 +146,35 @@ class JointMotion(Sample):
 
     @classmethod
     def at_rest(cls, x: Snapshot, tool: str | None) -> Self:  # noqa: ARG003
-        zero = np.zeros(x.n)
-        return cls.of({"q": tm.array(x.q), "v": zero, "a": zero})
+        return cls.of({"q": tm.array(x.q), **dict.fromkeys("vajs", np.zeros(x.n))})
 
     def __repr__(self) -> str:
         if self.q.dtype == object:
             return "JointMotion(<traced>)"
         return f"JointMotion(q={self.q.tolist()}, v={self.v.tolist()}, a={self.a.tolist()})"
+
+
+class SmoothMotion(JointMotion):
+    """The kind of sample that a law follows which needs jerk and snap too: set `reference = SmoothMotion`.
+
+    A `JointMotion` that states j and s is one, and so is one at rest, whose derivatives are all zero.
+    """
+
+    __slots__ = ()
+    _shapes: ClassVar[Shapes] = {**JointMotion._shapes, "j": ("n",), "s": ("n",)}
+
+    @classmethod
+    def taken(cls, sample: object) -> Self | None:
+        if isinstance(sample, cls) or not isinstance(sample, JointMotion):
+            return sample if isinstance(sample, cls) else None
+        values = sample.stated()
+        if "j" not in values and not (np.any(sample.v) or np.any(sample.a)):
+            values |= dict.fromkeys("js", np.zeros_like(sample.q))
+        return cls.of(values) if values.keys() >= set("js") else None
+
+    @classmethod
+    def described(cls) -> str:
+        return "JointMotion with jerk j and snap s, as trajectories.Sine and Septic give them"
 
 
 def _interpolated(times: Float64Array, knots: Float64Array, table: Float64Array) -> Float64Array:
@@ -201,13 +256,14 @@ def rows_of(motion: Sample | Trajectory, times: Float64Array, kind: type[Sample]
     """Samples of a kind at many times, as arrays (k, ...); one by one where a trajectory has no `rows`."""
     at_once = getattr(motion, "rows", None)
     samples = [motion if isinstance(motion, Sample) else motion.at(float(t)) for t in times] if not at_once else []
+    fitting = []
     for sample in [at_once(times)] if at_once else samples:
-        if not isinstance(sample, kind):
+        taken = kind.taken(sample)
+        if taken is None:
             got = sample.described() if isinstance(sample, Sample) else type(sample).__name__
             raise UsageError(f"the law follows {kind.described()}; the reference gives {got}", name="ref")
-        if at_once:
-            return sample
-    return stacked(samples)
+        fitting.append(taken)
+    return fitting[0] if at_once else stacked(fitting)
 
 
 def stacked(samples: Sequence[Sample]) -> Sample:

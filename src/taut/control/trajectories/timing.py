@@ -17,7 +17,7 @@ from taut.control.trajectories.reference import Sample
 S = TypeVar("S", bound=Sample)
 Scaling: TypeAlias = tuple[Float64Array, Float64Array, Float64Array]
 """s, its rate [1/s] and the rate of that [1/s^2], one number per time."""
-ScalingKind = Literal["quintic", "cubic", "trapezoidal"]
+ScalingKind = Literal["quintic", "cubic", "septic", "trapezoidal"]
 
 MAX_OF_MOTION: Final = (
     1e30  # of a time, a place, a speed, an acceleration; floats end at 1e308, and these are squared
@@ -25,6 +25,7 @@ MAX_OF_MOTION: Final = (
 COEFFICIENTS: Final = {
     "quintic": np.polynomial.Polynomial((0.0, 0.0, 0.0, 10.0, -15.0, 6.0)),  # minimum jerk
     "cubic": np.polynomial.Polynomial((0.0, 0.0, 3.0, -2.0)),
+    "septic": np.polynomial.Polynomial((0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0)),  # minimum snap
 }
 GRID: Final = np.linspace(0.0, 1.0, 2001)  # where the largest acceleration of a polynomial is searched for
 GRID_ERROR: Final = 1e-6  # relative, more than the maximum can exceed that of the grid points
@@ -41,7 +42,7 @@ class Motion(Declared, Generic[S]):
     def at(self, t: float) -> S:
         """The sample at time t [s]."""
         rows = self.rows(np.array([finite_scalar("t", t, unit="s")]))
-        return rows.of({name: getattr(rows, name)[0] for name in rows.fields(1)})
+        return rows.of({name: values[0] for name, values in rows.stated().items()})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,6 +124,14 @@ class Timing:
             return self._trapezoid_at(t, inside)
         p, x = COEFFICIENTS[self.kind], t / T
         return p(x), p.deriv()(x) / T * inside, p.deriv(2)(x) / T / T * inside
+
+    def jerk_and_snap(self, times: Float64Array) -> tuple[Float64Array, ...]:
+        """The next two rates of s [1/s^3, 1/s^4], of a septic; nothing where the jerk jumps."""
+        if self.kind != "septic":
+            return ()
+        p, x = COEFFICIENTS[self.kind], np.clip(times / self.duration, 0.0, 1.0)
+        inside = (times >= 0.0) & (times <= self.duration)
+        return tuple(p.deriv(k)(x) / self.duration**k * inside for k in (3, 4))
 
     def _trapezoid_at(self, t: Float64Array, inside: Any) -> Scaling:
         a, remaining = self.acceleration, self.duration - t

@@ -93,16 +93,12 @@ class Transition(Motion[Sample]):
     def _shortest(self) -> tuple[tuple[Sample, ...], Float64Array]:
         """The states that it goes through, and when: at once to the goal, or after its acceleration has faded."""
         limits = self._limits()
-        rest, T = self._fastest(self.start, limits)
         found: list[tuple[tuple[Sample, ...], Float64Array]] = []
-        found += [((self.start, self.goal), np.array([0.0, T]))] if T else []
-        first = self._faded(limits)
-        if first is not None:
-            middle, time = first
-            rest, T = self._fastest(middle, limits)
-            found += [((self.start, middle, self.goal), np.array([0.0, time, time + T]))] if T else []
+        for through, times in [((self.start,), [0.0]), *self._faded(limits)]:
+            exceeded, T = self._fastest(through[-1], limits)
+            found += [((*through, self.goal), np.array([*times, times[-1] + T]))] if T else []
         if not found:
-            self._never(rest)
+            self._never(exceeded)
         return min(found, key=lambda each: float(each[1][-1]))
 
     @property
@@ -122,25 +118,26 @@ class Transition(Motion[Sample]):
                 self.refuse(name, f"must be {wanted}; got shape {shape}", ShapeError)
         return np.stack([np.broadcast_to(limit, (m,)) for limit in (self.velocity, self.acceleration)])
 
-    def _faded(self, limits: Float64Array) -> tuple[Sample, float] | None:
-        """The state in which the acceleration of the start is zero, and when; None for none, or no room."""
+    def _faded(self, limits: Float64Array) -> list[tuple[tuple[Sample, ...], list[float]]]:
+        """The start, the state in which its acceleration is zero, and when; empty for none, or no room."""
         (_, v, a), _ = _ends(_stacked((self.start, self.goal)))
         speed, acceleration = (
             np.array([np.linalg.norm(part[0, group]) for group in self._groups]) for part in (v, a)
         )
         room = limits[0] - speed
         if not acceleration.any() or (room <= 0.0).any() or (acceleration > KEPT * limits[1]).any():
-            return None
+            return []
         time = float(np.min(room[acceleration > 0.0] / acceleration[acceleration > 0.0]))
         y, rate = v[0] * time + a[0] * time**2 / 3.0, v[0] + 0.5 * a[0] * time
         if isinstance(self.start, JointMotion):
-            return JointMotion(q=self.start.q + y, v=rate), time
+            return [((self.start, JointMotion(q=self.start.q + y, v=rate)), [0.0, time])]
         assert isinstance(self.start, TaskMotion)
         R = self.start.R @ exp_rows(y[np.newaxis, 3:])[0]
         turning = to_body_rates(y[np.newaxis, 3:], rate[np.newaxis, 3:], np.zeros((1, 3)))
         omega, alpha = (R @ part[0] for part in turning)
         twist, slowing = np.append(rate[:3], omega), np.append(np.zeros(3), alpha)
-        return TaskMotion(pose=Pose(p=self.start.p + y[:3], R=R), twist=twist, acceleration=slowing), time
+        middle = TaskMotion(pose=Pose(p=self.start.p + y[:3], R=R), twist=twist, acceleration=slowing)
+        return [((self.start, middle), [0.0, time])]
 
     def _fastest(self, start: Sample, limits: Float64Array) -> tuple[Float64Array, float | None]:
         """The shortest duration from a state to the goal in which the limits hold, and None where none does [s].

@@ -101,9 +101,8 @@ class Uncertainty(Declared):
         least = [scaled(link, 1.0 - float(x)) for link, x in zip(model.links, self._links(n), strict=True)]
         if self.payload[0] != 0.0:
             body, missing = _carried(model, float(self.payload[0]))
-            least[body] = (
-                dyn.loaded_bodies(dataclasses.replace(model, bodies=tuple(least)), _own(model))[body] + missing
-            )
+            own_load = PayloadValues.of(model.arm.payload).body().seen_from(*model.placement(None)[1:])
+            least[body] = least[body] + own_load + missing
         for joint, link, light in zip(names, model.links, least, strict=True):
             P = np.asarray(pseudo_inertia(parameters_of(light)), dtype=np.float64)
             smallest, largest = np.linalg.eigvalsh(P)[[0, -1]]
@@ -148,9 +147,10 @@ class Uncertainty(Declared):
         """(2, n) each: viscous and Coulomb friction, smallest and largest; that of the model where none is given."""
         b = np.stack([known.viscous, known.viscous])
         c = np.stack([known.coulomb, np.asarray(known.static)])
-        given = ((self.viscous, b), (self.coulomb, c))
-        b, c = (own if stated is None else np.broadcast_to(stated, own.shape) for stated, own in given)
-        return b, c
+        return (
+            b if self.viscous is None else np.broadcast_to(self.viscous, b.shape),
+            c if self.coulomb is None else np.broadcast_to(self.coulomb, c.shape),
+        )
 
 
 def friction_and_error(
@@ -182,10 +182,6 @@ def without_rotors(model: Model) -> Model:
     )
 
 
-def _own(model: Model) -> PayloadValues:
-    return PayloadValues.of(model.arm.payload)
-
-
 def _carried(model: Model, mass: float) -> tuple[int, RigidBody]:
     """The body that carries the tool, and a point mass at the tool."""
     body, R, p = model.placement(None)
@@ -211,8 +207,8 @@ class Robust(Law):
 
     Proved, for every arm of the set, in continuous time and while no torque saturates: from a start on the reference,
     s stays in a level set of V and e inside eps, which `taut.analysis.certify` computes. Not proved: the sampled loop
-    (`taut.linearise`; a layer that is too thin chatters) and anything at torque limits. |s_i| <= phi_i is not
-    implied joint by joint. `taut.analysis.boundary_layer` gives the thinnest layer that a rate allows.
+    (`taut.linearise`; a layer that is too thin chatters) and anything at torque limits; nor that s_i
+    stays within phi_i, joint by joint. `taut.analysis.boundary_layer` gives the thinnest layer that a rate allows.
 
     Args:
         lam: Rate at which e follows s, a number or (n,) [1/s].

@@ -69,7 +69,8 @@ def region_of_attraction(
 ) -> Attraction:
     """Region of attraction of a loop with a held reference: seeded starts about its rest, each simulated.
 
-    Starts are uniform in the ellipsoid |q - rest|^2 / q^2 + |v|^2 / v^2 <= 1; the rest is where a run from `at` ends.
+    Starts are uniform in an ellipsoid about rest with the spreads as its half axes; the rest is where a run from `at`
+    ends.
 
     Args:
         loop: Its duration is that of each run: long enough to come back.

@@ -21,9 +21,9 @@ Element = Callable[[Float64Array, Float64Array], ArrayLike]
 """What a signal and its rate, both (k,) over one period of a sine, give: lambda y, rate: -0.4 * np.sign(rate)."""
 
 SAMPLES: Final = 512  # of a sine
-STARTS: Final = (24, 12)  # frequencies and amplitudes from which the equations are solved
+SOLVER_STARTS: Final = (24, 12)  # frequencies and amplitudes from which the equations are solved
 BELOW_HALF_RATE: Final = 0.9  # [-] above it a sampled sine is none
-BEYOND: Final = 30.0  # [-] of the frequencies of the slowest and the fastest pole
+FREQUENCIES_BEYOND: Final = 30.0  # [-] of the frequencies of the slowest and the fastest pole
 LEAST_SIGNAL: Final = 1e-12  # [-] of the first one
 MAX_RESIDUAL: Final = 1e-8  # [-] of the harmonic balance
 ALIKE: Final = 1e-3  # [-] two solutions whose frequency and amplitudes differ by less are one
@@ -97,7 +97,7 @@ def limit_cycles(
         RangeError: Amplitudes that do not increase.
 
     Example:
-        A relay of 1 around 1 / (s (s + 1) (s + 2)) swings at sqrt(2) rad/s with an amplitude of 2 / (3 pi).
+        A relay of 1 around 1 / (s (s + 1) (s + 2)) oscillates at sqrt(2) rad/s with an amplitude of 2 / (3 pi).
 
         >>> import taut
         >>> chain = taut.LinearSystem(A=[[0, 1, 0], [0, 0, 1], [0, -2, -3]], B=[[0], [0], [1]], C=[[1, 0, 0]])
@@ -120,10 +120,10 @@ def limit_cycles(
     speeds = np.abs(system.s_poles)
     speeds = speeds[speeds > 0.0] if (speeds > 0.0).any() else np.ones(1)
     top = math.inf if system.dt is None else BELOW_HALF_RATE * math.pi / system.dt
-    low_speed, high_speed = speeds.min() / BEYOND, min(BEYOND * speeds.max(), top)
+    low_speed, high_speed = speeds.min() / FREQUENCIES_BEYOND, min(FREQUENCIES_BEYOND * speeds.max(), top)
     names = [output for output, _ in elements.values()]
     found: list[LimitCycle] = []
-    starts = product(np.geomspace(low_speed, high_speed, STARTS[0]), np.geomspace(low, high, STARTS[1]))
+    starts = product(np.geomspace(low_speed, high_speed, SOLVER_STARTS[0]), np.geomspace(low, high, SOLVER_STARTS[1]))
     for omega, size in starts:
         cycle = balance.solved(omega, size)
         if cycle is None or not (low <= cycle[1][0] <= high and cycle[0] < top):

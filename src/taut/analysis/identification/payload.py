@@ -1,0 +1,173 @@
+"""Payload that an adaptive law has learned in a run, and what the motion did not excite and so could not teach."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from scipy.linalg import qr
+
+from taut.arm.description import Payload
+from taut.base.checks import instance_of
+from taut.base.errors import UsageError
+from taut.base.result import Content, Result, Table
+from taut.base.types import Float64Array
+from taut.codegen.kernel import native
+from taut.control.laws.other_topics.adaptive import metric
+from taut.maths import regressor as rg
+from taut.maths.model import Model, PayloadValues, RigidBody, model_of
+from taut.record.run import Run
+from taut.trace import math as tm
+
+ESTIMATE: Final = ".estimate"  # ends the column of a run
+EXCITED: Final = 1e-5  # [-] of the largest eigenvalue, 1/300 in torque: below it a direction is not excited
+NAMED: Final = 0.05  # [-] of the largest entry of a direction: smaller ones are not named
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PayloadEstimate(Result):
+    """What the tool carries by the estimate at the end of a run, and how the run excited the body's ten parameters.
+
+    W is the mean of Y^T Y over the run, Y the tool body's columns of the regressor along the motion. Its eigenvalues
+    are those of Q^1/2 W Q^1/2, where Q y are the parameters of P L(y) P at the estimate: Q y is how adaptation moves
+    the parameters, so that directions with eigenvalues near zero are learned slowly or never.
+
+    Frames:
+        The tool frame; `com` is the payload's, `inertia` is about it. Parameters of directions are those of the
+        whole body that carries the tool, about the tool's origin.
+    """
+
+    mass: float  # [kg]
+    com: Float64Array  # (3,) [m]; NaN where the mass is not positive
+    inertia: Float64Array  # (6,) [kg m^2] xx, yy, zz, xy, xz, yz
+    body: Float64Array  # (10,) parameters of the whole body, as `PARAMETERS`
+    eigenvalues: Float64Array  # (10,) [N^2 m^2], the largest first
+    not_excited: Float64Array  # (j, 10) directions of the parameters [kg, kg m, kg m^2]
+    directions: tuple[str, ...]  # each in words: "h_z", "I_xx with h_x"; the first parameter is in no other one
+
+    @property
+    def payload(self) -> Payload:
+        """For `arm.with_payload` or `ctrl.parameters`.
+
+        Raises:
+            RangeError: Numbers that no payload has: the difference of two possible bodies may be none.
+        """
+        return Payload(mass=self.mass, com=self.com, inertia=self.inertia)
+
+    @property
+    def rank(self) -> int:
+        """Number of directions that the run excited."""
+        return len(self.eigenvalues) - len(self.not_excited)
+
+    def content(self) -> Content:
+        """The payload, and the directions that were not excited."""
+        numbers = [("mass [kg]", self.mass)]
+        numbers += [(f"com {axis} [m]", float(x)) for axis, x in zip("xyz", self.com, strict=True)]
+        numbers += [(f"{name} [kg m^2]", float(x)) for name, x in zip(rg.PARAMETERS[4:], self.inertia, strict=True)]
+        found = f"the motion excited {self.rank} of 10 directions of the parameters"
+        if self.directions:
+            found += "; not excited, and so not learned: " + "; ".join(self.directions)
+        return Content(
+            title="payload by the estimate at the end of the run, in the tool frame",
+            summary=[found],
+            tables=[
+                Table(columns=("quantity", "estimate"), rows=numbers),
+                Table(title="excitation", columns=("eigenvalue [N^2 m^2]",), rows=[(x,) for x in self.eigenvalues]),
+            ],
+            notes=[
+                f"a direction counts as excited above {EXCITED:g} of the largest eigenvalue; h is mass times "
+                "centre of mass, I about the tool's origin, both of the whole body that carries the tool"
+            ],
+        )
+
+
+def payload_estimate(run: Run) -> PayloadEstimate:
+    """The payload that `taut.laws.Adaptive` has learned by the end of a run, and what the run did not excite.
+
+    The payload is the estimated body less the model's own, without payload. Use `run.between(start, end)` for another
+    time or for the motion since the payload was picked up.
+
+    Args:
+        run: A run of the law.
+
+    Raises:
+        UsageError: No run of an adaptive law, or one that does not know its controller's arm.
+
+    Example:
+        >>> import taut
+        >>> arm = taut.load_arm("planar2")
+        >>> ctrl = taut.compile(taut.laws.Adaptive(lam=10.0, k=10.0, gamma=5.0), arm)
+        >>> wave = taut.trajectories.Sine(center=[0.0, 0.0], amplitude=[0.8, 0.6], frequency=[0.5, 0.7])
+        >>> run = taut.run(ctrl, taut.RigidPlant(arm.with_payload(1.0), friction=None), wave, duration=8.0)
+        >>> found = payload_estimate(run)
+        >>> round(found.mass, 2), found.rank
+        (0.93, 3)
+    """
+    instance_of("run", run, Run, "a Run of taut.run")
+    arm = run.info.controller_arm
+    columns = [name for name in run.extra if name.endswith(ESTIMATE)]
+    if len(columns) != 1 or arm is None:
+        raise UsageError(
+            "payload_estimate is for a run of one taut.laws.Adaptive, made by taut.run; this one has the further "
+            f"columns {', '.join(run.extra) or 'none'}; run the law, or load the log of such a run",
+            name="run",
+        )
+    model = model_of(arm)
+    k, R, p = model.placement(None)
+    estimate = run.extra[columns[0]][-1].reshape(-1, 10)
+    row = estimate[0 if len(estimate) == 1 else k]
+    own = rg.body_of(row).seen_from(R.T, -R.T @ p)
+    link = model.links[k].seen_from(R.T, -R.T @ p)
+    load = own - link
+    body = np.asarray(rg.parameters_of(own), dtype=np.float64)
+    Q = metric(body)
+    W = _excitation(run, model, k, R, p)
+    root, sizes = np.linalg.cholesky(Q), np.sqrt(np.diag(Q))
+    values, vectors = np.linalg.eigh(root.T @ W @ root)
+    directions = _readable((root @ vectors[:, values <= EXCITED * values[-1]]).T / sizes)
+    return PayloadEstimate(
+        **_of_body(load),
+        body=body,
+        eigenvalues=values[::-1].copy(),
+        not_excited=directions * sizes,
+        directions=tuple(map(_words, directions)),
+    )
+
+
+def _of_body(load: RigidBody) -> dict[str, Any]:
+    """Mass, centre and inertia about it."""
+    mass = float(load.m)
+    com = np.asarray(load.h, dtype=np.float64) / mass if mass > 0.0 else np.full(3, np.nan)
+    about = load - PayloadValues(mass=mass, com=com, inertia=np.zeros(6)).body()
+    return {"mass": mass, "com": com, "inertia": np.asarray(rg.parameters_of(about)[4:], dtype=np.float64)}
+
+
+def _excitation(run: Run, model: Model, k: int, R: Float64Array, p: Float64Array) -> Float64Array:
+    """(10, 10) mean of Y^T Y, of the parameters about the tool's origin in its axes."""
+    units = [rg.parameters_of(rg.body_of(unit).seen_from(R, p)) for unit in np.eye(10)]
+    of_tool = np.array(units, dtype=np.float64).T
+
+    def columns(q: Any, v: Any, a: Any) -> Any:
+        return tm.array(rg.regressor(model, q, v, a)[:, 10 * k : 10 * k + 10])
+
+    regressor = native(columns, q=model.n, v=model.n, a=model.n)
+    a = getattr(run.reference, "a", np.zeros_like(run.q))
+    rows = zip(*(np.ascontiguousarray(x) for x in (run.q, run.v, a)), strict=True)
+    Y = np.concatenate([regressor(*row) for row in rows]) @ of_tool
+    W: Float64Array = Y.T @ Y / len(run)
+    return W
+
+
+def _readable(directions: Float64Array) -> Float64Array:
+    """(j, 10) directions that span the same, each with 1 for a parameter that the others have nothing of."""
+    if not len(directions):
+        return directions
+    *_, order = qr(directions, pivoting=True)
+    return np.asarray(np.linalg.solve(directions[:, order[: len(directions)]], directions), dtype=np.float64)
+
+
+def _words(direction: Float64Array) -> str:
+    order = np.argsort(-np.abs(direction), kind="stable")
+    first, *others = (rg.PARAMETERS[i] for i in order if abs(direction[i]) >= NAMED)
+    return first + (f" with {', '.join(others)}" if others else "")
