@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from taut.analysis.learning import NormOptimal as NormOptimal
     from taut.analysis.learning import PDLearning as PDLearning
     from taut.analysis.learning import learn as learn
-    from taut.analysis.lqr import Lqr as Lqr
-    from taut.analysis.lqr import lqr as lqr
+    from taut.analysis.regulator import Lqr as Lqr
+    from taut.analysis.regulator import lqr as lqr
     from taut.analysis.robustness import Certificate as Certificate
     from taut.analysis.robustness import boundary_layer as boundary_layer
     from taut.analysis.robustness import certify as certify
