@@ -21,7 +21,7 @@ test: $(VENV)/test.stamp
 	$(BIN)/pytest -n 2 --dist loadgroup
 
 bars: $(VENV)/test.stamp
-	TAUT_BARS=1 $(BIN)/pytest -n 2 -m bars -s
+	TAUT_BARS=1 $(BIN)/pytest -n 2 -m "bars or long" -s
 
 N ?= 10000
 fuzz: $(VENV)/test.stamp

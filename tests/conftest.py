@@ -66,6 +66,12 @@ def bar(record_property: Callable[[str, object], None]) -> Bar:
     return lambda name, figure: record_property(BAR + name, figure)
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if not WHOLE and item.get_closest_marker("long"):
+            item.add_marker(pytest.mark.skip(reason="make bars runs it"))
+
+
 def pytest_runtest_setup(item: pytest.Item) -> None:
     refusals.current = refusals.name_of(item)
 

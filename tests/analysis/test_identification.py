@@ -110,7 +110,7 @@ def test_base_parameters_are_named_sums() -> None:
 # -------------------------------------------------------------------- planted values
 
 
-@pytest.mark.parametrize("kind", [taut.RigidPlant, taut.MujocoPlant])
+@pytest.mark.parametrize("kind", [taut.RigidPlant, pytest.param(taut.MujocoPlant, marks=pytest.mark.long)])
 def test_a_panda_with_2_kg_gives_payload_and_friction_back(kind: Any) -> None:
     arm = arm_of("panda")
     found = taut.analysis.identify(recorded(arm, plant_of(loaded(arm), kind), motion_of("panda")), arm)

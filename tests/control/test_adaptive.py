@@ -314,7 +314,9 @@ def test_what_cannot_be_adapted_is_refused() -> None:
     taut.compile(Adaptive(**SAME, gamma=5.0, prior=0.5), rod)
 
 
-@pytest.mark.parametrize(("name", "limit"), [("planar2", 80.40), ("panda", 179.1)])
+@pytest.mark.parametrize(
+    ("name", "limit"), [("planar2", 80.40), pytest.param("panda", 179.1, marks=pytest.mark.long)]
+)
 def test_gamma_is_refused_exactly_where_the_sampled_loop_oscillates(
     name: str, limit: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:

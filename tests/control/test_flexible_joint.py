@@ -143,6 +143,9 @@ def linearising(omega: float, K: Any) -> taut.Law:
     return taut.laws.FlexibleJointLinearisation(stiffness=K, omega=omega)
 
 
+LONG = dict.fromkeys(("rigid", "fast 80", "fast 200", "linearised 15"), pytest.mark.long)
+
+
 class TestFigures:
     """Acceptance 4b: two arms, 4 s of the reference, no friction [mrad]."""
 
@@ -155,7 +158,7 @@ class TestFigures:
         ("linearised 30", lambda K: linearising(30.0, K), (0.277, None), (1.34, None), 1.10),
     )
 
-    @pytest.mark.parametrize("row", ROWS, ids=lambda row: row[0])
+    @pytest.mark.parametrize("row", [pytest.param(row, id=row[0], marks=LONG.get(row[0], ())) for row in ROWS])
     def test_of_a_two_link_arm_and_of_a_panda(self, row: Any) -> None:
         _, law, slow, quick, panda = row
         made = law if isinstance(law, taut.Law) else None

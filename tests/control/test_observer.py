@@ -438,7 +438,7 @@ TABLE = {  # delays [ms] and peaks [N] at K_O = 50 and 200
 }
 
 
-@pytest.mark.parametrize("name", TABLE)
+@pytest.mark.parametrize("name", ["planar2", pytest.param("panda", marks=pytest.mark.long)])
 def test_reactions_to_a_wall_across_the_motion(name: str) -> None:
     arm, (delays, unaware, peaks) = frictionless(name), TABLE[name]
     threshold = 0.05 * arm.effort if name == "panda" else np.array([2.0, 1.0])

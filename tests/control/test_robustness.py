@@ -48,8 +48,7 @@ def test_the_certificate_of_planar2() -> None:
     assert "1.2," in str(found)  # the number with which inverse dynamics with an additional term is refused
 
 
-@pytest.mark.bars
-@pytest.mark.skipif(not WHOLE, reason="it takes ten seconds")
+@pytest.mark.long
 def test_no_certificate_for_the_panda_with_its_thickest_layer_and_yet_a_tenth_of_the_error() -> None:
     unknown = taut.laws.Uncertainty(links=0.1, payload=(0.0, 2.0), viscous=(0.1, 0.5), coulomb=(0.1, 0.5))
     found = certificate("panda", unknown, phi=layer("panda", unknown), trials=8)
@@ -125,6 +124,7 @@ def test_a_payload_with_a_point_mass_at_the_tool_is_the_sum_of_both() -> None:
     assert (both.m, *both.h, *both.I.ravel()) == pytest.approx((expected.m, *expected.h, *expected.I.ravel()))
 
 
+@pytest.mark.long
 def test_a_set_about_a_payload_is_the_set_from_none_to_twice_of_it() -> None:
     arm, phi = taut.load_arm("planar2"), [0.05, 0.23]
     found = []

@@ -118,6 +118,7 @@ class TestBacklash:
         assert simulated[0] == pytest.approx(predicted[0], rel=0.1)
         assert simulated[1] == pytest.approx(predicted[1], rel=0.02)
 
+    @pytest.mark.long
     def test_harmonic_balance_misses_the_slow_cycles_next_to_the_border(self) -> None:
         """There the link mostly flies, and its wind-up is no sine; the formula of the border does not need one."""
         assert bounds.cycle_predicted(24.0) is None
