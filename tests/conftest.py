@@ -56,8 +56,8 @@ def only_our_metrics() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def share() -> Callable[[int], int]:
-    """How many of n cases to take: all in `make bars`, else a twentieth."""
-    return lambda n: n if WHOLE else max(1, n // 20)
+    """How many of n cases to take: all in `make bars`, else a tenth."""
+    return lambda n: n if WHOLE else max(1, n // 10)
 
 
 @pytest.fixture

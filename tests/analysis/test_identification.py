@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 from taut.analysis.identification.regression import ArmRegression, possible_bodies
@@ -353,12 +354,12 @@ def little(amplitude: Sequence[float], frequency: Any, what: Any = ("payload", "
 
 
 def test_too_little_excitation_is_refused_in_one_sentence() -> None:
-    with pytest.raises(taut.errors.NumericalError, match="too little excitation: 'joint1', 'joint2' did not move"):
+    with refused(taut.errors.NumericalError):
         little([0.0, 0.0], 0.2)
-    with pytest.raises(taut.errors.NumericalError, match="'joint2' did not move") as caught:
+    with refused(taut.errors.NumericalError) as caught:
         little([0.3, 0.0], 0.2)
     assert caught.value.joint == "joint2"
-    with pytest.raises(taut.errors.NumericalError, match=r"condition number is .* hardly excites .*payload") as seen:
+    with refused(taut.errors.NumericalError) as seen:
         little([0.01, 0.01], 0.2, ["payload"])
     assert seen.value.value > 100.0
 
@@ -368,50 +369,46 @@ def test_records_that_do_not_fit_are_refused() -> None:
     motion = motion_of("planar2")
     identify, errors = taut.analysis.identify, taut.errors
     run = recorded(arm, taut.RigidPlant(arm), motion, duration=3.0)
-    with pytest.raises(errors.RangeError, match="20 s or more"):
+    with refused(errors.RangeError):
         identify(run.between(0.0, 0.9), arm)
-    with pytest.raises(errors.RangeError, match=r"of 100 Hz or more that last 0.8 s or more; got 101 ticks"):
+    with refused(errors.RangeError):
         identify(run.between(0.0, 0.1), arm)
-    with pytest.raises(errors.RangeError, match="at 50 Hz"):
+    with refused(errors.RangeError):
         identify(dataclasses.replace(run, info=dataclasses.replace(run.info, rate=50.0)), arm)
-    with pytest.raises(errors.MatchError, match="joints of the run"):
+    with refused(errors.MatchError):
         identify(run, taut.load_arm("planar3"))
     for runs in ([], 3, "run.mcap", [1]):
-        with pytest.raises(errors.UsageError, match="runs must be a run"):
+        with refused(errors.UsageError):
             identify(runs, arm)  # type: ignore[arg-type]
     law = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm)
     event = taut.Event(t=1.0, set={"plant.payload.mass": 1.0})
     changed = taut.run(law, taut.RigidPlant(arm), motion, duration=3.0, events=[event])
-    with pytest.raises(errors.UsageError, match=r"the plant changes at t = 1 s.*run.between"):
+    with refused(errors.UsageError):
         identify(changed, arm)
     push = taut.environments.Push(peak=[10.0, 0.0, 0.0], t=1.0, duration=0.5)
     pushed = taut.run(law, taut.RigidPlant(arm, environment=push), motion, duration=3.0)
-    with pytest.raises(errors.UsageError, match=r"a contact begins at t = "):
+    with refused(errors.UsageError):
         identify(pushed, arm)
-    for what, match in (
-        ((), "one or more"),
-        (("payload", "links"), "add to those of the link"),
-        (["mass"], "what must be"),
-    ):
-        with pytest.raises(errors.TautError, match=match):
+    for what in ((), ("payload", "links"), ["mass"]):
+        with refused(errors.TautError):
             identify(run, arm, what=what)
 
 
 def test_motions_that_cannot_be_are_refused() -> None:
     arm, make = arm_of("planar2"), taut.analysis.excitation
-    for match, options in {
-        "whole periods of the first harmonic, 10 s each; got 15": {"duration": 15.0},
-        "amplitude must be > 0": {"amplitude": 0.0},
-        "one number or 2": {"speed": [1.0, 1.0, 1.0]},
-        "harmonics must be a whole number >= 2": {"harmonics": 1},
-        "seed must be a whole number >= 0": {"seed": -1},
-        "what must name one or more of": {"what": 3},
-    }.items():
-        with pytest.raises(taut.TautError, match=match):
+    for options in (
+        {"duration": 15.0},
+        {"amplitude": 0.0},
+        {"speed": [1.0, 1.0, 1.0]},
+        {"harmonics": 1},
+        {"seed": -1},
+        {"what": 3},
+    ):
+        with refused(taut.TautError):
             make(arm, **options)  # type: ignore[arg-type]
-    with pytest.raises(taut.TautError, match="no room about home"):
+    with refused(taut.TautError):
         make(arm.with_joints(lower=[0.0, -1.0], upper=[arm.home[0], 2.0]))
-    with pytest.raises(taut.TautError, match="no torque left at home"):
+    with refused(taut.TautError):
         make(arm.with_joints(effort=1.0))
 
 
@@ -423,5 +420,5 @@ def test_the_result_prints_its_numbers_and_draws_its_torques() -> None:
     assert "payload 2 kg" in str(found)
     assert {row["parameter"] for row in found.json()["tables"]["estimates"]} == set(found.estimates)
     assert len(found.plot().axes) == 2
-    with pytest.raises(taut.errors.UnknownNameError, match=r"did you mean 'payload.m'"):
+    with refused(taut.errors.UnknownNameError):
         found.estimates["payload.mas"]

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.linalg import toeplitz
 from scipy.signal import butter, sosfilt
 
@@ -203,9 +204,9 @@ def test_norm_optimal_learning_with_stiction_reaches_a_hundredth_of_a_milliradia
 
 
 def test_learning_without_phase_lead_looks_fine_and_then_grows() -> None:
-    with pytest.raises(taut.errors.RangeError, match="the convergence test must give at most 1") as refused:
+    with refused(taut.errors.RangeError) as caught:
         learned("planar2", PDLearning(Lp=100.0, cutoff=10.0), 1)
-    assert refused.value.value == pytest.approx(1.143, abs=2e-3)
+    assert caught.value.value == pytest.approx(1.143, abs=2e-3)
     found = learned("planar2", PDLearning(Lp=100.0, cutoff=10.0), 12, anyway=True)
     assert found.rms[4] < 0.2 * found.rms[0]
     assert found.rms[11] > 2.0 * found.rms[4]
@@ -338,7 +339,7 @@ def test_an_arm_of_a_set_may_fail_the_test() -> None:
     assert len(found.tests) == 3
     assert found.errors_fall
     assert found.rms[2] < 0.02 * found.rms[0]
-    with pytest.raises(taut.errors.RangeError, match="the convergence test must give at most 1"):
+    with refused(taut.errors.RangeError):
         learn(ctrl, plant, ref, arms=[heavy], trials=1, **more)
     unwarned = learn(ctrl, taut.RigidPlant(heavy), ref, trials=4, **more)
     assert unwarned.rms[1] > unwarned.rms[0]
@@ -370,7 +371,7 @@ class Forgetful(taut.PlantBase):
 def test_a_plant_that_does_not_start_alike_is_refused() -> None:
     arm = taut.load_arm("one_joint")
     ctrl = taut.compile(taut.laws.PID(kp=50.0, kd=10.0) + taut.laws.FeedForward(), arm)
-    with pytest.raises(taut.errors.UsageError, match=r"q of trial 2 starts .* away from that of trial 1"):
+    with refused(taut.errors.UsageError):
         learn(ctrl, Forgetful(arm), taut.JointMotion(q=[0.5]), by=NormOptimal(), duration=0.5, q0=[0.0])
 
 
@@ -383,7 +384,7 @@ def test_a_scene_that_goes_on_from_trial_to_trial_is_refused() -> None:
     ctrl, ref, more = computed_torque(arm), taut.JointMotion(q=arm.home), {"by": NormOptimal(), "duration": 0.1}
     assert len(learn(ctrl, plant, ref, trials=2, **more).rms) == 2
     attached = taut.MujocoPlant.attach(plant.model, plant.data, arm)
-    with pytest.raises(taut.errors.UsageError, match=r"scene\.poses of trial 2 starts"):
+    with refused(taut.errors.UsageError):
         learn(ctrl, attached, ref, trials=2, **more)
 
 
@@ -416,9 +417,9 @@ REF = taut.JointMotion(q=ARM.home)
 )
 def test_what_cannot_be_learned_is_refused_in_one_sentence(change: dict[str, Any], words: str) -> None:
     given = {"ctrl": CT, "plant": taut.RigidPlant(ARM), "ref": REF, "by": NormOptimal(), "duration": 0.1, **change}
-    with pytest.raises(taut.TautError) as refused:
+    with pytest.raises(taut.TautError) as caught:
         learn(given.pop("ctrl"), given.pop("plant"), given.pop("ref"), **given)
-    assert words in str(refused.value)
+    assert words in str(caught.value)
 
 
 def test_a_trial_that_diverges_ends_the_learning_with_its_reason() -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 from taut.base.types import Float64Array
@@ -300,16 +301,16 @@ def test_native_and_float_agree() -> None:
 
 def test_what_cannot_be_adapted_is_refused() -> None:
     arm = taut.load_arm("panda").with_friction(taut.Friction())
-    with pytest.raises(taut.errors.MatchError, match="no friction to adapt"):
+    with refused(taut.errors.MatchError):
         taut.compile(Adaptive(**SAME, gamma=5.0, gamma_friction=1.0), arm)
-    with pytest.raises(taut.errors.RangeError, match=r"lam must be <= 1000"):
+    with refused(taut.errors.RangeError):
         taut.compile(Adaptive(lam=2000.0, k=10.0, gamma=5.0), arm)
-    with pytest.raises(taut.errors.UsageError, match="leave out composite or gamma_friction"):
+    with refused(taut.errors.UsageError):
         Adaptive(**SAME, gamma=5.0, gamma_friction=1.0, composite=1.0)
-    with pytest.raises(taut.errors.RangeError, match="gamma must be >= 0"):
+    with refused(taut.errors.RangeError):
         Adaptive(**SAME, gamma=-1.0)
     rod = taut.load_arm("one_joint").with_body("joint1", inertia=np.diag([1e-12, 0.1, 0.1]))
-    with pytest.raises(taut.errors.RangeError, match="size in every direction"):
+    with refused(taut.errors.RangeError):
         taut.compile(Adaptive(**SAME, gamma=5.0), rod)
     taut.compile(Adaptive(**SAME, gamma=5.0, prior=0.5), rod)
 
@@ -345,5 +346,5 @@ def test_the_result_names_what_the_motion_did_not_excite() -> None:
         moved = rg.parameters_of(rg.body_of(direction).seen_from(R, p))
         for i in range(2000, 12000, 500):
             assert np.abs(torque(run.q[i], run.v[i], run.reference.a[i]) @ moved).max() < 1e-2
-    with pytest.raises(taut.errors.UsageError, match=r"run of one taut\.laws\.Adaptive"):
+    with refused(taut.errors.UsageError):
         taut.analysis.payload_estimate(tracked(COMPUTED, arm, [], duration=0.1))

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 from taut import laws
@@ -146,7 +147,7 @@ def test_what_the_plant_adds_is_part_of_what_acts() -> None:
         assert np.abs(tau_ext(moving)).max() < (0.03 if "friction" in adds else 0.45), adds
     ctrl = taut.compile(laws.PID(kp=50.0, kd=10.0), arm, sensing=observed())
     for what in ("gravity", "friction"):
-        with pytest.raises(taut.errors.MatchError, match=f"adds {what} itself and the observer counts on it too"):
+        with refused(taut.errors.MatchError):
             taut.run(ctrl, taut.RigidPlant(arm, adds=(what,)), duration=0.1)
 
 
@@ -509,7 +510,7 @@ def test_noise_of_velocities_makes_the_noise_that_the_formula_says() -> None:
 
 def test_bandwidths_of_the_rate_and_above_are_refused_at_any_time() -> None:
     arm = taut.load_arm("planar2")
-    with pytest.raises(taut.errors.RangeError, match=r"bandwidth\[1\].* must be < 1000 \[1/s\]") as caught:
+    with refused(taut.errors.RangeError) as caught:
         taut.compile(CT, arm, sensing=observed([50.0, 1000.0]))
     assert caught.value.joint == arm.joint_names[1]
     ctrl = taut.compile(CT, arm, sensing=observed())
@@ -524,19 +525,17 @@ def test_bandwidths_of_the_rate_and_above_are_refused_at_any_time() -> None:
 
 def test_what_an_observer_cannot_know_is_refused_in_a_sentence() -> None:
     arm = taut.load_arm("planar2")
-    with pytest.raises(
-        taut.errors.MatchError, match=r"takes the torque of the last command, and .* gives a velocity"
-    ):
+    with refused(taut.errors.MatchError):
         taut.compile(laws.VelocityPI(kp=5.0), arm, sensing=observed()).step(arm.home, taut.JointMotion(q=arm.home))
-    with pytest.raises(taut.errors.MatchError, match=r"gives a mit command"):
+    with refused(taut.errors.MatchError):
         taut.compile(laws.ViaMit(law=laws.PID(kp=5.0)), arm, sensing=observed()).needs  # noqa: B018
-    with pytest.raises(taut.errors.MatchError, match=r"asks for tau_ext, .*MomentumObserver"):
+    with refused(taut.errors.MatchError):
         taut.compile(CT + laws.DisturbanceRejection(), arm).needs  # noqa: B018
-    with pytest.raises(taut.errors.UsageError, match="wrist is for a measured wrench"):
+    with refused(taut.errors.UsageError):
         taut.Sensing(observer=MomentumObserver(bandwidth=50.0, F_ext="force"), wrist=taut.sensors.Wrist(mass=1.0))
     no_torque = taut.sensors.Sensors(torque=None)
     ctrl = taut.compile(CT, arm, sensing=observed(torque="measured"))
-    with pytest.raises(taut.errors.MatchError, match="needs tau_meas"):
+    with refused(taut.errors.MatchError):
         taut.run(ctrl, taut.RigidPlant(arm, sensors=no_torque), duration=0.1)
 
 
@@ -544,7 +543,7 @@ def test_thresholds_are_of_runs_in_free_space_and_positive() -> None:
     arm = frictionless("planar2")
     ref = along_R(arm, "planar2")
     plain = taut.run(taut.compile(CT, arm), taut.RigidPlant(arm), ref, duration=0.1)
-    with pytest.raises(taut.errors.UsageError, match="no estimate of external torques"):
+    with refused(taut.errors.UsageError):
         taut.analysis.collision_threshold(plain)
     hit = taut.run(
         taut.compile(CT, arm, sensing=observed()),
@@ -552,11 +551,11 @@ def test_thresholds_are_of_runs_in_free_space_and_positive() -> None:
         ref,
         duration=0.5,
     )
-    with pytest.raises(taut.errors.UsageError, match=r"has contact from t = 0\.35"):
+    with refused(taut.errors.UsageError):
         taut.analysis.collision_threshold(hit)
     free = taut.analysis.collision_threshold(hit.between(0.0, 0.34))
     assert free == pytest.approx(1.5 * np.abs(tau_ext(hit)[:341]).max(axis=0))
     for threshold in (0.0, [1.0, -1.0], [1.0] * 3):
         task = [taut.Phase(CT, ref, unless=lambda x, bound=threshold: taut.guards.collision(x, bound))]
-        with pytest.raises(taut.errors.TautError, match="threshold must be > 0"):
+        with refused(taut.errors.TautError):
             taut.compile(task, arm, sensing=observed()).needs  # noqa: B018

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from refusals import refused
 from robust_sets import planar_set, reference, with_links
 
 import taut
@@ -145,9 +146,9 @@ BAD = {
 @pytest.mark.parametrize("case", BAD)
 def test_intervals_without_meaning_are_refused(case: str) -> None:
     make, kind, name = BAD[case]
-    with pytest.raises(kind) as refused:
+    with pytest.raises(kind) as caught:
         make()
-    assert refused.value.name == name
+    assert caught.value.name == name
 
 
 @pytest.mark.parametrize(
@@ -160,14 +161,14 @@ def test_intervals_without_meaning_are_refused(case: str) -> None:
 )
 def test_intervals_that_do_not_fit_the_arm_are_refused(unknown: dict, kind: type, name: str) -> None:
     law = taut.laws.Robust(lam=10.0, k=10.0, phi=0.1, uncertainty=taut.laws.Uncertainty(**unknown))
-    with pytest.raises(kind) as refused:
+    with pytest.raises(kind) as caught:
         taut.compile(law, taut.load_arm("planar2"))
-    assert refused.value.name == name
+    assert caught.value.name == name
 
 
 def test_a_lightest_body_that_cannot_be_is_refused() -> None:
     """The payload's mass is far from the tool: without a point mass at the tool, what is left is no rigid body."""
     arm = taut.load_arm("planar2").with_payload(1.0, [-0.3, 0.0, 0.0])
     law = taut.laws.Robust(lam=10.0, k=10.0, phi=0.1, uncertainty=taut.laws.Uncertainty(payload=(-1.0, 0.0)))
-    with pytest.raises(taut.errors.MatchError, match="cannot be"):
+    with refused(taut.errors.MatchError):
         taut.compile(law, arm)

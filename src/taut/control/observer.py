@@ -119,7 +119,7 @@ class MomentumObserver(Declared):
         """The torque that acts must be known. Raises MatchError."""
         if self.torque == "applied" and kind != Torque.kind:
             raise MatchError(
-                f"sensing.observer takes the torque of the last command, and {law} gives a {kind} command; use a law "
+                f"sensing.observer takes the torque of the last command, and {law} gives {kind} commands; use a law "
                 "of torques, or torque='measured' with a plant that measures them",
                 name="sensing.observer",
             )

@@ -109,8 +109,8 @@ def payload_estimate(run: Run) -> PayloadEstimate:
     columns = [name for name in run.extra if name.endswith(ESTIMATE)]
     if len(columns) != 1 or arm is None:
         raise UsageError(
-            "payload_estimate is for a run of one taut.laws.Adaptive, made by taut.run; this one has the further "
-            f"columns {', '.join(run.extra) or 'none'}; run the law, or load the log of such a run",
+            "payload_estimate is for a run of one taut.laws.Adaptive, and this run records "
+            f"{len(columns) or 'no'} estimates; run the law alone, or load the log of such a run",
             name="run",
         )
     model = model_of(arm)
