@@ -76,7 +76,8 @@ def test_the_examples_in_docstrings_give_what_they_say(
 
 def test_the_site_builds_without_warnings(tmp_path: Path) -> None:
     builder = "html" if WHOLE else "dummy"  # which reads and links all, and writes nothing
-    words = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", builder, "docs", str(tmp_path / "site")]
+    sphinx = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going"]
+    words = [*sphinx, "-b", builder, "docs", str(tmp_path / "site")]
     done = subprocess.run(words, cwd=REPOSITORY, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "site" / "index.html").exists() == WHOLE
