@@ -12,7 +12,7 @@ import numpy as np
 
 from taut.arm.builtin import one_joint
 from taut.arm.description import Arm
-from taut.base.checks import finite_scalar, positive_scalar, whole_number
+from taut.base.checks import finite_scalar, require_range, whole_number
 from taut.base.errors import unknown_name
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.plant.parts import Steps
@@ -20,6 +20,9 @@ from taut.trace import math as tm
 
 Values = Mapping[str, Any]
 ROOTS: Final = (1.8751040687119611, 4.694091132974175, 7.854757438237613)  # of cosh x cos x = -1: clamped-free beams
+UNITS: Final = {"length": "m", "EI": "N m^2", "density": "kg/m", "hub_inertia": "kg m^2"}
+MAY_BE_ZERO: Final = {"tip_mass": "kg", "zeta": "-"}
+LARGEST: Final = 1e6  # of a parameter; the smallest is its inverse
 MAX_SUBSTEPS: Final = 1000
 
 
@@ -31,8 +34,8 @@ class FlexibleLink:
         y(x) = x theta + sum phi_i(x) eta_i, with phi_i the modes of the clamped beam, int rho phi_i^2 dx = 1
         [[J, a^T], [a, I + m phi phi^T]] [theta'', eta''] + [0, 2 zeta omega eta' + omega^2 eta] = [tau, 0]
         J = hub_inertia + rho L^3 / 3 + m L^2, a_i = rho int x phi_i dx + m L phi_i(L); small deflections
-        rk4 under the held torque. With one mode and no tip mass the zeros from torque to tool are real, at
-        +-omega_1 / sqrt(4 / 1.8751^2 - 1) = +-2.6953 omega_1: one is unstable, whatever the other parameters.
+        rk4 under the held torque. With one mode and zeta = 0 the zeros from torque to tool are at +-2.6953 omega_1,
+        omega_1 / sqrt(4 / 1.8751^2 - 1), whatever hub and tip mass: one is unstable. Damping moves them a little.
 
     The joint's q is the angle y(L) / L at which the tool is seen from the hub, so that tool and errors in runs,
     `taut.linearise` and metrics are those of the bent link. q_motor is the hub's angle theta, where motor and encoder
@@ -83,10 +86,11 @@ class FlexibleLink:
     parameters: ClassVar[dict[str, Float64Array]] = {}
 
     def __post_init__(self) -> None:
-        for name, unit in (("length", "m"), ("EI", "N m^2"), ("density", "kg/m"), ("hub_inertia", "kg m^2")):
-            object.__setattr__(self, name, positive_scalar(name, getattr(self, name), unit=unit))
-        for name, unit in (("tip_mass", "kg"), ("zeta", "-")):
-            object.__setattr__(self, name, finite_scalar(name, getattr(self, name), unit=unit, minimum=0.0))
+        for name, unit in (UNITS | MAY_BE_ZERO).items():
+            value = finite_scalar(name, getattr(self, name), unit=unit)
+            lowest = 0.0 if name in MAY_BE_ZERO else 1.0 / LARGEST
+            require_range(name, np.asarray(value), unit=unit, minimum=lowest, maximum=LARGEST)
+            object.__setattr__(self, name, value)
         whole_number("modes", self.modes, minimum=1, maximum=len(ROOTS))
         whole_number("substeps", self.substeps, minimum=1, maximum=MAX_SUBSTEPS)
 
