@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, TypeAlias
@@ -19,9 +19,7 @@ from taut.base.checks import instance_of, positive_scalar, rate_in_hertz, whole_
 from taut.base.errors import RangeError
 from taut.base.result import Content, Result, Table
 from taut.base.types import Array, ArrayLike, Float64Array
-from taut.codegen.engine import Steps, best_engine
-from taut.codegen.loop import StepLoop
-from taut.codegen.program import Block
+from taut.codegen.loop import over_rows
 from taut.control.command import Command, Torque
 from taut.control.gains import Gain
 from taut.control.law import Law
@@ -84,8 +82,8 @@ class UncertainArm:
         def torques(q: Array, v: Array, v_ref: Array, a_ref: Array) -> dict[str, Any]:
             return {"parts": unknown.torques(self.model, q, v, v_ref, a_ref)}
 
-        self._masses = _of_rows(masses, n, "q")
-        self._torques = _of_rows(torques, n, "q", "v", "v_ref", "a_ref")
+        self._masses = over_rows(masses, q=n)
+        self._torques = over_rows(torques, q=n, v=n, v_ref=n, a_ref=n)
 
     def masses(self, q: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
         """(k, n, n) each: M of the law's model, the inverse of the lightest arm's M, and the heaviest arm's M."""
@@ -105,21 +103,6 @@ class UncertainArm:
         """(k, n) the bound on a reference."""
         parts = self.torques(q=rows.q, v=rows.v, v_ref=rows.v, a_ref=rows.a)
         return np.asarray(np.abs(parts).sum(axis=1) + self.friction_error(rows.v, rows.v))
-
-
-def _of_rows(function: Callable[..., dict[str, Any]], n: int, *names: str) -> Callable[..., dict[str, Float64Array]]:
-    """A traced function of arguments (n,), of many rows of them at once."""
-    inputs = Block.of(dict.fromkeys(names, (n,)))
-    steps = Steps(lambda x, _, memory: (function(**x), {**memory}), inputs, Block(), Block())
-    loop = StepLoop(steps, (np.cos(np.arange(inputs.size)), np.zeros(0), np.zeros(0)), engine=best_engine())
-
-    def evaluate(**rows: Float64Array) -> dict[str, Float64Array]:
-        given = np.ascontiguousarray(np.hstack([rows[field.path] for field in inputs.fields]))
-        found = np.zeros((len(given), loop.outputs.size))
-        loop.run(given, np.zeros(0), np.zeros(0), found)
-        return loop.outputs.views(found)
-
-    return evaluate
 
 
 def _inverse(A: Float64Array) -> Float64Array:
