@@ -33,7 +33,7 @@ STATES: Final = 100  # random ones, at which base parameters are determined
 IN_SPAN: Final = 1e-8  # of a column of length 1, outside the span of those before it: it depends on them
 PRIOR: Final = 1e-3  # weight of the arm as it was, in standard deviations: it decides what the record does not
 FLATTEST: Final = 1e-3  # of a body with which the search begins: eigenvalues of its pseudo-inertia over the largest
-SMALLEST: Final = 1e-6  # [kg, kg m^2] of that largest one
+MIN_LARGEST: Final = 1e-6  # [kg, kg m^2] of that largest one
 UPPER: Final = np.triu_indices(4, 1)
 
 
@@ -164,7 +164,7 @@ def possible_bodies(
     if (sizes > 0.0).all():
         return x, 0.0
     shape = np.linalg.inv(np.linalg.cholesky(covariance[np.ix_(rows, rows)]))
-    sizes = np.maximum(sizes, FLATTEST * np.abs(sizes).max(axis=1, keepdims=True, initial=SMALLEST))
+    sizes = np.maximum(sizes, FLATTEST * np.abs(sizes).max(axis=1, keepdims=True, initial=MIN_LARGEST))
     P = axes * sizes[:, np.newaxis] @ np.swapaxes(axes, 1, 2)
     U = np.linalg.cholesky(P[:, ::-1, ::-1])[:, ::-1, ::-1]
     start = np.concatenate([np.log(np.diagonal(U, axis1=1, axis2=2)), U[:, *UPPER]], axis=1).ravel()
