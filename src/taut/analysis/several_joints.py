@@ -14,7 +14,7 @@ from taut.base.errors import UsageError
 from taut.base.paths import subtree
 from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array, Vector
-from taut.codegen.loop import over_rows
+from taut.codegen.program import over_rows
 from taut.linear.linearise import linearise
 from taut.loop import Loop
 from taut.maths import dynamics as dyn
@@ -230,20 +230,17 @@ def _energies(
     run: Run, arm: Arm, viscous: Float64Array, payload: Mapping[str, Any]
 ) -> tuple[Float64Array, Float64Array]:
     """(k,) kinetic energy [J], and (k,) its rate under the torques that act [W]."""
-    n, model = arm.n, model_of(arm)
+    model, load = model_of(arm), PayloadValues.of(payload)
 
-    def energies(q: Vector, v: Vector, tau: Vector, viscous: Vector, **load: Any) -> Mapping[str, Any]:
-        payload = PayloadValues.of(load)
-
+    def energies(q: Vector, v: Vector, tau: Vector) -> dict[str, Any]:
         def kinetic(s: Vector) -> Any:
-            return 0.5 * (v @ (dyn.mass_matrix(model, q + s[0] * v, payload) @ v))
+            return 0.5 * (v @ (dyn.mass_matrix(model, q + s[0] * v, load) @ v))
 
-        push = tau - dyn.bias(model, q, v, payload) - viscous * v
+        push = tau - dyn.bias(model, q, v, load) - viscous * v
         moved = jacobian(kinetic, np.zeros(1))[0]  # v . M-dot v / 2
         return {"kinetic": kinetic(np.zeros(1)), "rate": v @ push + moved}
 
-    each = over_rows(energies, q=n, v=n, tau=n, viscous=n, mass=(), com=3, inertia=6)
-    found = each(q=run.q, v=run.v, tau=run.tau, viscous=viscous, **payload)
+    found = over_rows(energies, q=arm.n, v=arm.n, tau=arm.n)(q=run.q, v=run.v, tau=run.tau)
     return found["kinetic"], found["rate"]
 
 

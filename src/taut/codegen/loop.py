@@ -5,14 +5,14 @@ from __future__ import annotations
 import copy
 import ctypes
 import functools
-from collections.abc import Callable, Mapping
-from typing import Any, Final, TypeAlias
+from collections.abc import Callable
+from typing import Final, TypeAlias
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from taut.base.types import ArrayLike, Float64Array
-from taut.codegen.engine import Engine, Flat, Steps, best_engine, plain, verified
+from taut.base.types import Float64Array
+from taut.codegen.engine import Engine, Flat, Steps, plain, verified
 from taut.codegen.llvm import Writer, declarations, kernel
 from taut.codegen.native import NativeModule, compiled, level_for
 from taut.codegen.program import Block, Field, Program, trace
@@ -160,27 +160,6 @@ def compiled_loop(loop: Loop, blocks: tuple[Block, Block, Block], example: Flat)
     steps = Steps(twin.step, *blocks, twin.substep, loop.plant.substeps - 1)
     _COMPILED[loop] = made = StepLoop(steps, example, engine=loop.engine, ticks=loop.ticks)
     return made
-
-
-def over_rows(
-    function: Callable[..., Mapping[str, Any]], **shapes: int | tuple[int, ...]
-) -> Callable[..., dict[str, Float64Array]]:
-    """A native version of a function of arrays by name, for many rows (k, ...) of them; it gives arrays by name.
-
-    All arguments but the first may also be given once, for all rows.
-    """
-    inputs = Block.of({name: (shape,) if isinstance(shape, int) else shape for name, shape in shapes.items()})
-    steps = Steps(lambda x, _, memory: (function(**x), {**memory}), inputs, Block(), Block())
-    loop = StepLoop(steps, (np.cos(np.arange(inputs.size)), np.zeros(0), np.zeros(0)), engine=best_engine())
-
-    def evaluated(**rows: ArrayLike) -> dict[str, Float64Array]:
-        k = len(np.asarray(rows[next(iter(shapes))]))
-        given = [np.broadcast_to(rows[each.path], (k, *each.shape)).reshape(k, each.size) for each in inputs.fields]
-        found = np.zeros((k, loop.outputs.size))
-        loop.run(np.ascontiguousarray(np.hstack(given)), np.zeros(0), np.zeros(0), found)
-        return loop.outputs.views(found)
-
-    return evaluated
 
 
 def native_loop(address: int) -> Run:

@@ -10,14 +10,13 @@ from scipy.linalg import qr
 
 from taut.analysis.identification.regression import ArmRegression, linear_text
 from taut.arm.description import Payload
-from taut.arm.parts import inertia_entries
 from taut.base.checks import instance_of
 from taut.base.errors import UsageError
 from taut.base.result import Content, Result, Table
 from taut.base.types import Float64Array
 from taut.control.laws.other_topics.adaptive import metric
 from taut.maths import regressor as rg
-from taut.maths.model import model_of
+from taut.maths.model import PayloadValues, model_of
 from taut.record.run import Run
 
 ESTIMATE: Final = ".estimate"  # ends the column of a run
@@ -117,7 +116,7 @@ def payload_estimate(run: Run) -> PayloadEstimate:
     k, R, p = model.placement(None)
     to_tool, estimate = np.linalg.inv(rg.moved(R, p)), run.extra[columns[0]][-1].reshape(-1, 10)
     body = to_tool @ estimate[0 if len(estimate) == 1 else k]
-    mass, com, inertia = rg.about_centre(body - to_tool @ rg.parameters_of(model.links[k]))
+    load = PayloadValues.of_body(rg.body_of(body - to_tool @ rg.parameters_of(model.links[k])))
     Q, a = metric(body), getattr(run.reference, "a", np.zeros_like(run.q))
     Y = regression.columns(run.q, run.v, a)[0].reshape(-1, 10)
     root, sizes = np.linalg.cholesky(Q), np.sqrt(np.diag(Q))
@@ -125,9 +124,9 @@ def payload_estimate(run: Run) -> PayloadEstimate:
     directions = _readable((root @ vectors[:, values <= EXCITED * values[-1]]).T / sizes)
     named = (np.argsort(-np.abs(each), kind="stable")[: np.sum(np.abs(each) >= NAMED)] for each in directions)
     return PayloadEstimate(
-        mass=mass,
-        com=com if mass > 0.0 else np.full(3, np.nan),
-        inertia=inertia_entries(inertia),
+        mass=float(load.mass),
+        com=load.com,
+        inertia=load.inertia,
         body=body,
         eigenvalues=values[::-1].copy(),
         not_excited=directions * sizes,

@@ -11,14 +11,14 @@ from scipy.optimize import least_squares
 
 from taut.arm.description import BASE, Arm
 from taut.arm.friction import Friction
-from taut.arm.parts import Payload
+from taut.arm.parts import Payload, inertia_matrix
 from taut.base.checks import instance_of, one_of
 from taut.base.errors import UsageError
 from taut.base.types import Array, Float64Array, Vector
-from taut.codegen.loop import over_rows
+from taut.codegen.program import over_rows
 from taut.maths.friction import FrictionValues, friction_torque
 from taut.maths.model import PayloadValues, model_of
-from taut.maths.regressor import PARAMETERS, about_centre, moved, parameters_of, pseudo_inertia, regressor
+from taut.maths.regressor import PARAMETERS, body_of, moved, parameters_of, pseudo_inertia, regressor
 from taut.trace import math as tm
 
 Unknown: TypeAlias = Literal["payload", "links", "rotors", "friction"]
@@ -193,13 +193,14 @@ def changed_arm(regression: ArmRegression, x: Float64Array, slow: Mapping[int, S
     arm, n = regression.arm, regression.arm.n
     parts = iter(np.split(x, 10 * regression.bodies + n * np.arange(4)))
     bodies = next(parts).reshape(-1, 10)
+    found = [PayloadValues.of_body(body_of(body)) for body in bodies]
     if "payload" in regression.what:
-        mass, com, inertia = about_centre(bodies[0])
-        arm = dataclasses.replace(arm, payload=Payload(mass=mass, com=com, inertia=inertia))
+        (load,) = found
+        payload = Payload(mass=load.mass, com=load.com, inertia=load.inertia) if load.mass else Payload()
+        arm = dataclasses.replace(arm, payload=payload)
     if "links" in regression.what:
-        for joint, body in zip(arm.joint_names, bodies, strict=True):
-            mass, com, inertia = about_centre(body)
-            arm = arm.with_body(joint, mass=mass, com=com, inertia=inertia)
+        for joint, body in zip(arm.joint_names, found, strict=True):
+            arm = arm.with_body(joint, mass=body.mass, com=body.com, inertia=inertia_matrix(body.inertia))
     joints = {name: np.maximum(next(parts), 0.0) for name in regression.of_joints}
     if "rotor_inertia" in joints:
         arm = arm.with_joints(rotor_inertia=joints["rotor_inertia"])
