@@ -299,7 +299,7 @@ def learn(
     trials = whole_number("trials", trials, minimum=1)
     side, n = ctrl.side, ctrl.side.arm.n
     ticks = round(duration_of_ticks(duration, side.dt) / side.dt) + 1
-    motion = _motion(ctrl, ref, ticks)
+    motion = known_motion(ctrl, ref, ticks)
     q0, v0 = state_at_start(plant.arm, motion.q[0] if q0 is None else q0, motion.v[0] if v0 is None else v0)
     models = _models(ctrl, plant, motion.q[[ticks // 2, 0, -1]], arms, ticks)
     by.check_size(side.arm.joint_names, "by.")
@@ -354,19 +354,19 @@ class _Model:
         return bool((size - np.diag(np.diag(size))).max() <= SAME_RESPONSE * size.max())
 
 
-def _motion(ctrl: Controller, ref: object, ticks: int) -> Any:
+def known_motion(ctrl: Controller, ref: object, ticks: int) -> Any:
     """The reference at every tick of a trial."""
     side, given = ctrl.side, as_reference(ref)
     if side.task is not None or side.law.reference is not JointMotion:
         which = "has phases" if side.task is not None else f"follows {side.law.reference.described()}"
         raise UsageError(
-            f"an input is learned for one law of joint motion; {side.title} {which}; use a law of joints, such as "
+            f"an input is found for one law of joint motion; {side.title} {which}; use a law of joints, such as "
             "taut.laws.ComputedTorque",
             name="ctrl",
         )
     if isinstance(given, (Hold, Stream)):
         raise UsageError(
-            "an input is learned for a motion that is known before, as a sample or a trajectory of joints; got "
+            "an input is found for a motion that is known before, as a sample or a trajectory of joints; got "
             f"{type(given).__name__}",
             name="ref",
         )
@@ -412,14 +412,19 @@ def _model(name: str, loop: Loop, pose: Float64Array, ticks: int, lead: int | No
         h[k], x = lin.C[rows] @ x, lin.A @ x
     size = np.abs(h[:, : len(columns)]).max(axis=(1, 2))
     if not size.any():
-        raise UsageError(
-            f"{title} does not use the reference's acceleration, to which the learned input is added; take "
-            "taut.laws.ComputedTorque, or add + taut.laws.FeedForward() to a taut.laws.PID",
-            name="ctrl",
-        )
+        raise unused_acceleration(title)
     first = int(np.argmax(size > NO_LEAD * size.max())) if lead is None else lead
     q, v = (Lifted.causal(part[first:]) for part in np.split(h, 2, axis=1))
     return _Model(name=name, lead=first, G=q, V=v)
+
+
+def unused_acceleration(title: str) -> UsageError:
+    """The error of a law that an input cannot reach."""
+    return UsageError(
+        f"{title} does not use the reference's acceleration, to which the input is added; take "
+        "taut.laws.ComputedTorque, or add + taut.laws.FeedForward() to a taut.laws.PID",
+        name="ctrl",
+    )
 
 
 def _test(by: LearningLaw, model: _Model, maps: tuple[Lifted, Lifted, Lifted | None], rate: float) -> Convergence:
