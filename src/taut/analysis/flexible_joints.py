@@ -14,7 +14,7 @@ from taut.base.checks import finite_array, finite_scalar, instance_of, read_only
 from taut.base.errors import UsageError
 from taut.base.result import Content, Result, Table
 from taut.base.types import Array, ArrayLike, Float64Array
-from taut.codegen.kernel import native
+from taut.codegen.program import over_rows
 from taut.control.laws.other_topics.flexible_joint import MotorSidePD
 from taut.control.trajectories.samples import Samples
 from taut.controller import Controller
@@ -101,13 +101,12 @@ def set_point_condition(law: MotorSidePD, arm: Arm, *, at: ArrayLike | None = No
     x = snapshot(arm, arm.home if at is None else finite_array("at", at, shape=(arm.n,), joints=arm.joint_names))
     model, payload = model_of(arm), PayloadValues.of(arm.payload)
 
-    def slope(q: Array) -> Array:
-        return tm.jacobian(lambda q: dyn.gravity_torque(model, q, payload), q)
+    def steepness(q: Array) -> dict[str, Array]:
+        return {"slope": tm.jacobian(lambda q: dyn.gravity_torque(model, q, payload), q)}
 
-    steepness = native(slope, q=arm.n)
     lower, upper = (np.where(np.isfinite(end), end, np.sign(end) * FULL_TURN) for end in (arm.lower, arm.upper))
     sampled = np.random.default_rng(0).uniform(lower, upper, (POSES, arm.n))
-    alpha = max(float(np.linalg.norm(steepness(q), 2)) for q in sampled)
+    alpha = float(np.linalg.norm(over_rows(steepness, q=arm.n)(q=sampled)["slope"], 2, axis=(1, 2)).max())
     K, kp = law.stiffness.as_array(), np.diag(x.M) * law.kp.as_array()
     series = np.broadcast_to(K * kp / (K + kp), (arm.n,))
     return SetPointCondition(joints=arm.joint_names, alpha=alpha, series=read_only(series))

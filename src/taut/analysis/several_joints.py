@@ -14,9 +14,7 @@ from taut.base.errors import UsageError
 from taut.base.paths import subtree
 from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array, Vector
-from taut.codegen.engine import Steps, best_engine
-from taut.codegen.loop import StepLoop
-from taut.codegen.program import Block
+from taut.codegen.program import over_rows
 from taut.linear.linearise import linearise
 from taut.linear.performance import frequency_grid
 from taut.loop import Loop
@@ -240,27 +238,18 @@ def _energies(
     run: Run, arm: Arm, viscous: Float64Array, payload: Mapping[str, Any]
 ) -> tuple[Float64Array, Float64Array]:
     """(k,) kinetic energy [J], and (k,) its rate under the torques that act [W]."""
-    n, model = arm.n, model_of(arm)
-    inputs = Block.of({"q": (n,), "v": (n,), "tau": (n,)})
-    numbers = Block.of({"viscous": (n,), "mass": (), "com": (3,), "inertia": (6,)})
+    model, load = model_of(arm), PayloadValues.of(payload)
 
-    def step(x: Mapping[str, Any], given: Mapping[str, Any], memory: Mapping[str, Any]) -> tuple[Any, Any]:
-        q, v, load = x["q"], x["v"], PayloadValues.of(given)
-
+    def energies(q: Vector, v: Vector, tau: Vector) -> dict[str, Any]:
         def kinetic(s: Vector) -> Any:
             return 0.5 * (v @ (dyn.mass_matrix(model, q + s[0] * v, load) @ v))
 
-        push = x["tau"] - dyn.bias(model, q, v, load) - given["viscous"] * v
+        push = tau - dyn.bias(model, q, v, load) - viscous * v
         moved = jacobian(kinetic, np.zeros(1))[0]  # v . M-dot v / 2
-        return {"kinetic": kinetic(np.zeros(1)), "rate": v @ push + moved}, {**memory}
+        return {"kinetic": kinetic(np.zeros(1)), "rate": v @ push + moved}
 
-    example = np.cos(np.arange(inputs.size)), np.ones(numbers.size), np.zeros(0)
-    loop = StepLoop(Steps(step, inputs, numbers, Block()), example, engine=best_engine())
-    found = np.zeros((len(run), loop.outputs.size))
-    values = numbers.pack({"viscous": viscous, **payload})
-    loop.run(np.hstack([run.q, run.v, run.tau]), values, np.zeros(0), found)
-    views = loop.outputs.views(found)
-    return views["kinetic"], views["rate"]
+    found = over_rows(energies, q=arm.n, v=arm.n, tau=arm.n)(q=run.q, v=run.v, tau=run.tau)
+    return found["kinetic"], found["rate"]
 
 
 def _check(run: Run, law: str, values: Mapping[str, Any]) -> None:

@@ -14,10 +14,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from taut.arm.parts import inertia_entries, inertia_matrix
+from taut.arm.parts import inertia_entries
 from taut.base.types import Matrix, Vector
 from taut.maths.dynamics import along_reference, body_motions, body_velocities, joint_placements
 from taut.maths.model import Model, RigidBody
+from taut.maths.model import body_of as body_of
 from taut.trace import math as tm
 from taut.trace.math import cross
 
@@ -28,11 +29,6 @@ PARAMETERS: Final = ("m", "h_x", "h_y", "h_z", "I_xx", "I_yy", "I_zz", "I_xy", "
 def parameters_of(body: RigidBody) -> Vector:
     """(10,) of a body."""
     return tm.array([body.m, *body.h, *inertia_entries(body.I)])
-
-
-def body_of(parameters: Vector) -> RigidBody:
-    """The body of ten parameters."""
-    return RigidBody(m=parameters[0], h=parameters[1:4], I=inertia_matrix(parameters[4:]))
 
 
 def covectors(model: Model, q: Vector, v: Vector, a: Vector, s: Vector, *, gravity: Any = True) -> Matrix:

@@ -13,12 +13,11 @@ from taut.base.checks import instance_of
 from taut.base.errors import UsageError
 from taut.base.result import Content, Result, Table
 from taut.base.types import Float64Array
-from taut.codegen.kernel import native
+from taut.codegen.program import over_rows
 from taut.control.laws.other_topics.adaptive import metric
 from taut.maths import regressor as rg
-from taut.maths.model import Model, PayloadValues, RigidBody, model_of
+from taut.maths.model import Model, PayloadValues, model_of
 from taut.record.run import Run
-from taut.trace import math as tm
 
 ESTIMATE: Final = ".estimate"  # ends the column of a run
 EXCITED: Final = 1e-5  # [-] of the largest eigenvalue, 1/300 in torque: below it a direction is not excited
@@ -119,7 +118,7 @@ def payload_estimate(run: Run) -> PayloadEstimate:
     row = estimate[0 if len(estimate) == 1 else k]
     own = rg.body_of(row).seen_from(R.T, -R.T @ p)
     link = model.links[k].seen_from(R.T, -R.T @ p)
-    load = own - link
+    load = PayloadValues.of_body(own - link)
     body = np.asarray(rg.parameters_of(own), dtype=np.float64)
     Q = metric(body)
     W = _excitation(run, model, k, R, p)
@@ -127,7 +126,9 @@ def payload_estimate(run: Run) -> PayloadEstimate:
     values, vectors = np.linalg.eigh(root.T @ W @ root)
     directions = _readable((root @ vectors[:, values <= EXCITED * values[-1]]).T / sizes)
     return PayloadEstimate(
-        **_of_body(load),
+        mass=float(load.mass),
+        com=load.com,
+        inertia=load.inertia,
         body=body,
         eigenvalues=values[::-1].copy(),
         not_excited=directions * sizes,
@@ -135,26 +136,16 @@ def payload_estimate(run: Run) -> PayloadEstimate:
     )
 
 
-def _of_body(load: RigidBody) -> dict[str, Any]:
-    """Mass, centre and inertia about it."""
-    mass = float(load.m)
-    com = np.asarray(load.h, dtype=np.float64) / mass if mass > 0.0 else np.full(3, np.nan)
-    about = load - PayloadValues(mass=mass, com=com, inertia=np.zeros(6)).body()
-    return {"mass": mass, "com": com, "inertia": np.asarray(rg.parameters_of(about)[4:], dtype=np.float64)}
-
-
 def _excitation(run: Run, model: Model, k: int, R: Float64Array, p: Float64Array) -> Float64Array:
     """(10, 10) mean of Y^T Y, of the parameters about the tool's origin in its axes."""
     units = [rg.parameters_of(rg.body_of(unit).seen_from(R, p)) for unit in np.eye(10)]
     of_tool = np.array(units, dtype=np.float64).T
 
-    def columns(q: Any, v: Any, a: Any) -> Any:
-        return tm.array(rg.regressor(model, q, v, a)[:, 10 * k : 10 * k + 10])
+    def columns(q: Any, v: Any, a: Any) -> dict[str, Any]:
+        return {"Y": rg.regressor(model, q, v, a)[:, 10 * k : 10 * k + 10]}
 
-    regressor = native(columns, q=model.n, v=model.n, a=model.n)
     a = getattr(run.reference, "a", np.zeros_like(run.q))
-    rows = zip(*(np.ascontiguousarray(x) for x in (run.q, run.v, a)), strict=True)
-    Y = np.concatenate([regressor(*row) for row in rows]) @ of_tool
+    Y = over_rows(columns, q=model.n, v=model.n, a=model.n)(q=run.q, v=run.v, a=a)["Y"].reshape(-1, 10) @ of_tool
     W: Float64Array = Y.T @ Y / len(run)
     return W
 

@@ -16,7 +16,7 @@ from taut.arm.parts import Payload
 from taut.base.checks import instance_of, one_of
 from taut.base.errors import UsageError
 from taut.base.types import Float64Array
-from taut.codegen.program import Block, Values, trace
+from taut.codegen.program import over_rows
 from taut.maths.friction import FrictionValues, friction_torque
 from taut.maths.model import PayloadValues, model_of
 from taut.maths.regressor import PARAMETERS, body_of, parameters_of, pseudo_inertia, regressor
@@ -30,7 +30,6 @@ JOINT_UNITS: Final = {  # of hinges, and of prismatic joints; in the order of th
     "viscous": ("N m s/rad", "N s/m"),
     "coulomb": ("N m", "N"),
 }
-AT_ONE_GO: Final = 2000  # samples that are evaluated together: their intermediate results fit into the cache
 STATES: Final = 100  # random ones, at which base parameters are determined
 IN_SPAN: Final = 1e-8  # of a column of length 1, outside the span of those before it: it depends on them
 PRIOR: Final = 1e-3  # weight of the arm as it was, in standard deviations: it decides what the record does not
@@ -90,22 +89,17 @@ class ArmRegression:
         self.bodies = len(self._bodies)
         self.nominal = np.concatenate([*values, *(getattr(arm, name) for name in self.of_joints)])
 
-        def columns(inputs: Values, parameters: Values, memory: Values) -> tuple[Values, Values]:  # noqa: ARG001
-            return {"Y": regressor(model, inputs["q"], inputs["v"], inputs["a"])}, {}
-
-        self._program = trace(columns, Block.of(dict.fromkeys("qva", (n,))), Block(), Block())
+        self._regressor = over_rows(lambda q, v, a: {"Y": regressor(model, q, v, a)}, q=n, v=n, a=n)
 
     def at(self, q: Float64Array, v: Float64Array, a: Float64Array) -> tuple[Float64Array, Float64Array]:
         """(k, n, b) columns of the base parameters, and (k, n) known torques, at samples (k, n)."""
-        parts = [self._all(*(x[i : i + AT_ONE_GO] for x in (q, v, a))) for i in range(0, len(q), AT_ONE_GO)]
-        base = list(self.base)
-        return np.concatenate([Y[:, :, base] for Y, _ in parts]), np.concatenate([known for _, known in parts])
+        Y, known = self._all(q, v, a)
+        return Y[:, :, list(self.base)], known
 
     def _all(self, q: Float64Array, v: Float64Array, a: Float64Array) -> tuple[Float64Array, Float64Array]:
         """(k, n, m) columns of all unknowns, and (k, n) known torques."""
         k, n = q.shape
-        ends = self._program.evaluated(np.hstack([q, v, a]).T)[0]
-        Y = np.stack([np.broadcast_to(end, k) for end in ends], axis=1).reshape(k, n, n, 10)
+        Y = self._regressor(q=q, v=v, a=a)["Y"].reshape(k, n, n, 10)
         known = Y.reshape(k, n, 10 * n) @ self._known.ravel()
         if "rotor_inertia" not in self.of_joints:
             known = known + self.arm.rotor_inertia * a
