@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any, Final
+
 import numpy as np
 
 from taut.base.errors import RangeError
 from taut.base.fields import Declared, Field
-from taut.base.types import Vector
 from taut.trace import math as tm
+
+ROUNDING: Final = 1e-9  # [-] of 4 a c
 
 
 class AntagonisticSprings(Declared):
@@ -46,38 +49,54 @@ class AntagonisticSprings(Declared):
 
     def check(self) -> None:
         """A range has its limits in order."""
-        if np.any(self.c_max < self.c_min):
-            rule = f"must be >= c_min, {np.max(self.c_min):g} [rad | m]; got {np.min(self.c_max):g}; swap them"
-            self.refuse("c_max", rule, RangeError)
+        for least, most in zip(*_entries(self.c_min, self.c_max), strict=True):
+            if most < least:
+                self.refuse("c_max", f"must be >= c_min, {least:g} [rad | m]; got {most:g}; swap them", RangeError)
+
+    def require_reached(self, owner: Declared, field: str, stiffness: Any) -> None:
+        """RangeError about an owner's field for a stiffness (n,) that these springs do not give."""
+        for i, (k, low, high) in enumerate(zip(*_entries(stiffness, *self.stiffness_range), strict=True)):
+            if not low * (1.0 - ROUNDING) <= k <= high * (1.0 + ROUNDING):
+                where = f" for joint {i}" if np.ndim(stiffness) else ""
+                owner.refuse(
+                    field,
+                    f"must be within what the springs give, {low:g} to {high:g} [N m/rad | N/m]; got {k:g}{where}; "
+                    "other springs (a), or another range of pretension (c_min, c_max), give others",
+                    RangeError,
+                )
 
     @property
-    def stiffness_range(self) -> tuple[Vector, Vector]:
+    def stiffness_range(self) -> tuple[Any, Any]:
         """Smallest and largest stiffness [N m/rad | N/m]."""
         return 4.0 * self.a * self.c_min, 4.0 * self.a * self.c_max
 
-    def pretension(self, stiffness: Vector) -> Vector:
+    def pretension(self, stiffness: Any) -> Any:
         """The pretension of a stiffness, within the springs' range [rad | m]."""
-        return tm.clip(stiffness / (4.0 * self.a), self.c_min, self.c_max)  # type: ignore[no-any-return]
+        return tm.clip(stiffness / (4.0 * self.a), self.c_min, self.c_max)
 
-    def max_torque(self, stiffness: Vector) -> Vector:
+    def max_torque(self, stiffness: Any) -> Any:
         """The torque at which one tendon is slack [N m | N]."""
         return stiffness * stiffness / (4.0 * self.a)
 
-    def torque(self, c: Vector, phi: Vector) -> Vector:
+    def torque(self, c: Any, phi: Any) -> Any:
         """On the link [N m | N]."""
         one, other = _stretched(c, phi)
         return self.a * (one * one - other * other)
 
-    def stiffness(self, c: Vector, phi: Vector) -> Vector:
+    def stiffness(self, c: Any, phi: Any) -> Any:
         """Torque per deflection [N m/rad | N/m]."""
         one, other = _stretched(c, phi)
         return 2.0 * self.a * (one + other)
 
-    def energy(self, c: Vector, phi: Vector) -> Vector:
+    def energy(self, c: Any, phi: Any) -> Any:
         """Stored in both springs [J]."""
         one, other = _stretched(c, phi)
         return self.a * (one**3 + other**3) / 3.0
 
 
-def _stretched(c: Vector, phi: Vector) -> tuple[Vector, Vector]:
+def _entries(*values: Any) -> Any:
+    return np.broadcast_arrays(*(np.atleast_1d(value) for value in values))
+
+
+def _stretched(c: Any, phi: Any) -> tuple[Any, Any]:
     return tm.maximum(c + phi, 0.0), tm.maximum(c - phi, 0.0)

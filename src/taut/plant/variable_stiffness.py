@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.base.errors import RangeError, UsageError
+from taut.base.errors import UsageError
 from taut.base.fields import Field, Part
 from taut.base.paths import subtree
 from taut.base.types import Float64Array, Vector
-from taut.maths.springs import AntagonisticSprings
+from taut.maths.springs import ROUNDING, AntagonisticSprings
 from taut.plant.actuation import MotorInput, MotorModel, MotorStep, Values, settling
 from taut.trace import math as tm
-
-ROUNDING: Final = 1e-9  # [-] of a stiffness
 
 
 class VariableStiffnessActuator(MotorModel):
@@ -66,10 +64,9 @@ class VariableStiffnessActuator(MotorModel):
     preset: Field = Field(unit="N m/rad | N/m", shape="n", above=0.0, optional=True, run_time=False)
 
     def check(self) -> None:
-        low, high = self.springs.stiffness_range
-        if self.preset is not None and np.any((self.preset < low) | (self.preset > high)):
-            rule = f"must be within what the springs give, {np.max(low):g} to {np.min(high):g} [N m/rad | N/m]"
-            self.refuse("preset", rule, RangeError)
+        """Springs that give the preset."""
+        if self.preset is not None:
+            self.springs.require_reached(self, "preset", self.preset)
 
     @property
     def kp_at_start(self) -> Float64Array:

@@ -16,8 +16,6 @@ from taut.maths.snapshot import Snapshot
 from taut.maths.springs import AntagonisticSprings
 from taut.trace import math as tm
 
-REACHED = 1e-9  # [-] of a stiffness: rounding of 4 a c
-
 
 class VariableStiffness(Law):
     """Position and stiffness of joints with variable-stiffness actuators, each by itself.
@@ -65,17 +63,7 @@ class VariableStiffness(Law):
     sigma = Memory(unit="N m/rad | N/m", record=True)
 
     def check(self) -> None:
-        sigma, (low, high) = self.stiffness.as_array(), self.springs.stiffness_range
-        sigma, low, high = np.broadcast_arrays(sigma, low, high)
-        for i, joint in np.ndenumerate(sigma):
-            if not low[i] * (1.0 - REACHED) <= joint <= high[i] * (1.0 + REACHED):
-                where = f"; got {joint:g}" + (f" for joint {i[0]}" if i else "")
-                self.refuse(
-                    "stiffness",
-                    f"must be within what the springs give, {low[i]:g} to {high[i]:g} [N m/rad | N/m]{where}; other "
-                    "springs (a), or another range of pretension (c_min, c_max), give others",
-                    RangeError,
-                )
+        self.springs.require_reached(self, "stiffness", self.stiffness.as_array())
 
     def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
         carried = self.springs.max_torque(self.stiffness.as_array()) * np.ones(x.n)
