@@ -94,6 +94,7 @@ class TestPlant:
         goal = taut.JointMotion(q=[0.3])
         done = taut.run(taut.compile(law(), ONE), plant(bandwidth=50.0, damping=2.0), goal, duration=6.0, q0=[0.0])
         assert done.q[-1, 0] == pytest.approx(0.3, abs=1e-5)
+        assert done.extra["drives.stiffness"][0, 0] == 80.0  # of the middle of the range
         weight = float(taut.snapshot(ONE, [0.3]).g[0])
         assert done.extra["drives.equilibrium"][-1, 0] == pytest.approx(0.3 + weight / 80.0, abs=1e-5)
 
@@ -175,6 +176,17 @@ class TestGuarantees:
             outputs = [lin.outputs.index(f"q[{i}]") for i in range(n)]
             found = (lin.C @ np.linalg.solve(np.eye(len(lin.A)) - lin.A, lin.B))[np.ix_(outputs, inputs)]
             assert found @ K == pytest.approx(np.eye(n), abs=1e-4)
+
+    @pytest.mark.parametrize(("bandwidth", "error"), [(None, 4e-4), (150.0, 7.5e-4)])
+    def test_a_motion_is_followed_without_feedback(self, bandwidth: float | None, error: float) -> None:
+        arm = taut.load_arm("planar2").with_friction(FREE)
+        springs = AntagonisticSprings(a=[5000.0, 1000.0], c_min=0.05, c_max=0.2)
+        where = plant(arm, springs, bandwidth=bandwidth, damping=[4.0, 0.8], preset=[2500.0, 500.0], substeps=1)
+        ref = taut.trajectories.Septic(q0=arm.home, q1=arm.home + 0.8, duration=0.8)
+        ctrl = taut.compile(law([2500.0, 500.0], springs, 1e4), arm, rate=8000.0)
+        run = taut.run(ctrl, where, ref, duration=0.9)
+        assert np.abs(run.q - run.reference.q).max() < error
+        assert run.extra["drives.stiffness"][-1] == pytest.approx([2500.0, 500.0], rel=1e-9)
 
     def test_a_change_of_stiffness_moves_the_joint_by_what_the_motors_lag(self) -> None:
         """Acceptance: M 0.3, m g l 3, a 40, b 0.1 (here all times 5/3), 40 -> 120 N m/rad in 0.5 s.
