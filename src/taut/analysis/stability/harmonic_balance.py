@@ -22,11 +22,13 @@ Element = Callable[[Float64Array, Float64Array], ArrayLike]
 """What a signal and its rate, both (k,) over one period of a sine, give: lambda y, rate: -0.4 * np.sign(rate)."""
 
 SAMPLES: Final = 512  # of a sine
-SMALLEST_JUMP: Final = 0.01  # [-] of an element's range: a sine itself changes by 0.006 from sample to sample
+SMALLEST_JUMP: Final = 0.01  # [-] of an element's range
 SECTIONS: Final = (64, 6)  # parts into which the interval of a jump is cut, and how often
+MAX_JUMPS: Final = 64  # in a period: of more, each changes little
 FIRST_GRID: Final = 64  # frequencies, and amplitudes, before they are refined
 LARGEST_STEP: Final = (0.1, 0.4)  # [-] change of G and of N from one to the next, with one element and with several
-REFINEMENTS: Final = 10  # halvings of a step at most
+REFINEMENTS: Final = 10  # halvings of a step at most, and only below so many points
+MAX_POINTS: Final = 400
 OFF_AXIS: Final = 1e-12  # [-] of a frequency, so that no pole lies on the grid
 SOLVER_STEPS: Final = 25  # evaluations for each unknown: starts are near
 MARGIN: Final = 0.25  # [-] of the change over a cell: a root this near to it is looked for as well
@@ -168,7 +170,7 @@ def _refined(low: float, high: float, of: Callable[[Float64Array], Complex], lar
     for _ in range(REFINEMENTS):
         size = np.linalg.norm(values, axis=1)
         coarse = np.linalg.norm(np.diff(values, axis=0), axis=1) > largest * np.maximum(size[1:], size[:-1])
-        if not coarse.any():
+        if not coarse.any() or len(points) > MAX_POINTS:
             break
         after = np.flatnonzero(coarse) + 1
         middle = np.sqrt(points[after - 1] * points[after])
@@ -226,8 +228,9 @@ class _Balance:
 
         u = given(self.phase)
         total, change = complex(self.first @ u), np.diff(u, append=u[0])
-        at = np.flatnonzero(np.abs(change) > SMALLEST_JUMP * np.ptp(u))
-        if not exact or not at.size:
+        unlike = np.minimum(*(np.abs(change - np.roll(change, side)) for side in (-1, 1)))  # those beside it
+        at = np.flatnonzero(unlike > SMALLEST_JUMP * np.ptp(u))
+        if not exact or not 0 < at.size <= MAX_JUMPS:
             return total / size
         parts, repeats = SECTIONS
         ends, start, width = np.stack([u[at], u[at] + change[at]], axis=1), self.phase[at], 2.0 * np.pi / SAMPLES
