@@ -275,10 +275,10 @@ def stability_map(
     grids = _grid("x", x), _grid("y", y)
 
     def verdict(*values: float) -> tuple[bool, float]:
-        found = system_of(*values) if callable(system_of) else system_of
+        found = system_of(*values) if callable(system_of) else None
         if isinstance(found, (bool, np.bool_)):
             return bool(found), np.nan
-        system = _system(lambda: found)
+        system = _system((lambda: found) if callable(system_of) else system_of)
         return system.stable, system.decay_rate
 
     verdicts = np.array([[verdict(a, b) for b in grids[1].tolist()] for a in grids[0].tolist()])
