@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 from collections.abc import Callable, Iterator
@@ -17,6 +18,7 @@ import refusals
 from taut.codegen import native
 from taut.record.metrics import METRICS
 
+gc.set_threshold(100_000, 20, 50)  # traces make many objects and few circles: a twentieth of the time goes otherwise
 WHOLE = bool(os.environ.get("TAUT_BARS"))  # `make bars`
 BAR = "bar: "  # begins the names of properties that stand in the table of `make bars`
 

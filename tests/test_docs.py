@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import doctest
 import importlib
+import os
 import pkgutil
 import re
 import shlex
@@ -22,6 +23,7 @@ ROOMS = ("analysis", "drives", "dynamics", "environments", "guards", "laws", "se
 
 REPOSITORY = Path(__file__).parents[1]
 PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").glob("*.md"))]
+WHOLE = bool(os.environ.get("TAUT_BARS"))  # `make bars`
 BLOCK = re.compile(r"^```(python|console)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 mpl.use("Agg")
 
@@ -73,10 +75,12 @@ def test_the_examples_in_docstrings_give_what_they_say(
 
 
 def test_the_site_builds_without_warnings(tmp_path: Path) -> None:
-    words = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", "docs", str(tmp_path / "site")]
+    builder = "html" if WHOLE else "dummy"  # which reads and links all, and writes nothing
+    sphinx = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going"]
+    words = [*sphinx, "-b", builder, "docs", str(tmp_path / "site")]
     done = subprocess.run(words, cwd=REPOSITORY, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert (tmp_path / "site" / "index.html").exists()
+    assert (tmp_path / "site" / "index.html").exists() == WHOLE
 
 
 def test_the_law_in_the_readme_has_fewer_than_fifteen_lines() -> None:

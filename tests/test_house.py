@@ -151,9 +151,9 @@ def test_the_core_declares_what_it_imports() -> None:
 
 
 LIMITS = {  # the house as it is; a change that needs more says why in the commit that raises a number
-    "lines": (55_600, house.lines),
-    "lines of code": (37_800, house.code_lines),
-    "modules": (252, lambda: len(house.modules())),
+    "lines": (56_100, house.lines),
+    "lines of code": (38_150, house.code_lines),
+    "modules": (254, lambda: len(house.modules())),
     "modules in one folder": (16, house.largest_folder),
     "modules with one importer": (30, lambda: len(house.slices())),
     "names in taut": (75, lambda: len(taut.__all__)),

@@ -41,9 +41,10 @@ def python(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The interpreter of an environment that holds the wheel and what it depends on."""
     assert WHEELS.is_dir(), f"{WHEELS} is missing; 'make test' fills it"
     folder = tmp_path_factory.mktemp("empty") / "env"
-    venv.create(folder, with_pip=True)
+    venv.create(folder)
     made = folder / ("Scripts" if sys.platform == "win32" else "bin") / "python"
-    execute(made, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", wheel, cwd=folder)
+    pip = ["-m", "pip", "--python", made, "--disable-pip-version-check", "install", "--quiet", "--no-compile"]
+    execute(sys.executable, *pip, wheel, cwd=folder)
     return made
 
 

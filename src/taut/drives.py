@@ -1,4 +1,4 @@
-"""Motors, gears and drivetrains."""
+"""Motors, gears, drivetrains, and a link that bends."""
 
 from taut.base.front_door import lazy_names
 
@@ -19,5 +19,6 @@ if TYPE_CHECKING:
     from taut.plant.actuation import TorqueLoop as TorqueLoop
     from taut.plant.drivetrain import FrictionLaw as FrictionLaw
     from taut.plant.drivetrain import Transmission as Transmission
+    from taut.plant.flexible_link import FlexibleLink as FlexibleLink
 
 __getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

@@ -26,7 +26,9 @@ CONSTRAINTS: dict[str, Constraint] = {
 
 
 @pytest.mark.bars
-@pytest.mark.parametrize("name", ["panda", "ur10", "xarm7"])
+@pytest.mark.parametrize(
+    "name", ["xarm7", *(pytest.param(name, marks=pytest.mark.long) for name in ("panda", "ur10"))]
+)
 def test_native_code_gives_what_plain_python_gives(name: str, share: Callable[[int], int], bar: Any) -> None:
     arm, rng = taut.load_arm(name), np.random.default_rng(5)
     worst, near, ticks = 0.0, 0, 0

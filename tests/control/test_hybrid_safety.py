@@ -69,7 +69,11 @@ def test_with_kdamp_the_speed_stays_below_what_the_damping_holds() -> None:
     assert 0.9 * bound < speed.max() < 1.001 * bound
 
 
-LIGHT = [(name, axis) for name in ("ur10", "ur3", "kinova", "xarm7", "panda") for axis in (0, 1)]
+LIGHT = [
+    pytest.param(name, axis, marks=[pytest.mark.long] * axis)
+    for name in ("ur10", "ur3", "kinova", "xarm7", "panda")
+    for axis in (0, 1)
+]
 
 
 @pytest.mark.parametrize(("name", "axis"), LIGHT)

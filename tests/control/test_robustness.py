@@ -10,8 +10,9 @@ import pytest
 from robust_sets import planar_set, reference, with_links
 
 import taut
-from taut.analysis.robustness import MAX_LAYER_RATE, UncertainArm, _carrying
-from taut.maths.model import PayloadValues
+from taut.analysis.robustness import MAX_LAYER_RATE, UncertainArm
+from taut.maths.model import PayloadValues, model_of
+from taut.maths.regressor import parameters_of
 
 WHOLE = bool(os.environ.get("TAUT_BARS"))
 
@@ -91,16 +92,18 @@ def test_a_disturbance_is_searched_and_certified_too() -> None:
 def test_the_lightest_and_the_heaviest_arm_bound_the_mass_matrix() -> None:
     arm, unknown = taut.load_arm("ur10"), taut.laws.Uncertainty(links=0.2, payload=(0.0, 3.0))
     q = np.random.default_rng(3).normal(size=(5, arm.n))
-    middle, inverse, heavy = UncertainArm(arm, unknown, 0.01).masses(q)
+    law = taut.laws.Robust(lam=10.0, k=10.0, phi=0.1, uncertainty=unknown)
+    rows = taut.JointMotion.of({"q": q, "v": 0.0 * q, "a": 0.0 * q})
+    bounds = UncertainArm(arm, law).bounds(rows)
     for k in range(5):
-        light = np.linalg.inv(inverse[k])
+        middle, light, heavy = bounds.M[k], bounds.light[k], bounds.heavy[k]
         known = np.asarray(taut.snapshot(arm.with_payload(1.5), q[k]).M)
-        assert known == pytest.approx(middle[k], rel=1e-9, abs=1e-9)
-        for factor, mass, expected in ((0.8, 0.0, light), (1.2, 3.0, heavy[k])):
+        assert known == pytest.approx(middle, rel=1e-9, abs=1e-9)
+        for factor, mass, expected in ((0.8, 0.0, light), (1.2, 3.0, heavy)):
             true = np.asarray(taut.snapshot(with_links(arm, factor).with_payload(mass), q[k]).M)
             assert true == pytest.approx(expected, rel=1e-9, abs=1e-9)
-        assert np.linalg.eigvalsh(heavy[k] - middle[k]).min() > -1e-9
-        assert np.linalg.eigvalsh(middle[k] - light).min() > -1e-9
+        assert np.linalg.eigvalsh(heavy - middle).min() > -1e-9
+        assert np.linalg.eigvalsh(middle - light).min() > -1e-9
 
 
 def test_the_layer_keeps_the_loop_below_half_a_rate_and_k_has_a_limit() -> None:
@@ -117,10 +120,9 @@ def test_the_layer_keeps_the_loop_below_half_a_rate_and_k_has_a_limit() -> None:
 def test_a_payload_with_a_point_mass_at_the_tool_is_the_sum_of_both() -> None:
     own = taut.Payload(mass=1.5, com=[0.02, -0.05, 0.1], inertia=[0.01, 0.02, 0.015, 0.001, 0.002, -0.001])
     point = taut.Payload(mass=0.7)
-    both, expected = (
-        PayloadValues.of(_carrying(own, 0.7)).body(),
-        PayloadValues.of(own).body() + PayloadValues.of(point).body(),
-    )
+    arm = taut.load_arm("panda").with_payload(own.mass, own.com, own.inertia)
+    nominal = taut.laws.Uncertainty(payload=(0.6, 0.8)).nominal(arm).payload
+    both, expected = PayloadValues.of(nominal).body(), PayloadValues.of(own).body() + PayloadValues.of(point).body()
     assert (both.m, *both.h, *both.I.ravel()) == pytest.approx((expected.m, *expected.h, *expected.I.ravel()))
 
 
@@ -141,3 +143,20 @@ def test_a_reference_that_is_not_known_beforehand_is_refused() -> None:
     with pytest.raises(taut.errors.UsageError) as refused:
         taut.analysis.boundary_layer(arm, taut.stream(period=0.1), planar_set(), lam=10.0, k=10.0, duration=1.0)
     assert refused.value.name == "reference"
+
+
+@pytest.mark.parametrize(("name", "integrator"), [("planar2", "rk4"), ("ur10", "semi-implicit-euler")])
+def test_a_plant_whose_links_carry_payloads_moves_as_an_arm_of_those_links(name: str, integrator: str) -> None:
+    """The simulations of a set are of one compiled loop."""
+    arm = taut.load_arm(name)
+    unknown = taut.laws.Uncertainty(links=np.linspace(0.4, 0.1, arm.n))
+    more = [[parameters_of(body) for body in part] for _, part in unknown.unknown(model_of(arm))]
+    ctrl, runs = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm), []
+    for true, links in ((arm, np.sum(more, axis=0)), (with_links(arm, 1.0 + unknown.links), None)):
+        plant = taut.RigidPlant(true, integrator=integrator, link_payloads=links is not None)
+        loop = taut.Loop(ctrl, plant, reference(arm), duration=0.3)
+        if links is not None:
+            loop.parameters["plant.payload.links"] = links
+        runs.append(taut.run(loop))
+    assert runs[0].q == pytest.approx(runs[1].q, abs=1e-9)
+    assert np.abs(runs[0].error).max() > 1e-3

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from taut.analysis.diagnosis.diagnosis import Diagnosis as Diagnosis
     from taut.analysis.flexible_joints import SetPointCondition as SetPointCondition
     from taut.analysis.flexible_joints import set_point_condition as set_point_condition
+    from taut.analysis.flexible_joints import stable_inversion as stable_inversion
     from taut.analysis.grading import Grade as Grade
     from taut.analysis.identification.excitation import excitation as excitation
     from taut.analysis.identification.identify import Estimate as Estimate

@@ -4,34 +4,29 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, Final, TypeAlias
 
 import numpy as np
-from scipy.optimize import brentq
 
-from taut.arm.description import Arm, Friction, Payload
-from taut.arm.parts import inertia_entries
+from taut.arm.description import Arm
 from taut.base.checks import instance_of, positive_scalar, rate_in_hertz, whole_number
 from taut.base.errors import RangeError
 from taut.base.result import Content, Result, Table
 from taut.base.types import Array, ArrayLike, Float64Array
-from taut.codegen.engine import Steps, best_engine
-from taut.codegen.loop import StepLoop
-from taut.codegen.program import Block
+from taut.codegen.program import over_rows
 from taut.control.command import Command, Torque
 from taut.control.gains import Gain
 from taut.control.law import Law
 from taut.control.laws.joint import ComputedTorque, FrictionCompensation
-from taut.control.laws.other_topics.robust import Robust, Uncertainty, friction_and_error, without_rotors
-from taut.control.trajectories.reference import JointMotion, Sample, Trajectory, sample_rows
-from taut.controller import Controller, compile
+from taut.control.laws.other_topics.robust import Robust, Uncertainty, friction_and_error
+from taut.control.trajectories.reference import JointMotion, Sample, Trajectory, known_rows
+from taut.controller import compile
 from taut.loop import Loop
 from taut.maths import dynamics as dyn
 from taut.maths.model import PayloadValues, model_of
+from taut.maths.regressor import parameters_of
 from taut.maths.snapshot import Snapshot
 from taut.plant.rigid import Integrator, RigidPlant
 from taut.runtime.simulate import run as simulated
@@ -39,109 +34,121 @@ from taut.trace import math as tm
 
 MAX_LAYER_RATE: Final = 0.5  # [-] of T times the loop's largest rate in its layer; explicit steps are stable below 2
 MIN_RHO: Final = 0.05  # of the largest: a joint that needs no robust torque on the reference gets a layer too
-INSTANTS: Final = 401  # of the reference, for the layer; the certificate takes every sixth or so
+INSTANTS: Final = 401  # of the reference; the level set takes every sixth or so
 LEVEL_INSTANTS: Final = 61
 MAX_CORNERS: Final = 128  # of the box of position errors: all of them up to seven joints
 MAX_CERTIFIED: Final = 1.0  # [rad | m] beyond which corners of that box no longer stand for the states inside it
 LEVEL_GROWTH: Final = 1.002  # of the level set beyond what a step asks for, so that the iteration ends
 ROUNDS: Final = 200  # of it
-TRIALS_PER_ARM: Final = 8  # links are constants of a plant, and every other one costs a compilation
+BETWEEN: Final = 8  # one simulation in so many is of an arm between the corners of the set
 SUBSTEPS: Final[Mapping[Integrator, int]] = {"rk4": 2, "semi-implicit-euler": 4}  # dry friction needs the latter
+LINKS, VISCOUS, COULOMB = "plant.payload.links", "plant.friction.viscous", "plant.friction.coulomb"
+TORQUE: Final = "law.ConstantTorque.tau"
 Case: TypeAlias = tuple[float, ...]
-"""Where in its interval each unknown is, from -1 to 1: of links, payload, viscous, Coulomb friction, disturbance."""
+"""Where in its interval each unknown is, from -1 to 1."""
 
 
 class ConstantTorque(Law):
     """A constant torque on the joints: the disturbance of a search."""
 
     ignores_reference = True
-    tau: Gain = Gain(unit="N m | N", accepts=(), minimum=-math.inf)
+    tau: Gain = Gain(unit="N m | N", accepts=(), minimum=-np.inf)
 
     def command(self, x: Snapshot, ref: Sample) -> Command:  # noqa: ARG002
         return Torque(disturbance=self.tau.as_array())
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Bounds:
+    """Bounds over all arms of a set, exact, at k states."""
+
+    M: Float64Array  # (k, n, n) of the law's model
+    light: Float64Array  # (k, n, n) of the lightest arm
+    heavy: Float64Array  # (k, n, n) of the heaviest arm
+    rho: Float64Array  # (k, n) largest error of the law's torques
+
+    @property
+    def mobility(self) -> Float64Array:
+        """(n,) largest (M^-1)_ii."""
+        return np.asarray(np.einsum("kii->ki", np.linalg.inv(self.light)).max(axis=0))
+
+    @property
+    def c(self) -> Float64Array:
+        """(k,) largest eigenvalues of M^^-1 M."""
+        return _largest(self.heavy, self.M)
+
+
 class UncertainArm:
-    """Bounds of an arm in intervals along a reference, exact over the intervals.
+    """The arms of a robust law's intervals.
 
     Torques are linear in the bodies, so that the box bound is a sum. The mass matrix grows with each body, so that it
     lies between that of the lightest and of the heaviest arm, and M^-1 with it.
     """
 
-    def __init__(self, arm: Arm, unknown: Uncertainty, width: float) -> None:
-        self.model, self.unknown, self.width = model_of(arm), unknown, width
-        unknown.check_arm(self.model)
-        self.b, self.c = unknown.friction(arm.friction)
-        loaded = dyn.loaded_bodies(self.model, PayloadValues.of(arm.payload))
-        nominal = dataclasses.replace(self.model, bodies=tuple(unknown.middle(self.model, loaded)))
-        bare, n = without_rotors(self.model), arm.n
-        parts = [dataclasses.replace(bare, bodies=tuple(part)) for part in unknown.unknown(self.model)]
+    def __init__(self, arm: Arm, law: Robust) -> None:
+        model, n, unknown = model_of(arm), arm.n, law.uncertainty
+        unknown.check_arm(model)
+        self.law, self.friction = law, unknown.friction(arm.friction)
+        self.phi, self.lam = (np.broadcast_to(gain, (n,)) for gain in (law.phi, law.lam))
+        loaded = dyn.loaded_bodies(model, PayloadValues.of(arm.payload))
+        middle, lightest = unknown.middle(model, loaded), unknown.lightest(model, loaded)
 
-        def masses(q: Array) -> dict[str, Any]:
-            half = sum((dyn.mass_matrix(part, q) for part in parts), np.zeros((n, n)))
-            return {"M": dyn.mass_matrix(nominal, q), "half": half}
+        def at(q: Array, v_ref: Array, a_ref: Array) -> dict[str, Any]:
+            def torques(s: Array) -> Array:
+                return unknown.torques(model, q, v_ref - s, v_ref, a_ref + self.lam * s)
 
-        def torques(q: Array, v: Array, v_ref: Array, a_ref: Array) -> dict[str, Any]:
-            return {"parts": unknown.torques(self.model, q, v, v_ref, a_ref)}
+            M, light = (dyn.mass_matrix(dataclasses.replace(model, bodies=(*x,)), q) for x in (middle, lightest))
+            rest = torques(np.zeros(n))
+            slopes = tm.jacobian(lambda s: torques(s).reshape(-1), np.zeros(n)).reshape(*rest.shape, n)
+            return {"M": M, "light": light, "heavy": 2.0 * M - light, "torques": rest, "slopes": slopes}
 
-        self._masses = _of_rows(masses, n, "q")
-        self._torques = _of_rows(torques, n, "q", "v", "v_ref", "a_ref")
+        self._at = over_rows(at, q=n, v_ref=n, a_ref=n)
 
-    def masses(self, q: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """(k, n, n) each: M of the law's model, the inverse of the lightest arm's M, and the heaviest arm's M."""
-        found = self._masses(q=q)
-        M, half = found["M"], found["half"]
-        return M, _inverse(M - half), M + half
+    def bounds(self, rows: JointMotion, e: ArrayLike = 0.0, V: float = 0.0, S: ArrayLike = 0.0) -> Bounds:
+        """Bounds at position errors e (k, n) of a reference, for all s inside |s_i| <= S_i and s . M s / 2 <= V."""
+        e = np.broadcast_to(e, rows.q.shape)
+        v_ref, a_ref = rows.v + self.lam * e, rows.a - self.lam**2 * e  # where s = 0
+        x = self._at(q=rows.q - e, v_ref=v_ref, a_ref=a_ref)
+        # torques are affine in s, exactly: slopes b, and |b . s| <= sqrt(2 V b . M^-1 b)
+        inverse = np.linalg.inv(x["light"])
+        along = np.einsum("kmij,kjl,kmil->kmi", x["slopes"], inverse, x["slopes"], optimize=True)
+        rho = (np.abs(x["torques"]) + np.sqrt(2.0 * V * np.maximum(along, 0.0))).sum(axis=1)
+        # friction errs most at an end: towards v_des the error falls, and beyond v_des it grows with v - v_des
+        ends = (friction_and_error(*self.friction, v_ref + s, rows.v, self.law.width) for s in (-np.asarray(S), S))
+        rho += np.maximum(*(error for _, error in ends)) + self.law.uncertainty.disturbance
+        return Bounds(M=x["M"], light=x["light"], heavy=x["heavy"], rho=rho)
 
-    def torques(self, **state: Float64Array) -> Float64Array:
-        """(k, m, n) torques of each unknown at its largest, at q, v, v_ref and a_ref (k, n)."""
-        return self._torques(**state)["parts"]
-
-    def friction_error(self, v: Float64Array, v_des: Float64Array) -> Float64Array:
-        """(k, n) largest error of the friction that the law assumes, and the disturbance."""
-        return np.asarray(friction_and_error(self.b, self.c, v, v_des, self.width)[1] + self.unknown.disturbance)
-
-    def rho(self, rows: JointMotion) -> Float64Array:
-        """(k, n) the bound on a reference."""
-        parts = self.torques(q=rows.q, v=rows.v, v_ref=rows.v, a_ref=rows.a)
-        return np.asarray(np.abs(parts).sum(axis=1) + self.friction_error(rows.v, rows.v))
-
-
-def _of_rows(function: Callable[..., dict[str, Any]], n: int, *names: str) -> Callable[..., dict[str, Float64Array]]:
-    """A traced function of arguments (n,), of many rows of them at once."""
-    inputs = Block.of(dict.fromkeys(names, (n,)))
-    steps = Steps(lambda x, _, memory: (function(**x), {**memory}), inputs, Block(), Block())
-    loop = StepLoop(steps, (np.cos(np.arange(inputs.size)), np.zeros(0), np.zeros(0)), engine=best_engine())
-
-    def evaluate(**rows: Float64Array) -> dict[str, Float64Array]:
-        given = np.ascontiguousarray(np.hstack([rows[field.path] for field in inputs.fields]))
-        found = np.zeros((len(given), loop.outputs.size))
-        loop.run(given, np.zeros(0), np.zeros(0), found)
-        return loop.outputs.views(found)
-
-    return evaluate
-
-
-def _inverse(A: Float64Array) -> Float64Array:
-    return np.asarray(np.linalg.inv(A), dtype=np.float64)
+    def level_set(self, rows: JointMotion, V: float) -> Float64Array | None:
+        """(n,) bounds S of |s| on the smallest level set of V that holds what it implies; None without one."""
+        n, k = len(self.lam), len(rows.q)
+        corners = itertools.product((-1.0, 1.0), repeat=n)
+        drawn = np.random.default_rng(0).choice((-1.0, 1.0), (MAX_CORNERS, n))
+        signs = np.array([np.zeros(n), *(corners if 2**n <= MAX_CORNERS else drawn)])
+        each = JointMotion.of({name: np.tile(getattr(rows, name), (len(signs), 1)) for name in "qva"})
+        signs, S = np.repeat(signs, k, axis=0), np.zeros(n)
+        for _ in range(ROUNDS):
+            x = self.bounds(each, signs * S / self.lam, V, S)
+            asked = float((x.c * (x.rho @ self.phi)).max()) / (8.0 * float(self.law.k))
+            if asked <= V and (2.0 * V * x.mobility <= S**2).all():
+                return S
+            V = max(V, LEVEL_GROWTH * asked)
+            S = np.maximum(S, LEVEL_GROWTH * np.sqrt(2.0 * V * x.mobility))
+            if (S / self.lam > MAX_CERTIFIED).any():
+                return None
+        return None
 
 
 def _largest(A: Float64Array, B: Float64Array) -> Float64Array:
-    """(k,) largest eigenvalues of A B, both symmetric and positive definite."""
-    values: Float64Array = np.linalg.eigvals(A @ B).real.max(axis=1)
+    """(k,) largest eigenvalues of B^-1 A, both symmetric, B positive definite."""
+    values: Float64Array = np.linalg.eigvals(np.linalg.solve(B, A)).real.max(axis=1)
     return values
 
 
-def _along(reference: Trajectory | Sample, duration: float, instants: int, n: int) -> JointMotion:
+def _along(arm: Arm, reference: Trajectory | Sample, duration: float, instants: int) -> JointMotion:
     """The reference at so many instants."""
-    return JointMotion.of(sample_rows(reference, np.linspace(0.0, duration, instants), JointMotion, n))
-
-
-def _checked(arm: Arm, reference: object, duration: object) -> float:
     instance_of("arm", arm, Arm, "an Arm from taut.load_arm")
-    known = "a reference that is known beforehand, a trajectory with at(t) or a taut.JointMotion"
-    instance_of("reference", reference, (Trajectory, Sample), known)
-    return positive_scalar("duration", duration, unit="s")
+    times = np.linspace(0.0, positive_scalar("duration", duration, unit="s"), instants)
+    return known_rows("reference", reference, times, arm.n)
 
 
 def boundary_layer(
@@ -184,27 +191,19 @@ def boundary_layer(
         >>> taut.analysis.boundary_layer(arm, ref, unknown, lam=10.0, k=10.0, duration=1.0).round(3).tolist()
         [0.017, 0.05]
     """
-    length = _checked(arm, reference, duration)
-    law = Robust(lam=lam, k=k, phi=1.0, uncertainty=uncertainty)
-    uncertain = UncertainArm(arm, uncertainty, float(law.width))
-    rows = _along(reference, length, INSTANTS, arm.n)
-    M, inverse, _ = uncertain.masses(rows.q)
-    mobility, T = np.einsum("kii->ki", inverse).max(axis=0), 1.0 / rate_in_hertz(rate)
-    rho = uncertain.rho(rows).max(axis=0)
+    rows = _along(arm, reference, duration, INSTANTS)
+    x = UncertainArm(arm, Robust(lam=lam, k=k, phi=1.0, uncertainty=uncertainty)).bounds(rows)
+    rho, mobility, limit = x.rho.max(axis=0), x.mobility, MAX_LAYER_RATE * rate_in_hertz(rate)
     if not rho.any():
         raise RangeError("uncertainty must have an interval of some width; nothing in it is unknown", name="links")
-
-    def sampled(kappa: float) -> float:
-        return T * float(_largest(k * M + np.diag(kappa / mobility), inverse).max())
-
-    if sampled(0.0) >= MAX_LAYER_RATE:
-        most = MAX_LAYER_RATE * k / sampled(0.0)
+    max_k = limit / float(_largest(x.M, x.light).max())
+    if k >= max_k:
         raise RangeError(
-            f"k must be below {most:.3g} [1/s] at {rate:g} Hz for the lightest arm; got {k:g}", name="k", value=k
+            f"k must be below {max_k:.3g} [1/s] at {rate:g} Hz for the lightest arm; got {k:g}", name="k", value=k
         )
-    # at the upper end it is larger, since diag(1 / (M^-1)_ii) M^-1 has an eigenvalue of 1 or more
-    kappa = brentq(lambda kappa: sampled(kappa) - MAX_LAYER_RATE, 0.0, MAX_LAYER_RATE / T, xtol=1e-3)
-    phi: Float64Array = np.maximum(rho, MIN_RHO * rho.max()) * mobility / kappa
+    # the eigenvalues stay below the limit as long as kappa diag(1 / mobility) <= limit M - k M^ of the lightest arm
+    remaining = (limit * x.light - k * x.M) * np.sqrt(np.outer(mobility, mobility))
+    phi: Float64Array = np.maximum(rho, MIN_RHO * rho.max()) * mobility / np.linalg.eigvalsh(remaining).min()
     return phi
 
 
@@ -212,31 +211,20 @@ def boundary_layer(
 class Certificate(Result):
     """Two figures of robust control, kept apart: the error that is certified, and the largest that was found.
 
-    Args:
-        joints: Their names.
-        units: Of their positions.
-        certified: (n,) error that no arm of the set exceeds from a start on the reference, in continuous time while
-            no torque saturates [rad | m]; None where the iteration on the level set does not close.
-        on_reference: (n,) the same with rho on the reference alone, which proves nothing: the first iterate.
-        found: (n,) largest error in simulations of arms of the set [rad | m].
-        computed_torque: (n,) the largest of computed torque with the same nominal loop and friction compensation.
-        worst: The unknowns of the arm with the largest error, each as a position in its interval from -1 to 1.
-        runs: Number of simulations of the robust law.
-        alpha: Largest distance of an eigenvalue of M^-1 M^ from 1 over the set: inverse dynamics with an additional
-            term (Corless and Leitmann's form) has no bound where this is 1 or more.
-        sampled: T times the largest rate of the loop in its layer: explicit steps are stable below 2.
+    The first is in continuous time, from a start on the reference, while no torque saturates. Inverse dynamics with
+    an additional term (Corless and Leitmann's form) has no bound where `alpha` is 1 or more.
     """
 
     joints: tuple[str, ...]
-    units: tuple[str, ...]
-    certified: Float64Array | None
-    on_reference: Float64Array
-    found: Float64Array
-    computed_torque: Float64Array
-    worst: Mapping[str, list[float]]
-    runs: int
-    alpha: float
-    sampled: float
+    units: tuple[str, ...]  # of their positions
+    certified: Float64Array | None  # (n,) [rad | m] error that no arm of the set exceeds; None without a level set
+    on_reference: Float64Array  # (n,) the same with rho on the reference alone, which proves nothing
+    found: Float64Array  # (n,) [rad | m] largest error in simulations of arms of the set
+    computed_torque: Float64Array  # (n,) of computed torque with the same nominal loop and friction compensation
+    worst: Mapping[str, list[float]]  # unknowns of the arm with the largest error, in their intervals from -1 to 1
+    runs: int  # simulations of the robust law
+    alpha: float  # largest distance of an eigenvalue of M^-1 M^ from 1 over the set
+    sampled: float  # T times the largest rate of the loop in its layer: explicit steps are stable below 2
 
     @property
     def ok(self) -> bool:
@@ -245,14 +233,9 @@ class Certificate(Result):
 
     def content(self) -> Content:
         """Both figures for each joint, and computed torque's."""
-        n = len(self.joints)
-        certified = np.full(n, np.nan) if self.certified is None else self.certified
-        columns = (certified, self.found, self.computed_torque)
-        rows = list(zip(self.joints, *(column.tolist() for column in columns), self.units, strict=True))
-        heads = ("joint", "certified", "found", "computed torque, found", "unit")
-        none = (
-            "no certificate: the level set on which rho holds grows without end; choose a thinner phi or a larger k"
-        )
+        certified = [None] * len(self.joints) if self.certified is None else self.certified.tolist()
+        columns = certified, self.found.tolist(), self.computed_torque.tolist()
+        none = "no certificate: the level set on which rho holds grows without end; take a thinner phi or a larger k"
         notes = [
             f"found: in {self.runs} simulations of arms of the set, corners among them, and a search from the worst",
             "certified: in continuous time, from a start on the reference, while no torque saturates; exact over the "
@@ -264,7 +247,12 @@ class Certificate(Result):
         return Content(
             title="robust control: error certified, and largest error found",
             faults=[none] if self.certified is None else [],
-            tables=[Table(columns=heads, rows=rows)],
+            tables=[
+                Table(
+                    columns=("joint", "certified", "found", "computed torque, found", "unit"),
+                    rows=list(zip(self.joints, *columns, self.units, strict=True)),
+                )
+            ],
             notes=notes,
             settings={"worst arm": "; ".join(f"{name} {values}" for name, values in self.worst.items())},
         )
@@ -288,8 +276,8 @@ def certify(
 
     Over the set of arms c, M^-1 and rho are exact, and over velocities rho is bounded: its parts are affine in s.
     Over position errors up to S_i / lam_i the corners are taken, at instants of the reference: an estimate.
-    Simulations start on the reference; unknowns stand at corners of the set, between them, and where a search
-    leads that changes one at a time. A disturbance is constant in them.
+    Simulations start on the reference: of arms at corners of the set, between them, and where a search leads that
+    changes one unknown at a time. A disturbance is constant in them.
 
     Args:
         law: The robust law.
@@ -297,7 +285,7 @@ def certify(
         reference: A trajectory or a sample.
         duration: [s].
         rate: Of the controller [Hz].
-        trials: Simulations before the search: one arm is compiled for each eight.
+        trials: Simulations before the search.
         seed: Of the sampled ones.
 
     Raises:
@@ -316,191 +304,80 @@ def certify(
         Corless and Leitmann, IEEE TAC 26 (5) (1981). Spong, IEEE TAC 37 (11) (1992). Slotine and Li (1991).
     """
     instance_of("law", law, Robust, "a taut.laws.Robust")
-    length, n = _checked(arm, reference, duration), arm.n
-    T, trials = 1.0 / rate_in_hertz(rate), whole_number("trials", trials, minimum=2)
-    uncertain = UncertainArm(arm, law.uncertainty, float(law.width))
-    rows = _along(reference, length, INSTANTS, n)
-    M, inverse, heavy = uncertain.masses(rows.q)
-    rho, mobility = uncertain.rho(rows), np.einsum("kii->ki", inverse).max(axis=0)
-    c = _largest(_inverse(M), heavy)
-    k, phi, lam = float(law.k), np.broadcast_to(law.phi, (n,)), np.broadcast_to(law.lam, (n,))
-    start = float(c.max() / (8.0 * k) * (rho.max(axis=0) @ phi))
-    level = _level_set(uncertain, law, _along(reference, length, LEVEL_INSTANTS, n), start)
-    search = Search(arm=arm, law=law, reference=reference, duration=length, rate=rate)
-    cases = list(search.cases(trials, np.random.default_rng(seed)))
-    usual = np.array([search.error(case, robust=False) for case in cases])
-    worst = search.improved(max(cases, key=lambda case: float(search.error(case).max())))
-    layer = k * M + np.einsum("ki,ij->kij", rho / phi, np.eye(n))
+    rows, trials = _along(arm, reference, duration, INSTANTS), whole_number("trials", trials, minimum=2)
+    arms, k = UncertainArm(arm, law), float(law.k)
+    x = arms.bounds(rows)
+    start = float(x.c.max() * (x.rho.max(axis=0) @ arms.phi)) / (8.0 * k)
+    level = arms.level_set(_along(arm, reference, duration, LEVEL_INSTANTS), start)
+    layer = k * x.M + np.einsum("ki,ij->kij", x.rho / arms.phi, np.eye(arm.n))
+    search = Search(law, arm, reference, duration, rate)
+    cases = search.cases(trials, seed)
+    errors = {case: search.error(search.robust, case) for case in cases}
+    worst = max(cases, key=lambda case: float(errors[case].max()))
+    for i, at in enumerate(worst):  # a search from the worst, each unknown in turn at the other end of its interval
+        other = (*worst[:i], -1.0 if at > 0.0 else 1.0, *worst[i + 1 :])
+        errors[other] = search.error(search.robust, other)
+        worst = max(worst, other, key=lambda case: float(errors[case].max()))
+    names = [name for name, _, _ in search.unknowns]
     return Certificate(
         joints=arm.joint_names,
         units=arm.units,
-        certified=None if level is None else level / lam,
-        on_reference=np.sqrt(2.0 * start * mobility) / lam,
-        found=np.max([error for (_, robust), error in search.errors.items() if robust], axis=0),
-        computed_torque=usual.max(axis=0),
-        worst={name: list(worst[part]) for name, part in search.places.items() if worst[part]},
-        runs=sum(robust for _, robust in search.errors),
-        alpha=float(max(_largest(inverse, M).max() - 1.0, 1.0 - 1.0 / c.max())),
-        sampled=T * float(_largest(layer, inverse).max()),
+        certified=None if level is None else level / arms.lam,
+        on_reference=np.sqrt(2.0 * start * x.mobility) / arms.lam,
+        found=np.max(list(errors.values()), axis=0),
+        computed_torque=np.max([search.error(search.usual, case) for case in cases], axis=0),
+        worst={name: [at for at, one in zip(worst, names, strict=True) if one == name] for name in names},
+        runs=len(errors),
+        alpha=float(max(_largest(x.M, x.light).max() - 1.0, 1.0 - 1.0 / x.c.max())),
+        sampled=float(_largest(layer, x.light).max()) / rate_in_hertz(rate),
     )
 
 
-def _level_set(uncertain: UncertainArm, law: Robust, rows: JointMotion, start: float) -> Float64Array | None:
-    """(n,) bounds S of |s| on the smallest level set of V that holds what it implies; None where there is none."""
-    n = rows.q.shape[1]
-    k, phi, lam = float(law.k), np.broadcast_to(law.phi, (n,)), np.broadcast_to(law.lam, (n,))
-    corners = itertools.product((-1.0, 1.0), repeat=n)
-    drawn = np.random.default_rng(0).choice((-1.0, 1.0), (MAX_CORNERS, n))
-    signs = np.array(list(corners)) if 2**n <= MAX_CORNERS else drawn
-    V, S = start, np.zeros(n)
-    for _ in range(ROUNDS):
-        asked, mobility = 0.0, np.zeros(n)
-        for sign in (np.zeros(n), *signs):
-            e = np.broadcast_to(sign * S / lam, rows.q.shape)
-            v_ref, a_ref = rows.v + lam * e, rows.a - lam**2 * e  # with s = 0
-            q = rows.q - e
-            M, inverse, heavy = uncertain.masses(q)
-            parts = uncertain.torques(q=q, v=v_ref, v_ref=v_ref, a_ref=a_ref)
-            slopes = np.stack(
-                [uncertain.torques(q=q, v=v_ref - s, v_ref=v_ref, a_ref=a_ref + lam * s) - parts for s in np.eye(n)],
-                axis=-1,
-            )  # (k, m, n, n) by s, exact: at one position the torques are affine in s
-            # |b . s| <= sqrt(2 V b . M^-1 b) where s . M s / 2 <= V
-            along = np.einsum("kmij,kjl,kmil->kmi", slopes, inverse, slopes, optimize=True)
-            rho = (np.abs(parts) + np.sqrt(2.0 * V * np.maximum(along, 0.0))).sum(axis=1)
-            # friction errs most at an end: towards v_des the error falls, and beyond v_des it grows with v - v_des
-            rho += np.maximum(*(uncertain.friction_error(v_ref + end, rows.v) for end in (-S, S)))
-            asked = max(asked, float((_largest(_inverse(M), heavy) * (rho @ phi)).max()) / (8.0 * k))
-            mobility = np.maximum(mobility, np.einsum("kii->ki", inverse).max(axis=0))
-        implied = np.sqrt(2.0 * max(V, asked) * mobility)
-        if asked <= V and (implied <= S).all():
-            return S
-        V = max(V, LEVEL_GROWTH * asked)
-        S = np.maximum(S, np.sqrt(2.0 * V * mobility) * LEVEL_GROWTH)
-        if (S / lam > MAX_CERTIFIED).any():
-            return None
-    return None
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Search:
-    """Simulations of arms of a set under the robust law, and under computed torque of the same nominal loop."""
+    """Simulations of arms of a set under the robust law, and under computed torque of the same nominal loop.
 
-    arm: Arm
-    law: Robust
-    reference: Trajectory | Sample
-    duration: float
-    rate: float
-    errors: dict[tuple[Case, bool], Float64Array] = dataclasses.field(default_factory=dict)
-    _loops: dict[tuple[Case, bool], Loop] = dataclasses.field(default_factory=dict)
+    Each unknown has a name, the parameter of the loop that it moves, and by how much at the end of its interval.
+    """
 
-    @property
-    def places(self) -> dict[str, slice]:
-        """The entries of a case that are about each kind of unknown: none where its interval has no width."""
-        unknown, n = self.law.uncertainty, self.arm.n
-        b, c = unknown.friction(self.arm.friction)
-        sizes = {
-            "links": n * bool(np.any(unknown.links)),
-            "payload": int(np.ptp(unknown.payload) > 0.0),
-            "viscous": int(np.ptp(b, axis=0).any()),
-            "coulomb": int(np.ptp(c, axis=0).any()),
-            "disturbance": n * bool(np.any(unknown.disturbance)),
-        }
-        ends = np.cumsum(list(sizes.values())).tolist()
-        return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
-
-    def cases(self, trials: int, rng: np.random.Generator) -> Iterator[Case]:
-        """All corners of a small set; else the heaviest and the lightest links, other corners, and cases between."""
-        size, links = self.places["disturbance"].stop, self.places["links"].stop
-        if 2**size <= trials:
-            yield from itertools.product((1.0, -1.0), repeat=size)
-            return
-        for i in range(max(2, math.ceil(trials / TRIALS_PER_ARM)) if links else 1):
-            bodies = rng.choice((-1.0, 1.0), links) if i > 1 else np.full(links, 1.0 - 2.0 * i)
-            for j in range(min(trials, TRIALS_PER_ARM)):
-                other = rng.choice((-1.0, 1.0), size - links) if j > 1 else np.full(size - links, 1.0 - 2.0 * j)
-                if j == TRIALS_PER_ARM - 1:
-                    other = rng.uniform(-1.0, 1.0, size - links)
-                yield (*bodies.tolist(), *other.tolist())
-
-    def improved(self, case: Case) -> Case:
-        """A case after each unknown was moved to the other end of its interval, where that was worse."""
-        for i in range(len(case)):
-            other = (*case[:i], -1.0 if case[i] > 0.0 else 1.0, *case[i + 1 :])
-            if self.error(other).max() > self.error(case).max():
-                case = other
-        return case
-
-    def error(self, case: Case, *, robust: bool = True) -> Float64Array:
-        """(n,) largest error of a run [rad | m]; infinite where it diverged."""
-        key = (case, robust)
-        if key not in self.errors:
-            self.errors[key] = self._simulated(case, robust)
-        return self.errors[key]
-
-    def _simulated(self, case: Case, robust: bool) -> Float64Array:
-        at = {name: np.array(case[part]) for name, part in self.places.items()}
-        loop = self._loop(case[self.places["links"]], robust)
-
-        def value(name: str, low: Any, high: Any) -> Float64Array:
-            return np.asarray(0.5 * (low + high) + 0.5 * (high - low) * (at[name] if at[name].size else 0.0))
-
-        unknown, n = self.law.uncertainty, self.arm.n
-        load = _carrying(self.arm.payload, value("payload", *unknown.payload).sum())
-        changes: dict[str, ArrayLike] = {f"plant.payload.{name}": number for name, number in vars(load).items()}
-        for name, interval in zip(("viscous", "coulomb"), unknown.friction(self.arm.friction), strict=True):
-            changes[f"plant.friction.{name}"] = value(name, *interval)
-        if at["disturbance"].size:
-            changes[f"law.{ConstantTorque.__name__}.tau"] = unknown.disturbance * at["disturbance"]
-        for path in changes.keys() & loop.parameters.keys():
-            loop.parameters[path] = changes[path]
-        first = sample_rows(self.reference, np.zeros(1), JointMotion, n)
-        run = simulated(loop, q0=first["q"].reshape(n), v0=first["v"].reshape(n), progress=False)
-        assert run.error is not None
-        return np.asarray(np.abs(run.error).max(axis=0)) if run.outcome.ok else np.full(n, np.inf)
-
-    def _loop(self, links: Case, robust: bool) -> Loop:
-        """The loop with an arm of these links, whose payload, friction and disturbance are still to be set."""
-        made = self._loops.get((links, robust))
-        if made is None:
-            b, c = (high for _, high in self.law.uncertainty.friction(self.arm.friction))
-            factors = 1.0 + self.law.uncertainty.links * np.array(links or (0.0,) * self.arm.n)
-            true = self.arm.with_friction(Friction(viscous=b, coulomb=c))
-            bodies = zip(true.bodies, factors.tolist(), strict=True)
-            true = dataclasses.replace(
-                true,
-                bodies=tuple(dataclasses.replace(x, mass=f * x.mass, inertia=f * x.inertia) for x, f in bodies),
-            )
-            integrator: Integrator = "semi-implicit-euler" if np.any(c) else "rk4"
-            plant = RigidPlant(true, integrator=integrator, substeps=SUBSTEPS[integrator])
-            made = Loop(self._controllers[robust], plant, self.reference, duration=self.duration)
-            self._loops[links, robust] = made
-        return made
-
-    @cached_property
-    def _controllers(self) -> dict[bool, Controller]:
-        """The robust law, and computed torque with its nominal loop, on the middle of the set."""
-        unknown, arm, k, lam = self.law.uncertainty, self.arm, float(self.law.k), np.asarray(self.law.lam)
-        b, c = (0.5 * (low + high) for low, high in unknown.friction(arm.friction))
-        usual: Law = ComputedTorque(kp=k * lam, kd=k + lam)
+    def __init__(self, law: Robust, arm: Arm, reference: Trajectory | Sample, duration: float, rate: float) -> None:
+        unknown, lam, k = law.uncertainty, law.lam.as_array(), law.k.as_array()
+        nominal, (b, c) = unknown.nominal(arm), unknown.friction(arm.friction)
+        parts = unknown.unknown(model_of(arm))
+        unknowns = [(name, LINKS, np.array([parameters_of(body) for body in part])) for name, part in parts]
+        unknowns += [("viscous", VISCOUS, 0.5 * np.ptp(b, axis=0)), ("coulomb", COULOMB, 0.5 * np.ptp(c, axis=0))]
+        unknowns += [("disturbance", TORQUE, torque) for torque in unknown.disturbance * np.eye(arm.n)]
+        self.unknowns = [(name, path, half) for name, path, half in unknowns if half.any()]
+        laws: list[Law] = [law, ComputedTorque(kp=k * lam, kd=k + lam)]
         if np.any(b) or np.any(c):
-            usual = usual + FrictionCompensation(at="ref", width=self.law.width)
-        middle = arm.with_friction(Friction(viscous=b, coulomb=c))
-        middle = dataclasses.replace(middle, payload=_carrying(arm.payload, float(np.mean(unknown.payload))))
-        laws = {True: (self.law, arm), False: (usual, middle)}
-        push = [ConstantTorque(tau=np.zeros(arm.n))] if np.any(unknown.disturbance) else []
-        return {robust: compile(sum(push, start=law), known, rate=self.rate) for robust, (law, known) in laws.items()}
+            laws[1] = laws[1] + FrictionCompensation(at="ref", width=law.width)
+        if np.any(unknown.disturbance):
+            laws = [each + ConstantTorque(tau=np.zeros(arm.n)) for each in laws]
+        integrator: Integrator = "semi-implicit-euler" if np.any(c) else "rk4"
+        plant = RigidPlant(nominal, integrator=integrator, substeps=SUBSTEPS[integrator], link_payloads=True)
+        self.robust, self.usual = (
+            Loop(compile(each, known, rate=rate), plant, reference, duration=duration)
+            for each, known in zip(laws, (arm, nominal), strict=True)
+        )
+        self.start = known_rows("reference", reference, np.zeros(1), arm.n)
+        self.middle = {path: self.robust.parameters[path] for _, path, _ in self.unknowns}
 
+    def cases(self, trials: int, seed: int) -> list[Case]:
+        """All corners of a small set; else its two ends, other corners, and arms between them."""
+        size, rng = len(self.unknowns), np.random.default_rng(seed)
+        if 2**size <= trials:
+            return list(itertools.product((1.0, -1.0), repeat=size))
+        drawn = rng.choice((-1.0, 1.0), (trials, size))
+        drawn[:2] = [[1.0], [-1.0]]
+        drawn[BETWEEN - 1 :: BETWEEN] = rng.uniform(-1.0, 1.0, (trials // BETWEEN, size))
+        return [tuple(case) for case in drawn.tolist()]
 
-def _carrying(payload: Payload, mass: float) -> Payload:
-    """A payload with a point mass at the tool besides."""
-    if mass == 0.0:
-        return payload
-    total = payload.mass + mass
-    if total == 0.0:
-        return Payload()
-    com = payload.mass / total * payload.com
-    # about the new centre of mass: both point masses lie on a line through the tool
-    apart = payload.mass * mass / total
-    S = np.asarray(tm.skew(payload.com))
-    return Payload(mass=total, com=com, inertia=payload.inertia + np.asarray(inertia_entries(-apart * S @ S)))
+    def error(self, loop: Loop, case: Case) -> Float64Array:
+        """(n,) largest error of a run from a start on the reference [rad | m]; infinite where it diverged."""
+        values = dict(self.middle)
+        for (_, path, half), at in zip(self.unknowns, case, strict=True):
+            values[path] = values[path] + at * half
+        for path, value in values.items():
+            loop.parameters[path] = value
+        run = simulated(loop, q0=self.start.q[0], v0=self.start.v[0], progress=False)
+        assert run.error is not None
+        return np.asarray(np.abs(run.error).max(axis=0)) if run.outcome.ok else np.full(run.n, np.inf)

@@ -14,11 +14,8 @@ from taut.base.errors import UsageError
 from taut.base.paths import subtree
 from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array, Vector
-from taut.codegen.engine import Steps, best_engine
-from taut.codegen.loop import StepLoop
-from taut.codegen.program import Block
+from taut.codegen.program import over_rows
 from taut.linear.linearise import linearise
-from taut.linear.performance import frequency_grid
 from taut.loop import Loop
 from taut.maths import dynamics as dyn
 from taut.maths.model import PayloadValues, model_of
@@ -119,22 +116,15 @@ def coupling(loop: Loop, *, at: ArrayLike | None = None) -> Coupling:
             "has units; look at lin.frequency_response(omega, input='ref.q', output='q') of taut.linearise",
             name="loop",
         )
-    if not lin.stable:
-        raise UsageError(
-            f"crosstalk is that of a stable loop; this one is {lin.unstable_because}; lower the gains",
-            name="loop",
-        )
     payload = PayloadValues.of(subtree(loop.parameters, "plant.payload"))
     arm, q = loop.plant.arm, lin.point.q
     M = np.array(Snapshot(model_of(arm), q=q, v=np.zeros(arm.n), payload=payload).M, dtype=float)
     root = np.sqrt(np.diag(M))
     scaled = M / np.outer(root, root)
-    omega = frequency_grid(lin.period, np.abs(np.angle(lin.poles)) / lin.period)
-    T = lin.frequency_response(omega, input="ref.q", output="q")
     return Coupling(
         joints=lin.point.joints,
         inertia=1.0 - float(np.linalg.eigvalsh(scaled)[0]),
-        crosstalk=np.abs(T).max(axis=0),
+        crosstalk=lin.peak_gain(input="ref.q", output="q"),
         droop=lin.point.moved,
         unit=units[0],
     )
@@ -240,27 +230,18 @@ def _energies(
     run: Run, arm: Arm, viscous: Float64Array, payload: Mapping[str, Any]
 ) -> tuple[Float64Array, Float64Array]:
     """(k,) kinetic energy [J], and (k,) its rate under the torques that act [W]."""
-    n, model = arm.n, model_of(arm)
-    inputs = Block.of({"q": (n,), "v": (n,), "tau": (n,)})
-    numbers = Block.of({"viscous": (n,), "mass": (), "com": (3,), "inertia": (6,)})
+    model, load = model_of(arm), PayloadValues.of(payload)
 
-    def step(x: Mapping[str, Any], given: Mapping[str, Any], memory: Mapping[str, Any]) -> tuple[Any, Any]:
-        q, v, load = x["q"], x["v"], PayloadValues.of(given)
-
+    def energies(q: Vector, v: Vector, tau: Vector) -> dict[str, Any]:
         def kinetic(s: Vector) -> Any:
             return 0.5 * (v @ (dyn.mass_matrix(model, q + s[0] * v, load) @ v))
 
-        push = x["tau"] - dyn.bias(model, q, v, load) - given["viscous"] * v
+        push = tau - dyn.bias(model, q, v, load) - viscous * v
         moved = jacobian(kinetic, np.zeros(1))[0]  # v . M-dot v / 2
-        return {"kinetic": kinetic(np.zeros(1)), "rate": v @ push + moved}, {**memory}
+        return {"kinetic": kinetic(np.zeros(1)), "rate": v @ push + moved}
 
-    example = np.cos(np.arange(inputs.size)), np.ones(numbers.size), np.zeros(0)
-    loop = StepLoop(Steps(step, inputs, numbers, Block()), example, engine=best_engine())
-    found = np.zeros((len(run), loop.outputs.size))
-    values = numbers.pack({"viscous": viscous, **payload})
-    loop.run(np.hstack([run.q, run.v, run.tau]), values, np.zeros(0), found)
-    views = loop.outputs.views(found)
-    return views["kinetic"], views["rate"]
+    found = over_rows(energies, q=arm.n, v=arm.n, tau=arm.n)(q=run.q, v=run.v, tau=run.tau)
+    return found["kinetic"], found["rate"]
 
 
 def _check(run: Run, law: str, values: Mapping[str, Any]) -> None:

@@ -161,8 +161,10 @@ def _check_moments(six: Float64Array) -> None:
 
 
 def checked_payload_entry(path: str, value: ArrayLike) -> Float64Array:
-    """A new mass, com or inertia of a payload, by the last name in its path."""
+    """A new mass, com or inertia of a payload, or what links carry, by the last name in its path."""
     name = path.rpartition(".")[2]
+    if name == "links":
+        return finite_array(path, value)
     if name == "mass":
         return np.asarray(finite_scalar(path, value, unit="kg", minimum=0.0))
     if name == "com":

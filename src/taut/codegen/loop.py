@@ -18,8 +18,10 @@ from taut.codegen.native import NativeModule, compiled, level_for
 from taut.codegen.program import Block, Field, Program, trace
 from taut.loop import Loop
 
+BLOCKS: Final = ("input", "parameter", "memory", "output")
 COMMAND = "command"  # the output that must be finite as memory must be
-Run: TypeAlias = Callable[[Float64Array, Float64Array, Float64Array, Float64Array], int]
+Run: TypeAlias = Callable[..., int]
+"""On arrays of inputs, parameters, memory and outputs; the number of ticks done."""
 
 
 class TracedSteps:
@@ -77,7 +79,8 @@ class StepLoop:
     def run(self, inputs: Float64Array, parameters: Float64Array, memory: Float64Array, outputs: Float64Array) -> int:
         """Ticks with one row of inputs and of outputs each; the number of them that ended in finite memory.
 
-        What the Python code of a step raises ends them too, and is kept in `raised`. Machine code releases the GIL.
+        With rows of memory, each tick goes on from its own and none ends the others; one row of inputs may serve all.
+        What the Python code of a step raises ends the ticks, and is kept in `raised`. Machine code releases the GIL.
         """
         for array in (inputs, parameters, memory, outputs):
             assert array.dtype == np.float64
@@ -95,7 +98,7 @@ class StepLoop:
         if level > self._level:
             self._level = level
             self.module: NativeModule = self._at(level=level)
-            self._run = _native_run(self.module["loop"])
+            self._run = native_loop(self.module["loop"])
 
     def _compile(self, traced: TracedSteps, example: tuple[Float64Array, ...], ticks: int | None) -> None:
         steps, self.outputs = self._steps, traced.step.outputs
@@ -116,7 +119,7 @@ class StepLoop:
         command = next((field for field in self.outputs.fields if field.path == COMMAND), None)
 
         def text() -> str:
-            return "\n".join([traced.text(), _loop_text(memory.size, traced.repeats, command)])
+            return "\n".join([traced.text(), loop_text(memory.size, traced.repeats, command)])
 
         self._at = functools.partial(compiled, repr(command).encode() + traced.content, text, names, verify)
         self.expect(ticks)
@@ -124,20 +127,22 @@ class StepLoop:
     def _plain_run(
         self, inputs: Float64Array, parameters: Float64Array, memory: Float64Array, outputs: Float64Array
     ) -> int:
-        self.raised, new = None, memory.copy()
-        for k in range(len(inputs)):
+        self.raised = None
+        for k, given in enumerate(np.broadcast_to(inputs, (len(outputs), inputs.shape[1]))):
+            old = memory if memory.ndim == 1 else memory[k]
+            new = old.copy()
             try:
-                self._step(inputs[k], parameters, memory, new, outputs[k])
+                self._step(given, parameters, old, new, outputs[k])
                 for _ in range(self._steps.repeats):
-                    self._substep(inputs[k], parameters, new, new, np.zeros(0))
+                    self._substep(given, parameters, new, new, np.zeros(0))
             except Exception as error:
                 self.raised = error
                 return k
             command = self.outputs.views(outputs[k]).get(COMMAND, 0.0)
-            if not (np.isfinite(new).all() and np.isfinite(command).all()):
+            if memory.ndim == 1 and not (np.isfinite(new).all() and np.isfinite(command).all()):
                 return k
-            memory[:] = new
-        return len(inputs)
+            old[:] = new
+        return len(outputs)
 
 
 # A loop keeps its code, so that it is traced once however often it runs. The code is that of a twin of the loop: code
@@ -157,42 +162,26 @@ def compiled_loop(loop: Loop, blocks: tuple[Block, Block, Block], example: Flat)
     return made
 
 
-def _native_run(address: int) -> Run:
-    kinds = [ctypes.c_int64, ctypes.c_void_p, ctypes.c_int64, *[ctypes.c_void_p] * 3, ctypes.c_int64]
-    loop = ctypes.CFUNCTYPE(ctypes.c_int64, *kinds)(address)
+def native_loop(address: int) -> Run:
+    """A compiled `loop` on arrays: rows of inputs, of parameters and of memory, or one for all ticks."""
+    places = [ctypes.c_void_p, ctypes.c_int64]
+    loop = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, *places * 4)(address)
 
-    def run(inputs: Float64Array, parameters: Float64Array, memory: Float64Array, outputs: Float64Array) -> int:
-        numbers = parameters.ctypes.data, memory.ctypes.data, outputs.ctypes.data
-        return int(loop(len(inputs), inputs.ctypes.data, inputs.shape[1], *numbers, outputs.shape[1]))
+    def run(*arrays: Float64Array) -> int:
+        count, given = len(arrays[-1]), list[int]()
+        for array in arrays:
+            given += [array.ctypes.data, array.shape[1] if array.ndim == 2 and len(array) == count else 0]
+        return int(loop(count, *given))
 
     return run
 
 
-def write_period(w: Writer, parameters: str, memory: str, repeats: int, after: str) -> None:
-    """LLVM text, in a block called head, of `kernel` from `memory` to %new, and `repeats` times `substep` in %new.
+def loop_text(memory_size: int, repeats: int, command: Field | None = None) -> str:
+    """LLVM text of `loop`: `kernel` from memory to %new, then `substep` in %new, for each row of the blocks.
 
-    Inputs are at %in and outputs at %out; a block called `after` begins where it ends.
-    """
-    w.line(f" call void @kernel(ptr %in, ptr {parameters}, ptr {memory}, ptr %new, ptr %out)")
-    if repeats:
-        w.line(
-            " br label %inner",
-            "inner:",
-            " %i = phi i64 [0, %head], [%i1, %inner]",
-            f" call void @substep(ptr %in, ptr {parameters}, ptr %new, ptr %new, ptr %out)",
-            " %i1 = add i64 %i, 1",
-            f" %again = icmp slt i64 %i1, {repeats}",
-            f" br i1 %again, label %inner, label %{after}",
-        )
-    else:
-        w.line(f" br label %{after}")
-    w.line(f"{after}:")
-
-
-def _loop_text(memory_size: int, repeats: int, command: Field | None = None) -> str:
-    """LLVM text of `loop`, over rows of inputs and outputs; it returns the number of steps with finite memory.
-
-    The command must be finite too: a drive that saturates would make a finite torque of an infinite one.
+    A stride of 0 is one row for all: of memory, in which each tick goes on from the last. That ends where memory or
+    command is not finite, for a drive that saturates would make a finite torque of an infinite one. The number of
+    steps done is returned.
     """
     w = Writer()
     w.line(
@@ -202,20 +191,40 @@ def _loop_text(memory_size: int, repeats: int, command: Field | None = None) -> 
         " br i1 %none, label %end, label %head",
         "head:",
         " %k = phi i64 [0, %entry], [%next, %kept]",
-        " %in_at = mul i64 %k, %input_stride",
-        " %in = getelementptr double, ptr %inputs, i64 %in_at",
-        " %out_at = mul i64 %k, %output_stride",
-        " %out = getelementptr double, ptr %outputs, i64 %out_at",
     )
-    write_period(w, "%parameters", "%memory", repeats, "check")
+    for name in BLOCKS:
+        w.line(
+            f" %{name}_at = mul i64 %k, %{name}_stride",
+            f" %{name} = getelementptr double, ptr %{name}s, i64 %{name}_at",
+        )
+    w.line(" call void @kernel(ptr %input, ptr %parameter, ptr %memory, ptr %new, ptr %output)")
+    if repeats:
+        w.line(
+            " br label %inner",
+            "inner:",
+            " %i = phi i64 [0, %head], [%i1, %inner]",
+            " call void @substep(ptr %input, ptr %parameter, ptr %new, ptr %new, ptr %output)",
+            " %i1 = add i64 %i, 1",
+            f" %again = icmp slt i64 %i1, {repeats}",
+            " br i1 %again, label %inner, label %check",
+            "check:",
+        )
     guarded = [("%new", memory_size)]
     if command is not None:
-        guarded.append((w.put(f"getelementptr double, ptr %out, i64 {command.offset}"), command.size))
+        guarded.append((w.put(f"getelementptr double, ptr %output, i64 {command.offset}"), command.size))
     for pointer, size in guarded:
         wrong = w.not_finite(pointer, size)
         if wrong is not None:
             w.unless(wrong, "bad")
-    w.line(" br label %kept", "bad:", " ret i64 %k", "kept:")
+    w.line(
+        " br label %kept",
+        "bad:",
+        " %alone = icmp ne i64 %memory_stride, 0",
+        " br i1 %alone, label %kept, label %broken",
+        "broken:",
+        " ret i64 %k",
+        "kept:",
+    )
     w.copy("%new", "%memory", memory_size)
     w.line(
         " %next = add i64 %k, 1",
@@ -224,7 +233,5 @@ def _loop_text(memory_size: int, repeats: int, command: Field | None = None) -> 
         "end:",
         " ret i64 %count",
     )
-    return w.function(
-        "i64 @loop(i64 %count, ptr %inputs, i64 %input_stride, ptr %parameters, ptr %memory, ptr %outputs, "
-        "i64 %output_stride) nounwind"
-    )
+    blocks = ", ".join(f"ptr %{name}s, i64 %{name}_stride" for name in BLOCKS)
+    return w.function(f"i64 @loop(i64 %count, {blocks}) nounwind")

@@ -29,6 +29,7 @@ Function: TypeAlias = Callable[[Values, Values, Values], tuple[Values, Values]]
 """(inputs, parameters, memory) -> (outputs, new memory), each by path; for floats and for symbols."""
 
 CONST, INPUT = int(Op.CONST), int(Op.INPUT)
+AT_ONE_GO: Final = 2000  # rows that are evaluated together: their intermediate results fit into the cache
 _FUNCTIONS: Final[Mapping[int, Callable[..., Any]]] = {
     int(Op.ADD): np.add, int(Op.SUB): np.subtract, int(Op.MUL): np.multiply, int(Op.DIV): np.divide,
     int(Op.NEG): np.negative, int(Op.SQRT): np.sqrt, int(Op.SIN): np.sin, int(Op.COS): np.cos,
@@ -250,6 +251,31 @@ def _nodes(graph: Graph, values: Mapping[str, Any]) -> tuple[int, ...]:
                 raise TraceError(f"{path}[{k}] is NaN whatever the law is given", name=path, rule="no NaN")
             nodes.append(to_node(graph, x.number() if isinstance(x, Condition) else x))
     return tuple(nodes)
+
+
+def over_rows(
+    function: Callable[..., Values], **shapes: int | tuple[int, ...]
+) -> Callable[..., dict[str, Float64Array]]:
+    """A function of arrays, written with NumPy and taut.math, over many rows of each argument at once.
+
+    It is traced once and evaluated by NumPy, without being compiled. Arguments are given by name, (k, *shape); the
+    arrays that the function returns by name are (k, *shape) too.
+    """
+    block = Block.of({name: (shape,) if isinstance(shape, int) else shape for name, shape in shapes.items()})
+    program = trace(lambda x, *_: (function(**x), {}), block, Block(), Block())
+
+    def evaluate(**rows: Float64Array) -> dict[str, Float64Array]:
+        given = np.hstack([rows[name].reshape(len(rows[name]), -1) for name in shapes])
+        found = np.empty((len(given), program.outputs.size))
+        for i in range(0, len(given), AT_ONE_GO):
+            piece = slice(i, i + AT_ONE_GO)
+            with np.errstate(all="ignore"):  # of branches that are not taken
+                ends, _ = program.evaluated(given[piece].T)
+            for column, end in enumerate(ends):
+                found[piece, column] = end
+        return program.outputs.views(found)
+
+    return evaluate
 
 
 def to_casadi(program: Program, name: str = "taut") -> Any:

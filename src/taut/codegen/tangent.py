@@ -6,16 +6,14 @@ direction: the derivative of each number.
 
 from __future__ import annotations
 
-import ctypes
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from typing import Any, Final
 
 import numpy as np
 
 from taut.base.types import Float64Array
 from taut.codegen.engine import Engine, Steps
-from taut.codegen.llvm import Writer
-from taut.codegen.loop import TracedSteps, write_period
+from taut.codegen.loop import Run, TracedSteps, loop_text, native_loop
 from taut.codegen.native import QUICK, available, compiled
 from taut.codegen.program import Block, Function, Program, Values
 from taut.trace.array import traced_array
@@ -89,15 +87,13 @@ class StepTangent:
         period = Steps(both, self.inputs, self.parameters, self.memory, inner, steps.repeats)
         self._period = TracedSteps(period)
         self.outputs, self.operations = self._period.step.outputs, self._period.operations
-        self._native: Callable[..., None] | None = None
+        self._native: Run | None = None
         if engine == "native" and available():
-            self._module = compiled(b"tangent" + self._period.content, self._text, ("rows",), level=QUICK)
-            kinds = [ctypes.c_int64, *[ctypes.c_void_p] * 5]
-            self._native = ctypes.CFUNCTYPE(None, *kinds)(self._module["rows"])
+            self._module = compiled(b"tangent" + self._period.content, self._text, ("loop",), level=QUICK)
+            self._native = native_loop(self._module["loop"])
 
     def _text(self) -> str:
-        sizes = [block.size for block in (self.inputs, self.parameters, self.memory, self.outputs)]
-        return "\n".join([self._period.text(), _rows_text(sizes, self._period.repeats)])
+        return "\n".join([self._period.text(), loop_text(self.memory.size, self._period.repeats)])
 
     def rows(
         self, inputs: Float64Array, parameters: Float64Array, memory: Float64Array
@@ -107,8 +103,8 @@ class StepTangent:
         given = [np.ascontiguousarray(block, dtype=np.float64) for block in (inputs, parameters, memory)]
         if self._native is None:
             return self._plain_rows(*given)
-        out, new = np.zeros((count, self.outputs.size)), np.zeros((count, self.memory.size))
-        self._native(count, *(array.ctypes.data for array in (*given, new, out)))
+        out, new = np.zeros((count, self.outputs.size)), given[2].copy()
+        self._native(*given[:2], new, out)
         return out, new
 
     def _plain_rows(
@@ -131,29 +127,3 @@ def _evaluated(program: Program, *blocks: Float64Array) -> tuple[Float64Array, F
         for k, value in enumerate(end):
             out[:, k] = value
     return made[0], made[1]
-
-
-def _rows_text(sizes: list[int], repeats: int) -> str:
-    """LLVM text of `rows`: `kernel`, then `substep` `repeats` times, for each row of all four blocks."""
-    w = Writer()
-    w.line(
-        "entry:",
-        " %none = icmp sle i64 %count, 0",
-        " br i1 %none, label %end, label %head",
-        "head:",
-        " %k = phi i64 [0, %entry], [%next, %done]",
-    )
-    places = [("in", "inputs", sizes[0]), ("p", "parameters", sizes[1]), ("old", "memory", sizes[2])]
-    for name, block, size in [*places, ("new", "after", sizes[2]), ("out", "outputs", sizes[3])]:
-        w.line(f" %{name}_at = mul i64 %k, {size}", f" %{name} = getelementptr double, ptr %{block}, i64 %{name}_at")
-    write_period(w, "%p", "%old", repeats, "done")
-    w.line(
-        " %next = add i64 %k, 1",
-        " %last = icmp sge i64 %next, %count",
-        " br i1 %last, label %end, label %head",
-        "end:",
-        " ret void",
-    )
-    return w.function(
-        "void @rows(i64 %count, ptr %inputs, ptr %parameters, ptr %memory, ptr %after, ptr %outputs) nounwind"
-    )

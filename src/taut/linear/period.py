@@ -121,30 +121,33 @@ class Period:
 
     def command(self, point: Point) -> Float64Array:
         """(n,) the command of the law in the period."""
-        return np.array(self._run.outputs.views(self._period(point, point.memory)[1])["command"])
+        _, record = self._periods(point, point.memory[np.newaxis])
+        return np.array(self._run.outputs.views(record[0])["command"])
 
-    def _period(self, at: Point, memory: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """Memory after the period, NaN where it is not finite, and what the tick records."""
-        new, row = np.array(memory), np.zeros((1, self._run.outputs.size))
-        done = self._run.run(at.inputs[np.newaxis], at.parameters, new, row)
-        new[self._clock] = memory[self._clock]
-        return (new if done else np.full_like(new, np.nan)), row[0]
+    def _periods(self, at: Point, memory: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Each row of memory after a period, NaN where it is not finite, and what the ticks record."""
+        new, rows = np.array(memory), np.zeros((len(memory), self._run.outputs.size))
+        done = self._run.run(at.inputs[np.newaxis], at.parameters, new, rows)
+        command = self._run.outputs.views(rows)["command"]
+        new[done:] = np.nan
+        new[~(np.isfinite(new).all(axis=1) & np.isfinite(command).all(axis=1))] = np.nan
+        new[:, self._clock] = memory[:, self._clock]
+        return new, rows
 
     def after(self, at: Point, memory: Float64Array) -> Float64Array:
         """(size,) the memory after a period, with the inputs and parameters of a point."""
-        return self._period(at, memory)[0]
+        ends, _ = self._periods(at, memory[np.newaxis])
+        return np.asarray(ends[0])
 
     def derivative(self, at: Point, step: float = STEP) -> Derivative:
         """The map and its derivative, without inputs, by central differences."""
         states = self.state_coordinates
-        memory, record = self._period(at, at.memory)
         steps = step * (1.0 + np.abs(states.numbers(at.memory)))[self._columns, np.newaxis]
-        ends = [
-            [self._period(at, at.memory + sign * move) for sign in (1.0, -1.0)]
-            for move in steps * states.basis(at.memory)[self._columns]
-        ]
-        new = np.stack([more[0] - less[0] for more, less in ends])
-        shown = np.stack([(more[1] - less[1])[self._shown] for more, less in ends])
+        moves = steps * states.basis(at.memory)[self._columns]
+        ends, rows = self._periods(at, at.memory + np.concatenate([np.zeros((1, moves.shape[1])), moves, -moves]))
+        memory, record = ends[0], rows[0]
+        (more, less), (right, left) = (np.split(x[1:], 2) for x in (ends, rows[:, self._shown]))
+        new, shown = more - less, right - left
         A, C = np.zeros((len(states), len(states))), np.zeros((len(self._shown), len(states)))
         A[:, self._columns] = (states.read(memory, new) / (2.0 * steps)).T
         C[:, self._columns] = (shown / (2.0 * steps)).T

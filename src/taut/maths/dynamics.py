@@ -16,7 +16,7 @@ import numpy as np
 
 from taut.arm.description import BASE
 from taut.base.types import Array, Matrix, Vector, Vector3
-from taut.maths.model import Adds, JointConstants, Model, PayloadValues, RigidBody
+from taut.maths.model import Adds, JointConstants, Model, PayloadValues, RigidBody, body_of
 from taut.trace import math as tm
 from taut.trace.math import cross
 from taut.trace.pose import Pose
@@ -38,9 +38,11 @@ def joint_placements(model: Model, q: Vector) -> list[tuple[Matrix, Vector3]]:
 
 
 def loaded_bodies(model: Model, payload: PayloadValues | None) -> list[RigidBody]:
-    """The bodies, with the payload on the one that carries the tool."""
+    """The bodies, with the payload on the one that carries the tool, and what the links carry besides."""
     bodies = list(model.bodies)
     if payload is not None:
+        if payload.links is not None:
+            bodies = [body + body_of(row) for body, row in zip(bodies, payload.links, strict=True)]
         body, R, p = model.placement(None)
         if body != BASE:
             bodies[body] = bodies[body] + payload.body().seen_from(R, p)

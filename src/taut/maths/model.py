@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from taut.arm.description import BASE, Arm, Payload
-from taut.arm.parts import inertia_matrix
+from taut.arm.parts import inertia_entries, inertia_matrix
 from taut.base.errors import UsageError, unknown_name
 from taut.base.types import Array, Float64Array, Matrix, Matrix3, Point3, Vector3
 from taut.trace import math as tm
@@ -56,6 +56,11 @@ class RigidBody:
         return RigidBody(m=self.m, h=h + self.m * p, I=tm.array(I))
 
 
+def body_of(parameters: Array) -> RigidBody:
+    """The body of ten parameters, see `taut.maths.regressor`."""
+    return RigidBody(m=parameters[0], h=parameters[1:4], I=inertia_matrix(parameters[4:]))
+
+
 @dataclass(frozen=True, kw_only=True)
 class PayloadValues:
     """Payload as numbers or symbols; see `taut.Payload` for frames and units."""
@@ -63,13 +68,21 @@ class PayloadValues:
     mass: Any
     com: Vector3
     inertia: Array  # (6,) xx, yy, zz, xy, xz, yz
+    links: Array | None = None  # (n, 10) what each link carries besides: ten parameters, see `taut.maths.regressor`
 
     @classmethod
     def of(cls, values: Mapping[str, Any] | Payload) -> PayloadValues:
         """From parameters called mass, com and inertia, or a payload's own."""
         if isinstance(values, Payload):
             values = vars(values)
-        return cls(mass=values["mass"], com=values["com"], inertia=values["inertia"])
+        return cls(mass=values["mass"], com=values["com"], inertia=values["inertia"], links=values.get("links"))
+
+    @classmethod
+    def of_body(cls, body: RigidBody) -> PayloadValues:
+        """The payload that a body in the tool frame is; its centre is NaN where its mass is not positive."""
+        com = body.h / body.m if body.m > 0.0 else np.full(3, np.nan)
+        about = body - cls(mass=body.m, com=com, inertia=np.zeros(6)).body()
+        return cls(mass=body.m, com=com, inertia=inertia_entries(about.I))
 
     def body(self) -> RigidBody:
         S = tm.skew(self.com)

@@ -75,6 +75,7 @@ class PlantParts(Declared):
         contacts: What holds the arm rigidly.
         smooth: Whether the integrator needs smooth forces.
         scene: Whether an engine knows of more that may touch the tool, and moves the arm where drives are stiff.
+        link_payloads: Whether each link may carry a payload of its own.
 
     Raises:
         UsageError, ShapeError: What does not go together, or is of another kind or size.
@@ -91,6 +92,7 @@ class PlantParts(Declared):
     contacts: Part[Contacts | None] = Part(Contacts, optional=True)
     smooth: Plain[bool] = Plain(bool, default=False)
     scene: Plain[bool] = Plain(bool, default=False)
+    link_payloads: Plain[bool] = Plain(bool, default=False)
 
     def check(self) -> None:
         """What goes together."""
@@ -196,6 +198,8 @@ class PlantParts(Declared):
             "payload": {"mass": np.asarray(payload.mass), "com": payload.com, "inertia": payload.inertia},
             "friction": self.drivetrain.parameters(),
         }
+        if self.link_payloads:
+            plant["payload"]["links"] = np.zeros((self.arm.n, 10))
         if self.arm.rotor_inertia.any():
             plant["rotor_inertia"] = self.arm.rotor_inertia
         below = {

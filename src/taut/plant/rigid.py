@@ -73,6 +73,8 @@ class RigidPlant:
             arm's own, so that none is left.
         energy: Keep account of the work of each part of the drives: columns work.motor, work.dry, ... [J], see
             `taut.plant.motion`.
+        link_payloads: Give each link a payload too, plant.payload.links (n, 10): what it has beyond the arm's, by its
+            ten inertial parameters about its joint. Zero at first; for many true arms in one compiled loop.
 
     Raises:
         UsageError, ShapeError: Options that do not go together, or are of another kind or size.
@@ -90,6 +92,7 @@ class RigidPlant:
     contact: RigidContact | Constraint | Sequence[RigidContact | Constraint] | None = None
     adds: Adds | Iterable[str] | Mapping[str, Payload | None] = ()
     energy: bool = False
+    link_payloads: bool = False
 
     def __post_init__(self) -> None:
         one_of("integrator", self.integrator, INTEGRATORS)
@@ -116,6 +119,7 @@ class RigidPlant:
             environment=self.environment,
             contacts=contact,
             smooth=self.integrator == "rk4",
+            link_payloads=self.link_payloads,
         )
 
     @property

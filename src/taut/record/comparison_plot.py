@@ -63,7 +63,8 @@ def compare(
     """Error norm over time of at most eight runs, and bars of their metrics, as a matplotlib Figure.
 
     Joints in rad and joints in m have no norm together: each unit has its own axes and bars. With a reference of the
-    task, the errors are those of the tool's position and rotation, and of the force and moment that the arm applies.
+    task, the errors are those of the tool's position and rotation, and of the force and moment that the arm applies;
+    where the peak force is the first measure asked for, the force of the environment is drawn in their place.
     `measures` are metrics to draw; `joint` is one to draw alone, `window` (start, end) [s] what the bars are about.
     """
     from matplotlib.figure import Figure
@@ -72,7 +73,8 @@ def compare(
     if not 0 < len(runs) <= MAX_RUNS:
         raise UsageError(f"a figure compares 1 to {MAX_RUNS} runs; got {len(runs)}", name="runs")
     each, names = list(runs.values()), [name.replace("$", r"\$") for name in runs]
-    columns = [list(_panels([_errors(run) for run in each], each) if joint is None else _of_joint(each, joint))]
+    drawn = _force if measures and measures[0] == "peak_force" else _errors
+    columns = [list(_panels([drawn(run) for run in each], each) if joint is None else _of_joint(each, joint))]
     if torques:
         columns.append(list(_panels([_torques(run) for run in each], each)))
     if bars is None:
@@ -126,6 +128,12 @@ def _panels(found: Sequence[Curves], runs: Sequence[Run]) -> Iterator[Panel]:
         promised = {i: expected_deviation(runs[i]) for i in curves} if title.endswith("position error") else {}
         references = {i: np.linalg.norm(x[:, :3], axis=1) for i, x in promised.items() if x is not None}
         yield Panel(title, unit, curves, references)
+
+
+def _force(run: Run) -> Curves:
+    """(k,) norm of the environment's force on the arm."""
+    F_ext = run.extra.get("F_ext")
+    return {} if F_ext is None else {("force of the environment", "N"): np.linalg.norm(F_ext[:, :3], axis=1)}
 
 
 def _errors(run: Run) -> Curves:

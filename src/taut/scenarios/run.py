@@ -209,12 +209,14 @@ def run_scenario(
     """
     files = _targets(scenario, folder)
     runs: dict[Trial, Run] = {}
-    made: dict[str, Controller] = {}  # in a spread the plants differ, and the controllers do not
+    made: dict[str, Controller] = {}
     for trial, one in scenario.trials.items():
         say(f"running {trial.label} ...")
         with _blamed(one, trial), warnings.catch_warnings():
             warnings.simplefilter("ignore", StabilityWarning)  # the outcome has its sentence
-            ctrl = made.get(trial.law) or one.experiment.controller(one.laws[trial.law], engine)
+            ctrl, law, adds = made.get(trial.law), one.laws[trial.law], one.experiment.plant.adds
+            if ctrl is None or ctrl.law is not law or ctrl.side.adds != adds:
+                ctrl = made[trial.law] = one.experiment.controller(law, engine)
             log = _partial(files["log"]) if "log" in files and trial == scenario.shown else None
             try:
                 done = one.experiment.run(ctrl, log=log)
@@ -223,8 +225,6 @@ def run_scenario(
                     raise
                 raise KeyboardInterrupt(f"the run until then is in {log}") from None
             runs[trial] = dataclasses.replace(done, info=dataclasses.replace(done.info, scenario=_info(one, trial)))
-        if scenario.spread is not None:
-            made[trial.law] = ctrl
     outputs, skipped = _written(scenario, runs, files, say)
     return ScenarioResult(scenario=scenario, runs=runs, outputs=outputs, skipped=skipped)
 

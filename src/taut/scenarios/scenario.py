@@ -43,6 +43,7 @@ MAX_RUN_TICKS: Final = 10_000_000  # of a run, which keeps every one: gigabytes
 GLANCE: Final = 200  # ticks of a reference that are looked at before a run
 
 OF_A_CASE: Final = ("arm", "laws", "phases", "control", "plant", "reference", "run", "event")
+OF_CONTROLLERS: Final = ("arm", "laws", "control")
 OF_ALL_CASES: Final = ("title", "outputs", "pass")
 MAX_CASES: Final = 200
 MAX_NAME: Final = 200  # bytes of a file's name; systems take 255, and a file is written under a longer one first
@@ -249,7 +250,11 @@ def load_scenario(
         return Scenario(**common, laws=laws, experiment=experiment, cases={})
 
     spread, whole = read_spread(root), read_one(root)
-    cases = {case: read_one(table) for case, table in _cases_of(root).items()}
+    cases: dict[str, Scenario] = {}
+    for case, table in _cases_of(root).items():
+        same = "phases" not in root and all(table.get(key) == root.get(key) for key in OF_CONTROLLERS)
+        one = read_one(table)
+        cases[case] = replace(one, laws=whole.laws) if same else one  # compiled once
     for case, plant in () if spread is None else spread.plants(root.table("plant")):
         moved = read_plant(plant, whole.experiment.arm, whole.experiment.rate)
         place = replace(whole.experiment, name=f"{root.where}: case '{case}'", plant=moved)

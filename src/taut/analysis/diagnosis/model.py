@@ -14,7 +14,7 @@ from scipy.optimize import least_squares, lsq_linear
 
 from taut.arm.description import Arm
 from taut.base.types import Array, Float64Array
-from taut.codegen.kernel import native
+from taut.codegen.program import over_rows
 from taut.maths import dynamics as dyn
 from taut.maths.model import Chain, PayloadValues, model_of
 from taut.record.metrics import MOVING
@@ -32,14 +32,15 @@ CENTRE_WEIGHT: Final = 0.01  # of the prior, which only keeps an unobservable ce
 
 
 @functools.lru_cache(maxsize=16)
-def _native_torques(arm: Arm) -> Callable[..., Float64Array]:
-    """(n,) M a + C v + g of an arm with a payload, in native code."""
+def _torques_of(arm: Arm) -> Callable[..., dict[str, Float64Array]]:
+    """M a + C v + g of an arm with a payload, over many rows."""
     model, n = model_of(arm), arm.n
 
-    def torques(q: Any, v: Any, a: Any, mass: Any, com: Any, inertia: Any) -> Any:
-        return dyn.inverse_dynamics(model, q, v, a, PayloadValues(mass=mass, com=com, inertia=inertia))
+    def torques(q: Any, v: Any, a: Any, mass: Any, com: Any, inertia: Any) -> dict[str, Any]:
+        load = PayloadValues(mass=mass, com=com, inertia=inertia)
+        return {"tau": dyn.inverse_dynamics(model, q, v, a, load)}
 
-    return native(torques, q=n, v=n, a=n, mass=(), com=3, inertia=6)
+    return over_rows(torques, q=n, v=n, a=n, mass=(), com=3, inertia=6)
 
 
 def external_torque(run: Run, tool: Chain | None) -> Float64Array:
@@ -86,13 +87,11 @@ class ArmModel:
 
     def _each(self, payload: Float64Array, *, moving: bool) -> Float64Array:
         """(ticks, n) torques with a payload (10,), or (ticks, 10) one at each tick."""
-        torques = _native_torques(self.arm)
         v, a = self.run.v[self.ticks], self.acceleration
         if not moving:
             v, a = np.zeros_like(v), np.zeros_like(a)
-        columns = np.broadcast_to(payload, (len(v), 10))
-        rows = zip(*(np.ascontiguousarray(x) for x in (self.run.q[self.ticks], v, a, columns)), strict=True)
-        return np.array([torques(q, v, a, np.array(p[0]), p[1:4], p[4:]) for q, v, a, p in rows])
+        load = {name: np.broadcast_to(payload, (len(v), 10))[:, columns] for name, columns in PAYLOAD.items()}
+        return _torques_of(self.arm)(q=self.run.q[self.ticks], v=v, a=a, **load)["tau"]
 
     @cached_property
     def acceleration(self) -> Float64Array:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 from typing import Any
 
 import numpy as np
 
-from taut.arm.description import BASE, Friction
+from taut.arm.description import BASE, Arm, Friction
 from taut.base.errors import MatchError, RangeError, ShapeError
 from taut.base.fields import Declared, Field, Part
 from taut.base.types import Array, ArrayLike, Float64Array, Vector
@@ -84,29 +83,20 @@ class Uncertainty(Declared):
 
     def check_arm(self, model: Model) -> None:
         """Refuse an arm that these intervals are not for: other joints, or links that are no rigid bodies."""
-        n, names = model.n, model.arm.joint_names
-        for name in ("viscous", "coulomb"):
-            size = np.shape(getattr(self, name))[-1:]  # () of None
-            if size not in ((), (1,), (n,)):
-                raise ShapeError(f"uncertainty.{name} is for {size[0]} joints and the arm has {n}", name=name)
-        own = model.arm.payload.mass
-        if own + self.payload[0] < 0.0:
+        own = model.arm.payload
+        if own.mass + self.payload[0] < 0.0:
             raise RangeError(
-                f"uncertainty.payload must begin at {-own:g} [kg] or above, for the arm carries {own:g} kg; got "
-                f"{self.payload[0]:g}",
+                f"uncertainty.payload must begin at {-own.mass:g} [kg] or above, for the arm carries {own.mass:g} "
+                f"kg; got {self.payload[0]:g}",
                 name="payload",
             )
         if np.any(self.payload) and model.placement(None)[0] == BASE:
             raise MatchError("uncertainty.payload: the tool is fixed to the base, so the arm carries nothing")
-        least = [scaled(link, 1.0 - float(x)) for link, x in zip(model.links, self._links(n), strict=True)]
-        if self.payload[0] != 0.0:
-            body, missing = _carried(model, float(self.payload[0]))
-            own_load = PayloadValues.of(model.arm.payload).body().seen_from(*model.placement(None)[1:])
-            least[body] = least[body] + own_load + missing
-        for joint, link, light in zip(names, model.links, least, strict=True):
+        known = dyn.loaded_bodies(dataclasses.replace(model, bodies=model.links), PayloadValues.of(own))
+        for joint, body, light in zip(model.arm.joint_names, known, self.lightest(model, known), strict=True):
             P = np.asarray(pseudo_inertia(parameters_of(light)), dtype=np.float64)
             smallest, largest = np.linalg.eigvalsh(P)[[0, -1]]
-            if light is not link and (light.m <= 0.0 or smallest < SMALLEST_EIGENVALUE * largest):
+            if light.m != body.m and (light.m <= 0.0 or smallest < SMALLEST_EIGENVALUE * largest):
                 raise MatchError(
                     f"uncertainty: the lightest body of joint '{joint}' in its intervals cannot be: its mass is "
                     f"{light.m:g} kg and the smallest eigenvalue of its pseudo-inertia {smallest:g}, which must not "
@@ -114,43 +104,57 @@ class Uncertainty(Declared):
                     name="links",
                 )
 
-    def _links(self, n: int) -> Float64Array:
-        return np.broadcast_to(np.asarray(self.links, dtype=np.float64), (n,))
+    def nominal(self, arm: Arm) -> Arm:
+        """The arm with payload and friction in the middle of their intervals."""
+        (b, _), (c, _) = map(middle_and_half, self.friction(arm.friction))
+        made = arm.with_friction(Friction(viscous=b, coulomb=c))
+        if not np.any(self.payload):
+            return made
+        point = scaled(KILOGRAM.body(), float(np.mean(self.payload)))
+        load = PayloadValues.of_body(PayloadValues.of(arm.payload).body() + point)
+        return made.with_payload(load.mass, load.com, load.inertia)
 
     def middle(self, model: Model, bodies: list[RigidBody]) -> list[RigidBody]:
         """The bodies with the payload in the middle of its interval."""
-        if not np.any(self.payload):
-            return bodies
-        body, carried = _carried(model, float(np.mean(self.payload)))
-        return [own + carried if i == body else own for i, own in enumerate(bodies)]
+        carried = _carried(model, float(np.mean(self.payload)))
+        return [own + more for own, more in zip(bodies, carried, strict=True)] if np.any(self.payload) else bodies
 
-    def unknown(self, model: Model) -> list[list[RigidBody]]:
+    def lightest(self, model: Model, bodies: list[RigidBody]) -> list[RigidBody]:
+        """The bodies without what may be too much of them."""
+        each = zip(self.middle(model, bodies), *(part for _, part in self.unknown(model)), strict=True)
+        return [body - sum(unknown, start=NO_BODY) for body, *unknown in each]
+
+    def unknown(self, model: Model) -> list[tuple[str, list[RigidBody]]]:
         """What may be missing or too much: sets of bodies, each of which acts by any factor from -1 to 1."""
-        parts = [(i, scaled(model.links[i], float(x))) for i, x in enumerate(self._links(model.n))]
-        if np.ptp(self.payload) > 0.0:
-            parts.append(_carried(model, 0.5 * float(np.ptp(self.payload))))
-        return [[body if j == i else NO_BODY for j in range(model.n)] for i, body in parts if body.m > 0.0]
+        links = np.broadcast_to(self.links, (model.n,)).tolist()
+        parts = [("links", _alone(model, i, scaled(model.links[i], x))) for i, x in enumerate(links)]
+        parts.append(("payload", _carried(model, 0.5 * float(np.ptp(self.payload)))))
+        return [(name, bodies) for name, bodies in parts if any(body.m > 0.0 for body in bodies)]
 
     def torques(self, model: Model, q: Vector, v: Vector, v_ref: Vector, a_ref: Vector) -> Array:
         """(m, n) torques Y_l pi_l of each unknown at its largest: s . (M a_ref + C v_ref + g) errs by their sum."""
         bare, unknown = without_rotors(model), self.unknown(model)
-
-        def each(v: Vector, a: Vector, gravity: Any) -> Array:
-            return tm.array([dyn.newton_euler(bare, part, q, v, a, gravity=gravity) for part in unknown])
-
         if not unknown:
             return tm.zeros((0, model.n))
-        rows = dyn.along_reference(each, v, v_ref, a_ref)
-        return tm.array(np.reshape(rows, (len(unknown), model.n)))
+        return tm.array([dyn.reference_dynamics(bare, part, q, v, v_ref, a_ref) for _, part in unknown])
 
     def friction(self, known: Friction) -> tuple[Float64Array, Float64Array]:
         """(2, n) each: viscous and Coulomb friction, smallest and largest; that of the model where none is given."""
-        b = np.stack([known.viscous, known.viscous])
-        c = np.stack([known.coulomb, np.asarray(known.static)])
-        return (
-            b if self.viscous is None else np.broadcast_to(self.viscous, b.shape),
-            c if self.coulomb is None else np.broadcast_to(self.coulomb, c.shape),
-        )
+        out = {"viscous": np.stack([known.viscous] * 2), "coulomb": np.array([known.coulomb, known.static])}
+        for name, own in out.items():
+            given = getattr(self, name)
+            if np.shape(given)[-1:] not in ((), (1,), own.shape[1:]):
+                raise ShapeError(
+                    f"uncertainty.{name} is for {given.shape[1]} joints and the arm has {own.shape[1]}", name=name
+                )
+            out[name] = own if given is None else np.broadcast_to(given, own.shape)
+        return out["viscous"], out["coulomb"]
+
+
+def middle_and_half(interval: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """(n,) each: the middle of intervals, and half their width."""
+    low, high = interval
+    return 0.5 * (low + high), 0.5 * (high - low)
 
 
 def friction_and_error(
@@ -161,7 +165,7 @@ def friction_and_error(
     With b v + c sgn v true and b^ v_des + c^ tanh(v_des / width) assumed, for every sgn v that is right: also one
     between -1 and 1 of a joint that sticks.
     """
-    (b_mid, b_half), (c_mid, c_half) = ((0.5 * (low + high), 0.5 * (high - low)) for low, high in (b, c))
+    (b_mid, b_half), (c_mid, c_half) = middle_and_half(b), middle_and_half(c)
     sign, assumed = tm.tanh(v / width), tm.tanh(v_des / width)
     wrong = tm.abs(sign - assumed) + 1.0 - tm.abs(sign)
     error = b_half * tm.abs(v_des) + (b_mid + b_half) * tm.abs(v - v_des) + c_half + c_mid * wrong
@@ -169,9 +173,7 @@ def friction_and_error(
 
 
 def scaled(body: RigidBody, factor: float) -> RigidBody:
-    """A body of the same shape and another density; itself where that is the same."""
-    if factor == 1.0:
-        return body
+    """A body of the same shape and another density."""
     return RigidBody(m=factor * body.m, h=factor * body.h, I=factor * body.I)
 
 
@@ -182,15 +184,15 @@ def without_rotors(model: Model) -> Model:
     )
 
 
-def _carried(model: Model, mass: float) -> tuple[int, RigidBody]:
-    """The body that carries the tool, and a point mass at the tool."""
+def _alone(model: Model, i: int, body: RigidBody) -> list[RigidBody]:
+    """One body of an arm without mass, none where it belongs to the base."""
+    return [body if j == i else NO_BODY for j in range(model.n)]
+
+
+def _carried(model: Model, mass: float) -> list[RigidBody]:
+    """A point mass at the tool, on an arm without mass."""
     body, R, p = model.placement(None)
-    return body, scaled(KILOGRAM.body().seen_from(R, p), mass)
-
-
-@functools.lru_cache(maxsize=64)
-def _check_once(unknown: Uncertainty, model: Model) -> None:
-    unknown.check_arm(model)
+    return _alone(model, body, scaled(KILOGRAM.body().seen_from(R, p), mass))
 
 
 class Robust(Law):
@@ -237,8 +239,10 @@ class Robust(Law):
     width: Gain = Gain(0.01, unit="rad/s | m/s", shape="scalar", above=0.0)
     uncertainty: Part[Uncertainty] = Part(Uncertainty)
 
+    def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
+        self.uncertainty.check_arm(x.model)
+
     def command(self, x: Snapshot, ref: JointMotion) -> Command:
-        _check_once(self.uncertainty, x.model)
         e, e_dot = x.difference(ref.q), ref.v - x.v
         v_ref, a_ref = ref.v + self.lam @ e, ref.a + self.lam @ e_dot
         s = v_ref - x.v
