@@ -16,7 +16,6 @@ from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.codegen.program import over_rows
 from taut.linear.linearise import linearise
-from taut.linear.performance import frequency_grid
 from taut.loop import Loop
 from taut.maths import dynamics as dyn
 from taut.maths.model import PayloadValues, model_of
@@ -117,22 +116,15 @@ def coupling(loop: Loop, *, at: ArrayLike | None = None) -> Coupling:
             "has units; look at lin.frequency_response(omega, input='ref.q', output='q') of taut.linearise",
             name="loop",
         )
-    if not lin.stable:
-        raise UsageError(
-            f"crosstalk is that of a stable loop; this one is {lin.unstable_because}; lower the gains",
-            name="loop",
-        )
     payload = PayloadValues.of(subtree(loop.parameters, "plant.payload"))
     arm, q = loop.plant.arm, lin.point.q
     M = np.array(Snapshot(model_of(arm), q=q, v=np.zeros(arm.n), payload=payload).M, dtype=float)
     root = np.sqrt(np.diag(M))
     scaled = M / np.outer(root, root)
-    omega = frequency_grid(lin.period, np.abs(np.angle(lin.poles)) / lin.period)
-    T = lin.frequency_response(omega, input="ref.q", output="q")
     return Coupling(
         joints=lin.point.joints,
         inertia=1.0 - float(np.linalg.eigvalsh(scaled)[0]),
-        crosstalk=np.abs(T).max(axis=0),
+        crosstalk=lin.peak_gain(input="ref.q", output="q"),
         droop=lin.point.moved,
         unit=units[0],
     )

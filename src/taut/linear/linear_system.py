@@ -18,7 +18,7 @@ from taut.base.checks import finite_array, finite_scalar, positive_scalar, requi
 from taut.base.errors import UsageError, missing_extra, unknown_name
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
-from taut.linear.performance import Margins, StepInfo, margins_of, step_response
+from taut.linear.performance import Margins, StepInfo, frequency_grid, margins_of, step_response
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -551,10 +551,17 @@ class LinearSystem(Result):
         signals = tuple(self.outputs[i] for i in self.rows(output))
         if output == "command" and self.point.joints:
             signals = self.point.joints
-        poles = self.omega_n[np.isfinite(self.omega_n)]
-        return margins_of(
-            partial(self.sensitivity, input=input, output=output), signals, self.dt, poles, stable=self.stable
-        )
+        sensitivity = partial(self.sensitivity, input=input, output=output)
+        return margins_of(sensitivity, signals, self.dt, self.omega_n, stable=self.stable)
+
+    def peak_gain(self, *, input: str, output: str) -> Float64Array:
+        """(outputs, inputs) largest gains of sines of any frequency; UsageError if unstable."""
+        if not self.stable:
+            raise UsageError(
+                f"a largest gain is that of a stable loop; this one is {self.unstable_because}", name="loop"
+            )
+        omega = frequency_grid(self.dt, self.omega_n)
+        return np.asarray(np.abs(self._response(omega, input, output)).max(axis=0))
 
     def content(self) -> Content:
         """Modes, margins and step as tables, and the figure of `plot`."""

@@ -205,7 +205,7 @@ class Margins:
 
 def frequency_grid(dt: float | None, poles: Float64Array) -> Float64Array:
     """Frequencies [rad/s], closer together about those of (k,) poles [rad/s]; up to half the rate if sampled."""
-    some = poles[poles > 0.0]
+    some = poles[(poles > 0.0) & np.isfinite(poles)]
     if dt:
         highest = np.pi / dt
         wide = highest * np.logspace(-DECADES_BELOW, 0.0, GRID)

@@ -92,7 +92,7 @@ def _draw_step(ax: Axes, system: LinearSystem) -> None:
 
 def _loops(system: LinearSystem) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
     """(k,) frequencies and (k, n) L at each command."""
-    omega = frequency_grid(system.dt, system.omega_n[np.isfinite(system.omega_n)])
+    omega = frequency_grid(system.dt, system.omega_n)
     S = np.diagonal(system.sensitivity(omega), axis1=1, axis2=2)
     return omega, 1.0 / S - 1.0
 

@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from taut.arm.parts import inertia_entries
-from taut.base.types import Matrix, Vector
+from taut.base.types import Float64Array, Matrix, Vector, Vector3
 from taut.maths.dynamics import along_reference, body_motions, body_velocities, joint_placements
 from taut.maths.model import Model, RigidBody
 from taut.maths.model import body_of as body_of
@@ -29,6 +29,11 @@ PARAMETERS: Final = ("m", "h_x", "h_y", "h_z", "I_xx", "I_yy", "I_zz", "I_xy", "
 def parameters_of(body: RigidBody) -> Vector:
     """(10,) of a body."""
     return tm.array([body.m, *body.h, *inertia_entries(body.I)])
+
+
+def moved(R: Matrix, p: Vector3) -> Float64Array:
+    """(10, 10) from the parameters of a body in a frame at R, p to those in the frame around it."""
+    return np.array([parameters_of(body_of(unit).seen_from(R, p)) for unit in np.eye(10)], dtype=np.float64).T
 
 
 def covectors(model: Model, q: Vector, v: Vector, a: Vector, s: Vector, *, gravity: Any = True) -> Matrix:

@@ -128,6 +128,12 @@ class Run:
             raise UsageError("the run does not hold the arms that it was made with; it is no run of taut.run")
         return controller, plant
 
+    @property
+    def first_contact(self) -> float | None:
+        """When something first acts on the tool, by the record [s]; None if nothing does."""
+        touched = np.any(self.extra["F_ext"], axis=1) if "F_ext" in self.extra else np.zeros(1)
+        return float(self.t[int(np.argmax(touched))]) if touched.any() else None
+
     def require_arm(self, arm: Arm) -> None:
         """Require that an arm has the joints of the run (UsageError, MatchError)."""
         instance_of("arm", arm, Arm, "an Arm from taut.load_arm")

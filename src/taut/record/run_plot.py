@@ -68,7 +68,7 @@ def plot(run: Run, *, joints: Iterable[str] | None = None) -> Figure:
     parts: list[tuple[float, Callable[[SubFigure], None]]] = []  # height [in] and what draws it
     if any(is_task_run(piece) for piece in _pieces(run)):
         parts.append((TOOL_HEIGHT, lambda figure: _tool(run, figure)))
-    if "F_ext" in run.extra and run.extra["F_ext"].any():
+    if run.first_contact is not None:
         parts.append((TOOL_HEIGHT, lambda figure: _wrench(run, figure)))
     units = list(dict.fromkeys(run.units[i] for i in shown))
     parts.append((0.55 + 1.75 * len(units), lambda figure: _joints(run, shown, units, figure)))

@@ -155,7 +155,7 @@ class Deviation:
         if run.info.impedance is None or len(run) < 3 or not isinstance(run.reference.motion, TaskMotion):
             return None
         changed = [path for event in run.info.events for path in event.set]
-        if "F_ext" not in run.extra or not run.extra["F_ext"].any() or any(p.startswith(CHANGES) for p in changed):
+        if run.first_contact is None or any(p.startswith(CHANGES) for p in changed):
             return None
         task = run.task
         assert task.position_error is not None

@@ -7,7 +7,6 @@ from typing import Final
 
 import numpy as np
 from scipy.linalg import null_space
-from scipy.optimize import minimize
 
 from taut.analysis.identification.regression import ArmRegression, Unknown
 from taut.arm.description import Arm
@@ -16,14 +15,12 @@ from taut.base.errors import RangeError, ShapeError
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.trajectories.joint import ACCELERATION, POSITION, SPEED, Fourier
 
-AMPLITUDE: Final = 0.3  # [rad | m] from home, where the caller states none
 RANGE: Final = 0.9  # of the room of a joint about home that the motion takes
 USED: Final = 0.5  # of the arm's limits of speed and torque that the motion takes
 UNLIMITED_SPEED: Final = 2.0  # [rad/s | m/s] where the arm has no limit
 COARSE, DENSE = 8, 80  # samples in a period of the highest harmonic: to search; to meet limits
-RANDOM: Final = 40  # motions, the best of which is improved
-ITERATIONS: Final = 25
-STEP: Final = 1e-5  # of the differences of the gradient; coefficients are about 1
+RANDOM: Final = 40  # motions about the best one so far
+SPREADS: Final = np.geomspace(1.0, 0.1, 10)  # of these, in one round after the other
 TORQUE_WEIGHT: Final = 100.0  # of torques beyond the limit, against the logarithm of the condition number
 SMALLER: Final = 1.05  # at least, where torques of the motion are too large
 SINGULAR: Final = 1e-12  # smallest eigenvalue of a regressor whose condition number still counts
@@ -36,9 +33,9 @@ def excitation(
     what: Sequence[Unknown] = ("payload", "friction"),
     harmonics: int = 5,
     frequency: float = 0.1,
-    amplitude: ArrayLike | None = None,
+    amplitude: ArrayLike = 0.3,
     speed: ArrayLike | None = None,
-    acceleration: ArrayLike | None = None,
+    acceleration: ArrayLike = np.inf,
     seed: int = 0,
 ) -> Fourier:
     """A motion that excites parameters of an arm: a Fourier series with the smallest condition number that was found.
@@ -53,9 +50,9 @@ def excitation(
         what: What is to be identified, as for `taut.analysis.identify`.
         harmonics: Number of them, 2 or more.
         frequency: Of the first harmonic [Hz].
-        amplitude: (n,) or scalar, largest distance from home [rad | m]; 0.3 if left out.
+        amplitude: (n,) or scalar, largest distance from home [rad | m].
         speed: (n,) or scalar [rad/s | m/s]; half of the arm's limits if left out.
-        acceleration: (n,) or scalar [rad/s^2 | m/s^2]; no limit but that of the torques if left out.
+        acceleration: (n,) or scalar [rad/s^2 | m/s^2]; torques are limited in any case.
         seed: Of the random motions with which the search begins.
 
     Returns:
@@ -83,22 +80,21 @@ def excitation(
             value=duration,
         )
     fastest = np.where(np.isfinite(arm.velocity), USED * arm.velocity, UNLIMITED_SPEED)
-    reach, *rates = (
-        _per_joint(arm, *given)
-        for given in (
-            ("amplitude", AMPLITUDE if amplitude is None else amplitude, POSITION),
-            ("speed", fastest if speed is None else speed, SPEED),
-            ("acceleration", np.inf if acceleration is None else acceleration, ACCELERATION),
-        )
+    reach = _per_joint(arm, "amplitude", amplitude, POSITION)
+    rates = (
+        _per_joint(arm, "speed", fastest if speed is None else speed, SPEED),
+        _per_joint(arm, "acceleration", acceleration, ACCELERATION),
     )
     up, down = (np.minimum(reach, RANGE * room) for room in (arm.upper - arm.home, arm.home - arm.lower))
     search, dense = (
         _Search(regression, harmonics, frequency, (up, down, *rates), count) for count in (COARSE, DENSE)
     )
-    points = np.random.default_rng(whole_number("seed", seed)).standard_normal((RANDOM, search.size))
-    best = points[int(np.argmin(search.costs(points)))]
-    found = minimize(search.cost_and_slope, best, jac=True, method="L-BFGS-B", options={"maxiter": ITERATIONS})
-    cosines, sines = dense.within_torques(*dense.coefficients(found.x[np.newaxis]))
+    rng = np.random.default_rng(whole_number("seed", seed))
+    best = rng.standard_normal((1, search.size))
+    for size in SPREADS:  # by costs alone, which jump where the speed at a sample changes its sign
+        points = np.vstack([best, best + size * rng.standard_normal((RANDOM, search.size))])
+        best = points[[int(np.argmin(search.costs(points)))]]
+    cosines, sines = dense.within_torques(*dense.coefficients(best))
     return Fourier(q0=arm.home, cosines=cosines[0], sines=sines[0], frequency=frequency, duration=duration)
 
 
@@ -176,8 +172,3 @@ class _Search:
         condition = 0.5 * np.log(sizes[:, -1] / np.maximum(sizes[:, 0], SINGULAR))
         excess = np.maximum(used - 1.0, 0.0).reshape(len(points), -1)
         return np.asarray(condition + TORQUE_WEIGHT * np.mean(excess**2, axis=1))
-
-    def cost_and_slope(self, point: Float64Array) -> tuple[float, Float64Array]:
-        """The cost and its gradient, by differences."""
-        costs = self.costs(point + STEP * np.vstack([np.zeros(self.size), np.eye(self.size)]))
-        return float(costs[0]), (costs[1:] - costs[0]) / STEP

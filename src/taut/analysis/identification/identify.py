@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -20,7 +21,6 @@ from taut.base.types import Float64Array
 from taut.control.trajectories.reference import JointMotion
 from taut.controller import Controller
 from taut.linear.linearise import linearise
-from taut.linear.performance import frequency_grid
 from taut.loop import Loop
 from taut.plant.rigid import RigidPlant
 from taut.record.run import Run
@@ -54,17 +54,11 @@ class Estimate:
         return self.value - CONFIDENCE * self.std, self.value + CONFIDENCE * self.std
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Verdict:
-    """Whether an identified model is good enough for a law: bounds of its tracking error."""
+class Verdict(NamedTuple):
+    """Whether an identified model is good enough for a law."""
 
     ok: bool  # no joint's bound exceeds what is allowed
-    before: Float64Array  # (n,) with the model as it was [rad | m]
-    after: Float64Array  # (n,) with what was found [rad | m]
-    message: str
-
-    def __str__(self) -> str:
-        return self.message
+    bounds: Float64Array  # (n,) of the tracking error by torques that the model does not explain [rad | m]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,39 +68,22 @@ class Identification(Result):
     Frames:
         The payload's parameters are about the tool's origin, in its axes; those of a link about the frame of its
         joint, in the axes of the arm.
-
-    Args:
-        arm: The arm with what was found; it is always a possible one.
-        estimates: By name: "payload.m", "panda_joint1.viscous", ... A base parameter has the name of the first of
-            those that it stands for.
-        combinations: What base parameters stand for, of those that stand for several.
-        condition: Of the regressor with columns of length 1.
-        uncertain: Parameters whose standard deviation is above 20 % of their size.
-        without_slow_motion: Joints whose static friction the record does not show.
-        without_effect: Parameters that act on no torque in any motion of the arm; they stay as the arm has them.
-        lag: Largest correlation of successive residuals of a joint; above 0.2 it widens all intervals.
-        distance: From the estimate to the nearest possible body, which `arm` has [standard deviations].
-        t: (k,) times of the samples of all runs [s].
-        measured: (k, n) filtered torques at these [N m | N]; NaN where a joint with friction rests.
-        before: (k, n) torques by the arm as it was.
-        after: (k, n) torques by the arm with what was found.
-        torque_std: (n,) largest standard deviation of a torque by uncertain parameters [N m | N].
     """
 
-    arm: Arm
-    estimates: Mapping[str, Estimate]
-    combinations: Mapping[str, str]
-    condition: float
-    uncertain: tuple[str, ...]
-    without_slow_motion: tuple[str, ...]
-    without_effect: tuple[str, ...]
-    lag: float
-    distance: float
-    t: Float64Array
-    measured: Float64Array
-    before: Float64Array
-    after: Float64Array
-    torque_std: Float64Array
+    arm: Arm  # with what was found; always a possible one
+    estimates: Mapping[str, Estimate]  # "payload.m", "panda_joint1.viscous", ...; of base parameters the first name
+    combinations: Mapping[str, str]  # what base parameters stand for, of those that stand for several
+    condition: float  # of the regressor with columns of length 1
+    uncertain: tuple[str, ...]  # parameters whose standard deviation is above 20 % of their size
+    without_slow_motion: tuple[str, ...]  # joints whose static friction the record does not show
+    without_effect: tuple[str, ...]  # parameters that act on no torque in any motion; they stay as the arm has them
+    lag: float  # largest correlation of successive residuals of a joint; above 0.2 it widens all intervals
+    distance: float  # from the estimate to the nearest possible body, which `arm` has [standard deviations]
+    t: Float64Array  # (k,) times of the samples of all runs [s]
+    measured: Float64Array  # (k, n) filtered torques at these [N m | N]; NaN where a joint with friction rests
+    before: Float64Array  # (k, n) torques by the arm as it was
+    after: Float64Array  # (k, n) torques by the arm with what was found
+    torque_std: Float64Array  # (n,) largest standard deviation of a torque by uncertain parameters [N m | N]
 
     @property
     def physical(self) -> bool:
@@ -133,23 +110,12 @@ class Identification(Result):
             UsageError: A law that follows no joint positions, or whose loop is unstable.
         """
         instance_of("ctrl", ctrl, Controller, "a controller from taut.compile")
-        allowed = positive_scalar("error", error, unit="rad | m")
         if ctrl.side.law.reference is not JointMotion:
             raise UsageError("verdict is for laws that follow joint positions", name="ctrl")
         lin = linearise(Loop(ctrl, RigidPlant(self.arm, friction=None), JointMotion(q=self.arm.home), duration=1.0))
-        if not lin.stable:
-            raise UsageError(f"verdict is for a stable loop; this one is {lin.unstable_because}", name="ctrl")
-        omega = frequency_grid(lin.period, np.abs(np.angle(lin.poles)) / lin.period)
-        gain = np.abs(lin.frequency_response(omega, input="disturbance.torque", output="q")).max(axis=0)
-        before, after = self.residual
-        before, after = gain @ before, gain @ (after + CONFIDENCE * self.torque_std)
-        i = int(np.argmax(after))
-        ok = bool(after[i] <= allowed)
-        message = (
-            f"{'good enough' if ok else 'not good enough'}: the error of joint '{self.arm.joint_names[i]}' is at "
-            f"most {after[i]:.3g}, and {allowed:.3g} is allowed"
-        )
-        return Verdict(ok=ok, before=before, after=after, message=message)
+        gain = lin.peak_gain(input="disturbance.torque", output="q")
+        bounds = gain @ (self.residual[1] + CONFIDENCE * self.torque_std)
+        return Verdict(ok=bool((bounds <= positive_scalar("error", error, unit="rad | m")).all()), bounds=bounds)
 
     def content(self) -> Content:
         """Estimates with intervals, what is uncertain or not identifiable, and the torques."""
@@ -231,40 +197,39 @@ def identify(
     given = [runs] if isinstance(runs, Run) else runs
     if not isinstance(given, Sequence) or not given or not all(isinstance(run, Run) for run in given):
         raise UsageError(f"runs must be a run of taut.run, or a list of some; got {runs!r}", name="runs")
-    samples = [Samples.of(run, regression) for run in given]
+    samples = [Samples(run, regression) for run in given]
     _require_motion(samples, regression)
     names, units = ([words[j] for j in regression.base] for words in (regression.names, regression.units))
     plain = Fit(samples, names)
     condition = plain.condition()
-    fit, hidden = plain.with_slow_friction(range(arm.n) if "friction" in regression.what else ())
-    b, values, std = len(names), *fit.estimates()
-    for k, (word, unit) in enumerate((("static", "N m"), ("stribeck", "rad/s"))):
-        names += [f"{arm.joint_names[i]}.{word}" for i in fit.speeds]
-        units += [unit if arm.units[i] == "rad" else ("N", "m/s")[k] for i in fit.speeds]
+    slow, hidden = plain.slow_friction() if "friction" in regression.what else ({}, [])
+    fit, b = Fit(samples, names, slow) if slow else plain, len(names)
+    for word, of_hinge, of_slide in (("static", "N m", "N"), ("stribeck", "rad/s", "m/s")):
+        names += [f"{arm.joint_names[i]}.{word}" for i in slow]
+        units += [of_hinge if arm.units[i] == "rad" else of_slide for i in slow]
+    numbers = zip(names, units, fit.x.tolist(), np.sqrt(np.diag(fit.covariance)).tolist(), strict=True)
+    estimates = {name: Estimate(value=x, std=std, unit=unit) for name, unit, x, std in numbers}
     unknowns, distance = possible_bodies(regression, fit.x[:b], fit.covariance[:b, :b])
-    if "payload.m" in names and values[names.index("payload.m")] < SIGNIFICANT * std[names.index("payload.m")]:
+    mass = estimates.get("payload.m")
+    if mass is not None and mass.value < SIGNIFICANT * mass.std:
         unknowns[:10] = 0.0  # no payload
-    slow = {i: (float(values[b + k]), speed) for k, (i, speed) in enumerate(fit.speeds.items())}
     known, share = (np.concatenate([getattr(part, name) for part in samples]) for name in ("known", "share"))
-    numbers = zip(names, values.tolist(), std.tolist(), units, strict=True)
+    measured = known + plain.tau
+    found = np.concatenate([regression.K @ unknowns, fit.x[b:]])
     return Identification(
-        arm=changed_arm(regression, unknowns, slow),
-        estimates=Named(
-            "the identification",
-            "parameter",
-            {name: Estimate(value=value, std=sd, unit=unit) for name, value, sd, unit in numbers},
-        ),
+        arm=changed_arm(regression, unknowns, dict(zip(slow, fit.x[b:].reshape(2, -1).T.tolist(), strict=True))),
+        estimates=Named("the identification", "parameter", estimates),
         combinations=regression.combinations,
         condition=condition,
-        uncertain=_uncertain(names, values, std),
+        uncertain=_uncertain(estimates),
         without_slow_motion=tuple(arm.joint_names[i] for i in hidden),
         without_effect=regression.without_effect,
         lag=fit.lag,
         distance=distance,
         t=np.concatenate([part.t for part in samples]),
-        measured=(known + fit.tau) / share,
+        measured=measured / share,
         before=(known + plain.Y @ (regression.K @ regression.nominal)) / share,
-        after=(known + fit.Y @ np.concatenate([regression.K @ unknowns, fit.x[b:]])) / share,
+        after=(measured - fit.tau + fit.Y @ found) / share,
         torque_std=np.sqrt(np.einsum("kib,bc,kic->ki", fit.Y, fit.covariance, fit.Y).max(axis=0)),
     )
 
@@ -282,11 +247,13 @@ def _require_motion(samples: Sequence[Samples], regression: ArmRegression) -> No
         )
 
 
-def _uncertain(names: Sequence[str], x: Float64Array, std: Float64Array) -> tuple[str, ...]:
+def _uncertain(estimates: Mapping[str, Estimate]) -> tuple[str, ...]:
     """Parameters with a standard deviation above 20 % of their size, of a vector or matrix its largest entry."""
-    groups = [name.rpartition("_")[0] if name.rpartition(".")[2][:2] in ("h_", "I_") else name for name in names]
-    size = {group: max(abs(x[i]) for i, other in enumerate(groups) if other == group) for group in set(groups)}
-    return tuple(name for name, group, sd in zip(names, groups, std, strict=True) if sd > UNCERTAIN * size[group])
+    groups = {name: re.sub(r"\.([hI])_\w+$", r".\1", name) for name in estimates}
+    size = dict.fromkeys(groups.values(), 0.0)
+    for name, group in groups.items():
+        size[group] = max(size[group], abs(estimates[name].value))
+    return tuple(name for name, each in estimates.items() if each.std > UNCERTAIN * size[groups[name]])
 
 
 def _rms(x: Float64Array) -> Float64Array:

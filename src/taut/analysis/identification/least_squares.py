@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 from scipy.signal import butter, sosfiltfilt
 
@@ -36,23 +34,13 @@ LOW_SPEED: Final = 0.5  # of the RMS speed, above which the Stribeck effect look
 GAUSS_NEWTON: Final = 8  # steps of it; each at most halves or doubles the speed
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Samples:
-    """Samples of a run. Both sides of tau = Y x are zero while a joint rests that friction may hold."""
+    """Samples of a run. Both sides of tau = Y x are zero while a joint rests that friction may hold.
 
-    t: Float64Array  # (k,) [s]
-    Y: Float64Array  # (k, n, b)
-    tau: Float64Array  # (k, n) less the known torques
-    known: Float64Array  # (k, n)
-    share: Float64Array  # (k, n) of the sample in which the joint moves, or has no friction; NaN if it is too little
-    moves: NDArray[np.bool_]  # (n,) beyond the noise
-    speed: Float64Array  # (n,) RMS [rad/s | m/s]
-    filtered: Callable[[Callable[[Float64Array], Float64Array], list[int]], Float64Array]
-    """(k, s) a function of the speeds of some joints, at full rate, through the filter of the torques."""
+    Y is made at full rate from filtered positions; Y and tau pass the same filter, without a lag.
+    """
 
-    @classmethod
-    def of(cls, run: Run, regression: ArmRegression) -> Samples:
-        """Y at full rate from filtered positions; Y and tau through the same filter, without a lag."""
+    def __init__(self, run: Run, regression: ArmRegression) -> None:
         _require_free(run, regression)
         rate = run.rate
         q = np.asarray(run.extra.get("sensed.q", run.q))
@@ -63,33 +51,36 @@ class Samples:
         end = round(END * rate)
         noise = np.std((q - smooth)[end:-end], axis=0) * np.sqrt(2.0 * POSITION_CUTOFF / rate)  # of white noise
         noise = OVER_NOISE * noise * 2.0 * np.pi * POSITION_CUTOFF / np.sqrt(3.0)  # [rad/s | m/s]
-        speed = np.sqrt(np.mean(v[end:-end] ** 2, axis=0))
-        moving = np.full(q.shape, 1.0)
+        self.speed = np.sqrt(np.mean(v[end:-end] ** 2, axis=0))  # (n,) RMS [rad/s | m/s]
+        self.moves = self.speed > noise  # (n,) beyond the noise
+        self._v, self._moving = v, np.ones_like(v)
         if "friction" in regression.what or regression.arm.friction.dry:
-            goes = np.abs(v) > np.maximum(noise, OVER_STOP * speed)
-            moving = minimum_filter1d(np.where(goes, 1.0, 0.0), 4 * round(rate / POSITION_CUTOFF) + 1, axis=0)
-        rows = slice(end, len(q) - end, round(rate * SAMPLE))
-        low = butter(ORDER, TORQUE_CUTOFF, fs=rate, output="sos")
-
-        def kept(x: Float64Array, joints: slice | list[int] = slice(None)) -> Float64Array:
-            mask = moving[:, joints]
-            masked = x * mask.reshape(*mask.shape, *[1] * (x.ndim - 2))
-            return np.asarray(sosfiltfilt(low, masked, axis=0)[rows])
-
-        share = kept(np.full(q.shape, 1.0))
-        used = share > MIN_SHARE
+            goes = np.abs(v) > np.maximum(noise, OVER_STOP * self.speed)
+            self._moving = minimum_filter1d(goes * 1.0, 4 * round(rate / POSITION_CUTOFF) + 1, axis=0)
+        self._rows = slice(end, len(q) - end, round(rate * SAMPLE))
+        self._low = butter(ORDER, TORQUE_CUTOFF, fs=rate, output="sos")
+        self._used = np.ones((1, run.n), dtype=np.bool_)
+        share = self._filtered(np.ones_like(q))
+        self._used = share > MIN_SHARE
         Y, known = regression.at(smooth, v, a)
-        known = kept(known) * used
-        return cls(
-            t=run.t[rows],
-            Y=kept(Y) * used[:, :, np.newaxis],
-            tau=kept(_torques(run)) * used - known,
-            known=known,
-            share=np.where(used, share, np.nan),
-            moves=speed > noise,
-            speed=speed,
-            filtered=lambda function, joints: kept(function(v[:, joints]), joints) * used[:, joints],
+        self.t = run.t[self._rows]  # (k,) [s]
+        self.share = np.where(self._used, share, np.nan)  # (k, n) of the sample, while the joint moves; or too small
+        self.Y, self.known = self._filtered(Y), self._filtered(known)  # (k, n, b), (k, n)
+        self.tau = self._filtered(_torques(run)) - self.known  # (k, n)
+
+    def _filtered(self, x: Float64Array, joints: slice = slice(None)) -> Float64Array:
+        """(k, ...) of x (ticks, joints, ...) at full rate."""
+        moving, used = (
+            part[:, joints].reshape(len(part), -1, *[1] * (x.ndim - 2)) for part in (self._moving, self._used)
         )
+        return np.asarray(sosfiltfilt(self._low, x * moving, axis=0)[self._rows] * used)
+
+    def stribeck(self, joint: int, speed: float) -> Float64Array:
+        """(k, 2) filtered exp(-(v / speed)^2) sgn(v) of a joint, and its slope by the speed."""
+        v = self._v[:, [joint]]
+        excess = np.sign(v) * np.exp(-((v / speed) ** 2))
+        slope = excess * 2.0 * v**2 / speed**3
+        return self._filtered(np.stack([excess, slope], axis=2), slice(joint, joint + 1))[:, 0]
 
 
 def _torques(run: Run) -> Float64Array:
@@ -117,14 +108,13 @@ def _require_free(run: Run, regression: ArmRegression) -> None:
             f"at {run.rate:g} Hz; record longer, and at a higher rate",
             name="runs",
         )
-    touched = np.asarray(run.extra["F_ext"]).any(axis=1) if "F_ext" in run.extra else np.zeros(len(run), dtype=bool)
     changed = [
         event.t
         for event in run.info.events
         if run.t[0] < event.t <= run.t[-1] and any(path.startswith("plant.") for path in event.set)
     ]
-    if touched.any() or changed:
-        what, t = ("the plant changes", changed[0]) if changed else ("a contact begins", run.t[int(touched.argmax())])
+    what, t = ("the plant changes", changed[0]) if changed else ("a contact begins", run.first_contact)
+    if t is not None:
         raise UsageError(
             f"identify takes motion of one arm in free space, and {what} at t = {t:.4g} s; give the part before or "
             "after: run.between(start, end)",
@@ -135,25 +125,24 @@ def _require_free(run: Run, regression: ArmRegression) -> None:
 class Fit:
     """Torques of all samples as Y x, with weights 1 / residual of each joint from a first pass.
 
-    With `speeds` by joint, of the Stribeck effect, the last parameters are the excess of static over Coulomb friction
-    of these joints, and corrections of the speeds.
+    With Stribeck speed and excess of static friction of some joints, x ends with static friction of these joints and
+    their Stribeck speeds, about which the torques are linear; tau has what is not of x in it.
     """
 
     def __init__(
-        self,
-        samples: Sequence[Samples],
-        names: Sequence[str],
-        speeds: Mapping[int, float] | None = None,
-        excess: Float64Array | None = None,  # (s,) with which the speeds are corrected
+        self, samples: Sequence[Samples], names: Sequence[str], slow: Mapping[int, tuple[float, float]] | None = None
     ) -> None:
-        self.samples, self.names, self.speeds = samples, tuple(names), dict(speeds or {})
-        self.Y, self.tau = (np.concatenate([getattr(part, name) for part in samples]) for name in ("Y", "tau"))
-        if excess is not None:
-            joints = list(self.speeds)
-            only = np.eye(self.tau.shape[1])[:, joints]
-            columns, slopes = (c[:, :, np.newaxis] * only for c in self._stribeck(self.speeds))
-            self.Y = np.concatenate([self.Y, columns, slopes * excess], axis=2)
-        used = np.concatenate([np.isfinite(part.share) for part in samples])
+        self.samples, self.names, slow = samples, tuple(names), slow or {}
+        Y, self.tau, share = (
+            np.concatenate([getattr(part, name) for part in samples]) for name in ("Y", "tau", "share")
+        )
+        b, s, used = len(names), len(slow), np.isfinite(share)
+        self.Y = np.concatenate([Y, np.zeros((*self.tau.shape, 2 * s))], axis=2)
+        for k, (i, (speed, excess)) in enumerate(slow.items()):
+            column, slope = self._stribeck(i, speed).T
+            places = [self._coulomb(i), b + k, b + s + k]
+            self.Y[:, i, places] += np.stack([-column, column, excess * slope], axis=1)
+            self.tau[:, i] += excess * slope * speed
         size = self.Y.shape[2]
         if used.sum() < 2 * size:
             raise RangeError(
@@ -172,6 +161,13 @@ class Fit:
             weights = 1.0 / np.maximum(rms, np.finfo(float).eps * np.abs(self.tau).max())
         self._variance = float(np.sum((self.residual * self.weights) ** 2)) / (used.sum() - size)
 
+    def _stribeck(self, joint: int, speed: float) -> Float64Array:
+        return np.concatenate([part.stribeck(joint, speed) for part in self.samples])
+
+    def _coulomb(self, joint: int) -> int:
+        """Number of the Coulomb friction of a joint; they come last, in the order of the joints."""
+        return len(self.names) - int(self.tau.shape[1]) + joint
+
     @cached_property
     def lag(self) -> float:
         """The largest correlation of successive residuals of a joint."""
@@ -186,24 +182,14 @@ class Fit:
         widened = self._variance * (1.0 + lag) / (1.0 - lag)
         return np.asarray(widened * np.linalg.inv(self._W.T @ self._W) / np.outer(self._scale, self._scale))
 
-    def estimates(self) -> tuple[Float64Array, Float64Array]:
-        """Values and standard deviations; static friction and speeds in place of excess and corrections."""
-        values, b, s = self.x.copy(), len(self.names), len(self.speeds)
-        sums = np.eye(len(values))
-        for k, i in enumerate(self.speeds):
-            sums[b + k, self._coulomb(i)], values[b + s + k] = 1.0, self.speeds[i]
-        return sums @ values, np.sqrt(np.diag(sums @ self.covariance @ sums.T))
-
-    def _coulomb(self, joint: int) -> int:
-        """Number of the Coulomb friction of a joint; they come last, in the order of the joints."""
-        return len(self.names) - len(self.weights) + joint
-
     def condition(self) -> float:
         """The condition number, refused above 100 with the direction that is excited least."""
         columns = self.Y.reshape(-1, self.Y.shape[2])
         length = np.linalg.norm(columns, axis=0)
         _, sizes, directions = np.linalg.svd(columns / np.where(length > 0.0, length, 1.0), full_matrices=False)
         condition = float(sizes[0] / max(sizes[-1], np.finfo(float).tiny))
+        if condition <= DOUBTFUL_CONDITION:
+            return condition
         direction = directions[-1] * np.sign(directions[-1][np.argmax(np.abs(directions[-1]))])
         largest = [i for i in np.argsort(-np.abs(direction))[:4] if abs(direction[i]) > 0.1]
         weakest = linear_text([(float(direction[i]), self.names[i]) for i in largest])
@@ -215,58 +201,39 @@ class Fit:
                 name="runs",
                 value=condition,
             )
-        if condition > DOUBTFUL_CONDITION:
-            warn(
-                f"the condition number of the identification is {condition:.3g}; the motion hardly excites {weakest}"
-            )
+        warn(f"the condition number of the identification is {condition:.3g}; the motion hardly excites {weakest}")
         return condition
 
-    def with_slow_friction(self, joints: Sequence[int]) -> tuple[Fit, list[int]]:
-        """The fit with Stribeck friction of the joints that show it, and the joints on which the record is silent.
+    def slow_friction(self) -> tuple[dict[int, tuple[float, float]], list[int]]:
+        """Stribeck speed and excess of static friction of joints that show it, and joints of which nothing is shown.
 
         The record shows an excess at a Stribeck speed if its standard deviation is below 20 % of the Coulomb
         friction: it holds enough slow motion then.
         """
         Q = np.linalg.qr(self._W)[0].reshape(*self.tau.shape, -1)
-        largest = LOW_SPEED * np.max([part.speed for part in self.samples], axis=0)
-        found, best, hidden = dict[int, float](), dict[int, float](), set(joints)
-        for speed in STRIBECK:
-            slow = [i for i in joints if speed < largest[i]]
-            columns = self._stribeck(dict.fromkeys(slow, float(speed)))[0] if slow else np.zeros((0, 0))
-            for i, column in zip(slow, columns.T, strict=True):
-                c = column * self.weights[i]
-                beside = float(c @ c - np.sum((Q[:, i].T @ c) ** 2))  # of the column, what all others do not make
-                if self._variance >= (UNCERTAIN * self.x[self._coulomb(i)]) ** 2 * beside:
-                    continue
-                hidden.discard(i)
-                gain = float(c @ self.residual[:, i]) * self.weights[i] / np.sqrt(beside * self._variance)
-                if gain > best.get(i, SIGNIFICANT):
-                    found[i], best[i] = float(speed), gain
-        fit, excess = self, np.ones(len(found))
-        for _ in range(GAUSS_NEWTON if found else 0):
-            fit = Fit(self.samples, self.names, found, excess)
-            excess, steps = np.split(fit.x[len(self.names) :], 2)
-            moved = {i: found[i] + step for i, step in zip(found, steps.tolist(), strict=True)}
-            found = {i: min(max(moved[i], 0.5 * found[i]), 2.0 * found[i]) for i in found}
-        least = SIGNIFICANT * np.sqrt(np.diag(fit.covariance))[len(self.names) :]
-        sound = [e > sd and found[i] < largest[i] for e, sd, i in zip(excess, least, found, strict=False)]
-        if all(sound):
-            return fit, sorted(hidden)
-        lost = [i for i, kept in zip(found, sound, strict=True) if not kept]
-        fit, silent = self.with_slow_friction([i for i in joints if i not in lost])
-        return fit, sorted({*silent, *lost})
 
-    def _stribeck(self, speeds: Mapping[int, float]) -> tuple[Float64Array, Float64Array]:
-        """(k, s) each: filtered exp(-(v / speed)^2) sgn(v) of some joints, and its slope by the speed."""
-        joints, at = list(speeds), np.array(list(speeds.values()))
+        def beside(i: int, speed: float) -> tuple[Float64Array, Float64Array]:
+            """Normal equations of the excess, and of it times a change of the speed, beside all other parameters."""
+            C = self._stribeck(i, speed) * self.weights[i]
+            others = Q[:, i].T @ C
+            return C.T @ C - others.T @ others, C.T @ (self.residual[:, i] * self.weights[i])
 
-        def excess(v: Float64Array) -> Float64Array:
-            return np.asarray(np.sign(v) * np.exp(-((v / at) ** 2)))
-
-        def slope(v: Float64Array) -> Float64Array:
-            return np.asarray(excess(v) * 2.0 * v**2 / at**3)
-
-        columns, slopes = (
-            np.concatenate([part.filtered(f, joints) for part in self.samples]) for f in (excess, slope)
-        )
-        return columns, slopes
+        found, hidden = dict[int, tuple[float, float]](), list[int]()
+        for i in range(self.tau.shape[1]):
+            fastest = LOW_SPEED * max(part.speed[i] for part in self.samples)
+            tried = [(speed, *beside(i, speed)) for speed in STRIBECK.tolist() if speed < fastest]
+            needed = self._variance / (UNCERTAIN * self.x[self._coulomb(i)]) ** 2
+            shown = [(b[0] / np.sqrt(A[0, 0] * self._variance), speed) for speed, A, b in tried if A[0, 0] > needed]
+            gain, speed = max(shown, default=(np.inf, np.inf))
+            if gain <= SIGNIFICANT:
+                continue
+            excess, deviation = 0.0, 0.0
+            for _ in range(GAUSS_NEWTON if shown else 0):
+                A, b = beside(i, speed)
+                (excess, change), deviation = np.linalg.solve(A, b), np.sqrt(self._variance * np.linalg.inv(A)[0, 0])
+                speed *= float(np.clip(1.0 + change / (excess * speed), 0.5, 2.0))
+            if excess > SIGNIFICANT * deviation and speed < fastest:
+                found[i] = speed, excess
+            else:
+                hidden.append(i)
+        return found, hidden

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy.linalg import qr
 
+from taut.analysis.identification.regression import ArmRegression, linear_text
 from taut.arm.description import Payload
 from taut.base.checks import instance_of
 from taut.base.errors import UsageError
 from taut.base.result import Content, Result, Table
 from taut.base.types import Float64Array
-from taut.codegen.program import over_rows
 from taut.control.laws.other_topics.adaptive import metric
 from taut.maths import regressor as rg
-from taut.maths.model import Model, PayloadValues, model_of
+from taut.maths.model import PayloadValues, model_of
 from taut.record.run import Run
 
 ESTIMATE: Final = ".estimate"  # ends the column of a run
@@ -43,7 +43,7 @@ class PayloadEstimate(Result):
     body: Float64Array  # (10,) parameters of the whole body, as `PARAMETERS`
     eigenvalues: Float64Array  # (10,) [N^2 m^2], the largest first
     not_excited: Float64Array  # (j, 10) directions of the parameters [kg, kg m, kg m^2]
-    directions: tuple[str, ...]  # each in words: "h_z", "I_xx with h_x"; the first parameter is in no other one
+    directions: tuple[str, ...]  # each as a sum: "h_z", "I_xx - 0.3 h_x"; the first parameter is in no other one
 
     @property
     def payload(self) -> Payload:
@@ -112,19 +112,17 @@ def payload_estimate(run: Run) -> PayloadEstimate:
             f"{len(columns) or 'no'} estimates; run the law alone, or load the log of such a run",
             name="run",
         )
-    model = model_of(arm)
+    model, regression = model_of(arm), ArmRegression(arm, ("payload",))
     k, R, p = model.placement(None)
-    estimate = run.extra[columns[0]][-1].reshape(-1, 10)
-    row = estimate[0 if len(estimate) == 1 else k]
-    own = rg.body_of(row).seen_from(R.T, -R.T @ p)
-    link = model.links[k].seen_from(R.T, -R.T @ p)
-    load = PayloadValues.of_body(own - link)
-    body = np.asarray(rg.parameters_of(own), dtype=np.float64)
-    Q = metric(body)
-    W = _excitation(run, model, k, R, p)
+    to_tool, estimate = np.linalg.inv(rg.moved(R, p)), run.extra[columns[0]][-1].reshape(-1, 10)
+    body = to_tool @ estimate[0 if len(estimate) == 1 else k]
+    load = PayloadValues.of_body(rg.body_of(body - to_tool @ rg.parameters_of(model.links[k])))
+    Q, a = metric(body), getattr(run.reference, "a", np.zeros_like(run.q))
+    Y = regression.columns(run.q, run.v, a)[0].reshape(-1, 10)
     root, sizes = np.linalg.cholesky(Q), np.sqrt(np.diag(Q))
-    values, vectors = np.linalg.eigh(root.T @ W @ root)
+    values, vectors = np.linalg.eigh(root.T @ (Y.T @ Y / len(run)) @ root)
     directions = _readable((root @ vectors[:, values <= EXCITED * values[-1]]).T / sizes)
+    named = (np.argsort(-np.abs(each), kind="stable")[: np.sum(np.abs(each) >= NAMED)] for each in directions)
     return PayloadEstimate(
         mass=float(load.mass),
         com=load.com,
@@ -132,22 +130,11 @@ def payload_estimate(run: Run) -> PayloadEstimate:
         body=body,
         eigenvalues=values[::-1].copy(),
         not_excited=directions * sizes,
-        directions=tuple(map(_words, directions)),
+        directions=tuple(
+            linear_text([(each[i], rg.PARAMETERS[i]) for i in which])
+            for each, which in zip(directions, named, strict=True)
+        ),
     )
-
-
-def _excitation(run: Run, model: Model, k: int, R: Float64Array, p: Float64Array) -> Float64Array:
-    """(10, 10) mean of Y^T Y, of the parameters about the tool's origin in its axes."""
-    units = [rg.parameters_of(rg.body_of(unit).seen_from(R, p)) for unit in np.eye(10)]
-    of_tool = np.array(units, dtype=np.float64).T
-
-    def columns(q: Any, v: Any, a: Any) -> dict[str, Any]:
-        return {"Y": rg.regressor(model, q, v, a)[:, 10 * k : 10 * k + 10]}
-
-    a = getattr(run.reference, "a", np.zeros_like(run.q))
-    Y = over_rows(columns, q=model.n, v=model.n, a=model.n)(q=run.q, v=run.v, a=a)["Y"].reshape(-1, 10) @ of_tool
-    W: Float64Array = Y.T @ Y / len(run)
-    return W
 
 
 def _readable(directions: Float64Array) -> Float64Array:
@@ -156,9 +143,3 @@ def _readable(directions: Float64Array) -> Float64Array:
         return directions
     *_, order = qr(directions, pivoting=True)
     return np.asarray(np.linalg.solve(directions[:, order[: len(directions)]], directions), dtype=np.float64)
-
-
-def _words(direction: Float64Array) -> str:
-    order = np.argsort(-np.abs(direction), kind="stable")
-    first, *others = (rg.PARAMETERS[i] for i in order if abs(direction[i]) >= NAMED)
-    return first + (f" with {', '.join(others)}" if others else "")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from functools import cached_property
 from typing import Final, Literal, TypeAlias
 
 import numpy as np
@@ -12,14 +11,14 @@ from scipy.optimize import least_squares
 
 from taut.arm.description import BASE, Arm
 from taut.arm.friction import Friction
-from taut.arm.parts import Payload
+from taut.arm.parts import Payload, inertia_matrix
 from taut.base.checks import instance_of, one_of
 from taut.base.errors import UsageError
-from taut.base.types import Float64Array
+from taut.base.types import Array, Float64Array, Vector
 from taut.codegen.program import over_rows
 from taut.maths.friction import FrictionValues, friction_torque
 from taut.maths.model import PayloadValues, model_of
-from taut.maths.regressor import PARAMETERS, body_of, parameters_of, pseudo_inertia, regressor
+from taut.maths.regressor import PARAMETERS, body_of, moved, parameters_of, pseudo_inertia, regressor
 from taut.trace import math as tm
 
 Unknown: TypeAlias = Literal["payload", "links", "rotors", "friction"]
@@ -33,9 +32,8 @@ JOINT_UNITS: Final = {  # of hinges, and of prismatic joints; in the order of th
 STATES: Final = 100  # random ones, at which base parameters are determined
 IN_SPAN: Final = 1e-8  # of a column of length 1, outside the span of those before it: it depends on them
 PRIOR: Final = 1e-3  # weight of the arm as it was, in standard deviations: it decides what the record does not
-GYRATION: Final = 0.05  # [m] of gyration, of the body with which the search begins where there was none
-MIN_MASS: Final = 1e-6  # [kg] of it
-DIFFERENCE: Final = 1e-6  # for slopes
+FLATTEST: Final = 1e-3  # of a body with which the search begins: eigenvalues of its pseudo-inertia over the largest
+MIN_LARGEST: Final = 1e-6  # [kg, kg m^2] of that largest one
 UPPER: Final = np.triu_indices(4, 1)
 
 
@@ -62,79 +60,64 @@ class ArmRegression:
         carrier, R, p = model.placement(None)
         if "payload" in self.what and carrier == BASE:
             raise UsageError(f"the tool '{arm.tool}' does not move: it carries no payload", name="arm")
-        self._known = np.array([parameters_of(link) for link in model.links])
-        payload = _transform(R, p) @ parameters_of(PayloadValues.of(arm.payload).body())
-        self._bodies: list[tuple[str, int, Float64Array]] = []
+        payload, at_tool = parameters_of(PayloadValues.of(arm.payload).body()), moved(R, p)
+        known = np.array([parameters_of(link) for link in model.links])
+        bodies: list[tuple[str, int, Float64Array]] = []
         if "links" in self.what:
-            transforms = [_transform(A.T, np.zeros(3)) for A in model.aligned]
-            self._bodies = list(zip(arm.joint_names, range(n), transforms, strict=True))
+            frames = [moved(A.T, np.zeros(3)) for A in model.aligned]
+            bodies = list(zip(arm.joint_names, range(n), frames, strict=True))
+        values = [np.linalg.solve(T, known[i]) for _, i, T in bodies]
         if "payload" in self.what:
-            self._bodies = [("payload", carrier, _transform(R, p))]
-        values = [np.linalg.solve(T, payload if who == "payload" else self._known[i]) for who, i, T in self._bodies]
+            bodies, values = [("payload", carrier, at_tool)], [payload]
         if carrier != BASE:
-            self._known[carrier] += payload
-        for (_, i, T), value in zip(self._bodies, values, strict=True):
-            self._known[i] -= T @ value
+            known[carrier] += at_tool @ payload
+        for (_, i, T), value in zip(bodies, values, strict=True):
+            known[i] -= T @ value
         rotors, friction = "rotors" in self.what, "friction" in self.what
         self.of_joints = ("rotor_inertia",) * rotors + ("viscous", "coulomb") * friction
         each = [(joint, unit == "m") for joint, unit in zip(arm.joint_names, arm.units, strict=True)]
         self.names = (
-            *(f"{who}.{name}" for who, _, _ in self._bodies for name in PARAMETERS),
+            *(f"{who}.{name}" for who, _, _ in bodies for name in PARAMETERS),
             *(f"{joint}.{name}" for name in self.of_joints for joint, _ in each),
         )
         self.units = (
-            *BODY_UNITS * len(self._bodies),
+            *BODY_UNITS * len(bodies),
             *(JOINT_UNITS[name][prismatic] for name in self.of_joints for _, prismatic in each),
         )
-        self.bodies = len(self._bodies)
+        self.bodies = len(bodies)
         self.nominal = np.concatenate([*values, *(getattr(arm, name) for name in self.of_joints)])
 
-        self._regressor = over_rows(lambda q, v, a: {"Y": regressor(model, q, v, a)}, q=n, v=n, a=n)
+        def of_bodies(q: Vector, v: Vector, a: Vector) -> dict[str, Array]:
+            Y = regressor(model, q, v, a)
+            columns = [Y[:, 10 * i : 10 * i + 10] @ T for _, i, T in bodies]
+            return {"Y": np.hstack([tm.zeros((n, 0)), *columns]), "known": Y @ known.ravel()}
+
+        self._of_bodies = over_rows(of_bodies, q=n, v=n, a=n)
+        states = np.random.default_rng(0).uniform(-np.pi, np.pi, (3, STATES, n))
+        Y = self.columns(*states)[0].reshape(-1, len(self.names))
+        size = np.linalg.norm(Y, axis=0)
+        new = np.diag(np.linalg.qr(Y / np.where(size > IN_SPAN, size, np.inf), mode="r"))
+        self.base = np.flatnonzero(np.abs(new) > IN_SPAN).tolist()
+        """Numbers of the unknowns that stand for the base parameters: of columns outside the span of those before."""
+        K = np.linalg.lstsq(Y[:, self.base], Y, rcond=None)[0]
+        self.K = np.where(np.abs(K) < IN_SPAN, 0.0, K)
+        """(b, m) base parameters of all: those that act on torques are K x."""
 
     def at(self, q: Float64Array, v: Float64Array, a: Float64Array) -> tuple[Float64Array, Float64Array]:
         """(k, n, b) columns of the base parameters, and (k, n) known torques, at samples (k, n)."""
-        Y, known = self._all(q, v, a)
-        return Y[:, :, list(self.base)], known
+        Y, known = self.columns(q, v, a)
+        return Y[:, :, self.base], known
 
-    def _all(self, q: Float64Array, v: Float64Array, a: Float64Array) -> tuple[Float64Array, Float64Array]:
+    def columns(self, q: Float64Array, v: Float64Array, a: Float64Array) -> tuple[Float64Array, Float64Array]:
         """(k, n, m) columns of all unknowns, and (k, n) known torques."""
-        k, n = q.shape
-        Y = self._regressor(q=q, v=v, a=a)["Y"].reshape(k, n, n, 10)
-        known = Y.reshape(k, n, 10 * n) @ self._known.ravel()
+        bodies = self._of_bodies(q=q, v=v, a=a)
+        known, motion = bodies["known"], {"rotor_inertia": a, "viscous": v, "coulomb": np.sign(v)}
         if "rotor_inertia" not in self.of_joints:
             known = known + self.arm.rotor_inertia * a
         if "coulomb" not in self.of_joints:
             known = known - np.asarray(friction_torque(FrictionValues.fixed(self.arm.friction), v))
-        motion = {"rotor_inertia": a, "viscous": v, "coulomb": np.sign(v)}
-        columns = [Y[:, :, i] @ T for _, i, T in self._bodies]
-        columns += [motion[name][:, :, np.newaxis] * np.eye(n) for name in self.of_joints]
-        return np.concatenate(columns, axis=2), known
-
-    @property
-    def base(self) -> tuple[int, ...]:
-        """Numbers of the unknowns that stand for the base parameters."""
-        return self._reduction[0]
-
-    @property
-    def K(self) -> Float64Array:
-        """(b, m) base parameters of all: those that act on torques are K x."""
-        return self._reduction[1]
-
-    @cached_property
-    def _reduction(self) -> tuple[tuple[int, ...], Float64Array]:
-        """By columns at random states: one that depends on those before it is regrouped with them."""
-        rng = np.random.default_rng(0)
-        Y = self._all(*rng.uniform(-np.pi, np.pi, (3, STATES, self.arm.n)))[0].reshape(-1, len(self.names))
-        size = np.linalg.norm(Y, axis=0)
-        basis, base = np.zeros((len(Y), 0)), list[int]()
-        for j, column in enumerate((Y / np.where(size > IN_SPAN, size, np.inf)).T):
-            rest = column - basis @ (basis.T @ column)
-            rest = rest - basis @ (basis.T @ rest)  # again, for rounding
-            if np.linalg.norm(rest) > IN_SPAN:
-                basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
-                base.append(j)
-        K = np.linalg.lstsq(Y[:, base], Y, rcond=None)[0]
-        return tuple(base), np.where(np.abs(K) < IN_SPAN, 0.0, K)
+        columns = [motion[name][:, :, np.newaxis] * np.eye(self.arm.n) for name in self.of_joints]
+        return np.concatenate([bodies["Y"], *columns], axis=2), known
 
     @property
     def combinations(self) -> dict[str, str]:
@@ -152,11 +135,6 @@ class ArmRegression:
         return tuple(name for name, column in zip(self.names, self.K.T, strict=True) if not column.any())
 
 
-def _transform(R: Float64Array, p: Float64Array) -> Float64Array:
-    """(10, 10) from the parameters of a body in a frame at R, p to those in the frame around it."""
-    return np.array([parameters_of(body_of(unit).seen_from(R, p)) for unit in np.eye(10)], dtype=np.float64).T
-
-
 def linear_text(terms: Sequence[tuple[float, str]]) -> str:
     """A sum of named numbers in words: a - 0.5 b."""
     sizes = ["" if abs(abs(factor) - 1.0) < IN_SPAN else f"{abs(factor):.3g} " for factor, _ in terms]
@@ -169,76 +147,60 @@ def possible_bodies(
 ) -> tuple[Float64Array, float]:
     """(m,) all unknowns, with bodies that are possible, and how far they are from the estimate [standard deviations].
 
-    The base parameters K x are fitted with the weights of the estimate over log-Cholesky parameters of each body,
-    P = U U^T, U upper triangular with positive diagonal. What K x does not determine stays near the arm as it was.
+    They are those of the smallest change of the arm by which K x is the estimate. Where these are not possible, K x
+    is fitted with the weights of the estimate over log-Cholesky parameters of each body, P = U U^T, U upper
+    triangular with positive diagonal; what K x does not determine stays near that change.
     """
-    K, base, count = regression.K, list(regression.base), 10 * regression.bodies
+    count = 10 * regression.bodies
+    rows = [row for row, j in enumerate(regression.base) if j < count]
     x = regression.nominal.copy()
-    rows = [row for row, j in enumerate(base) if j < count]
-    for row, j in enumerate(base[len(rows) :], start=len(rows)):
-        x[j] = estimate[row]
-    if len(rows) == count:
-        x[:count] = estimate[rows]
-        if all(_is_possible(body) for body in x[:count].reshape(-1, 10)):
-            return x, 0.0
-        x[:count] = regression.nominal[:count]
-    A = K[rows][:, :count]
-    target = estimate[rows] - K[rows][:, count:] @ x[count:]
+    x[regression.base[len(rows) :]] = estimate[len(rows) :]
+    A = regression.K[rows]
+    target = estimate[rows] - A[:, count:] @ x[count:]
+    A = A[:, :count]
+    x[:count] += np.linalg.lstsq(A, target - A @ x[:count], rcond=None)[0]
+    bodies = x[:count].reshape(-1, 10)
+    sizes, axes = np.linalg.eigh(np.reshape([pseudo_inertia(body) for body in bodies], (-1, 4, 4)))
+    if (sizes > 0.0).all():
+        return x, 0.0
     shape = np.linalg.inv(np.linalg.cholesky(covariance[np.ix_(rows, rows)]))
-    pairs = zip(x[:count].reshape(-1, 10), np.linalg.lstsq(A, target, rcond=None)[0].reshape(-1, 10), strict=True)
-    start = np.concatenate([_log_cholesky(own, likely) for own, likely in pairs])
+    sizes = np.maximum(sizes, FLATTEST * np.abs(sizes).max(axis=1, keepdims=True, initial=MIN_LARGEST))
+    P = axes * sizes[:, np.newaxis] @ np.swapaxes(axes, 1, 2)
+    U = np.linalg.cholesky(P[:, ::-1, ::-1])[:, ::-1, ::-1]
+    start = np.concatenate([np.log(np.diagonal(U, axis1=1, axis2=2)), U[:, *UPPER]], axis=1).ravel()
 
     def misfit(theta: Float64Array) -> Float64Array:
         return np.concatenate([shape @ (A @ _bodies(theta) - target), PRIOR * (theta - start)])
 
-    def slope(theta: Float64Array) -> Float64Array:
-        steps = DIFFERENCE * np.eye(count)
-        change = (_bodies(theta + steps) - _bodies(theta - steps)) / (2.0 * DIFFERENCE)
-        return np.vstack([shape @ A @ change.T, PRIOR * np.eye(count)])
-
-    theta = least_squares(misfit, start, jac=slope, max_nfev=200).x if rows else start
+    theta = least_squares(misfit, start, jac="3-point", max_nfev=200).x
     x[:count] = _bodies(theta)
     return x, float(np.linalg.norm(misfit(theta)[: len(rows)]))
 
 
-def _is_possible(body: Float64Array) -> bool:
-    return bool(np.linalg.eigvalsh(pseudo_inertia(body))[0] > 0.0)
-
-
-def _log_cholesky(own: Float64Array, likely: Float64Array) -> Float64Array:
-    """(10,) logarithms of the diagonal of U, and what is above it: of a body, or of one about a likely centre."""
-    P = np.asarray(pseudo_inertia(own), dtype=np.float64)
-    if not _is_possible(own):
-        mass = max(float(likely[0]), MIN_MASS)
-        c = np.array([*(likely[1:4] / mass if likely[0] > MIN_MASS else np.zeros(3)), 1.0])
-        P = mass * (np.outer(c, c) + GYRATION**2 * np.diag([1.0, 1.0, 1.0, 0.0]))
-    U = np.linalg.cholesky(P[::-1, ::-1])[::-1, ::-1]
-    return np.concatenate([np.log(np.diag(U)), U[UPPER]])
-
-
 def _bodies(theta: Float64Array) -> Float64Array:
-    """(..., m) parameters of bodies, ten each, from log-Cholesky parameters (..., m)."""
+    """(m,) parameters of bodies, ten each, from log-Cholesky parameters (m,)."""
     parts = theta.reshape(-1, 10)
     U = np.exp(parts[:, :4])[:, :, np.newaxis] * np.eye(4)
     U[:, UPPER[0], UPPER[1]] = parts[:, 4:]
     P = U @ np.swapaxes(U, 1, 2)
     xx, yy, zz = (P[:, i, i] for i in range(3))
     six = [yy + zz, xx + zz, xx + yy, -P[:, 0, 1], -P[:, 0, 2], -P[:, 1, 2]]
-    return np.stack([P[:, 3, 3], *P[:, :3, 3].T, *six], axis=1).reshape(theta.shape)
+    return np.stack([P[:, 3, 3], *P[:, :3, 3].T, *six], axis=1).ravel()
 
 
-def changed_arm(regression: ArmRegression, x: Float64Array, slow: Mapping[int, tuple[float, float]]) -> Arm:
+def changed_arm(regression: ArmRegression, x: Float64Array, slow: Mapping[int, Sequence[float]]) -> Arm:
     """The arm with the unknowns x, and static friction and Stribeck speed by joint; none of them is negative."""
     arm, n = regression.arm, regression.arm.n
     parts = iter(np.split(x, 10 * regression.bodies + n * np.arange(4)))
     bodies = next(parts).reshape(-1, 10)
+    found = [PayloadValues.of_body(body_of(body)) for body in bodies]
     if "payload" in regression.what:
-        mass, com, inertia = _about_centre(bodies[0])
-        arm = dataclasses.replace(arm, payload=Payload(mass=mass, com=com, inertia=inertia))
+        (load,) = found
+        payload = Payload(mass=load.mass, com=load.com, inertia=load.inertia) if load.mass else Payload()
+        arm = dataclasses.replace(arm, payload=payload)
     if "links" in regression.what:
-        for joint, body in zip(arm.joint_names, bodies, strict=True):
-            mass, com, inertia = _about_centre(body)
-            arm = arm.with_body(joint, mass=mass, com=com, inertia=inertia)
+        for joint, body in zip(arm.joint_names, found, strict=True):
+            arm = arm.with_body(joint, mass=body.mass, com=body.com, inertia=inertia_matrix(body.inertia))
     joints = {name: np.maximum(next(parts), 0.0) for name in regression.of_joints}
     if "rotor_inertia" in joints:
         arm = arm.with_joints(rotor_inertia=joints["rotor_inertia"])
@@ -249,11 +211,3 @@ def changed_arm(regression: ArmRegression, x: Float64Array, slow: Mapping[int, t
             static[i], stribeck[i] = max(at_rest, coulomb[i]), speed
         arm = arm.with_friction(Friction(viscous=viscous, coulomb=coulomb, static=static, stribeck=stribeck))
     return arm
-
-
-def _about_centre(parameters: Float64Array) -> tuple[float, Float64Array, Float64Array]:
-    """Mass, centre of mass, and (3, 3) inertia about it."""
-    body = body_of(parameters)
-    com = body.h / body.m if body.m > 0.0 else np.zeros(3)
-    S = tm.skew(com)
-    return float(body.m), com, np.asarray(body.I + body.m * (S @ S), dtype=np.float64)

@@ -49,11 +49,10 @@ def collision_threshold(run: Run) -> Float64Array:
             "sensing=taut.Sensing(observer=taut.sensors.MomentumObserver(bandwidth=...))",
             name="run",
         )
-    touched = run.extra["F_ext"].any(axis=1) if "F_ext" in run.extra else np.zeros(len(run), dtype=bool)
-    if touched.any():
+    if run.first_contact is not None:
         raise UsageError(
-            f"the run has contact from t = {run.t[np.argmax(touched)]:.6g} s on, and a "
-            "threshold is of the motion without; take a run of it in free space",
+            f"the run has contact from t = {run.first_contact:.6g} s on, and a threshold is of the motion without; "
+            "take a run of it in free space",
             name="run",
         )
     return read_only(MARGIN_OF_THRESHOLD * np.abs(run.extra[TAU_EXT]).max(axis=0))
