@@ -113,6 +113,15 @@ class PlantParts(Declared):
             )
         names = self.arm.joint_names
         self.actuation.check_size(names, "actuation.")
+        if self.actuation.motor is not None:
+            there = [name for name in self.actuation.for_torque_only if name != "motor"]
+            for name, value in {
+                "inner_rate": self.actuation.inner_rate,
+                "adds": self.adds.names,
+                "rk4": self.smooth,
+            }.items():
+                there += [name] if value else []
+            self.actuation.motor.check_with(self.arm, self.takes, there)
         self.sensors.check_arm(self.arm, touched=self.touched)
         if isinstance(self.friction, FrictionLaw):
             self.friction.check_size(names, FRICTION)
@@ -173,8 +182,10 @@ class PlantParts(Declared):
 
     def held_at_start(self, q: Any, weight: Any) -> Any:
         """What stands at drives of torques until the first command: they carry the weight (n,)."""
-        zero = tm.zeros(self.arm.n)
-        return tm.stack([q, zero, zero, zero, weight]) if self.takes == "mit" else weight
+        if self.takes != "mit":
+            return weight
+        zero, motor = tm.zeros(self.arm.n), self.actuation.motor
+        return tm.stack([q, zero, zero if motor is None else zero + motor.kp_at_start, zero, weight])
 
     @cached_property
     def drivetrain(self) -> Drivetrain:
@@ -287,6 +298,14 @@ class PlantParts(Declared):
                 f"the motor of joint '{names[i]}' loses torque with speed so steeply that its joint answers in "
                 f"{steps.dt / max(fast[i], 1e-300):.3g} s",
                 "the joint its rotor's inertia, by gears",
+            )
+            omega = np.sqrt(actuation.motor.stiffness(subtree(p, "motor")) * geared)
+            i = int(np.argmax(omega))
+            steps.require(
+                omega[i] * steps.dt,
+                "motor",
+                f"the springs of joint '{names[i]}' oscillate at {omega[i]:.3g} rad/s",
+                "softer springs",
             )
         if actuation.torque_loop is not None:
             share = 1.0 - rotor * geared  # of the motor's torque that a rigid gear passes on at once

@@ -220,7 +220,7 @@ class ForceStage(Stage):
         weight = full - compensation(self._model, parts.adds, q, np.zeros(arm.n), payload)
         memory = {"held": parts.held_at_start(q, weight), "tau_link": full}
         if self._follower is None:
-            memory |= parts.actuation.start(arm, weight, parameters)
+            memory |= parts.actuation.start(arm, q, weight, parameters)
         else:
             memory |= self._follower.start(q, v, parameters, division)
         started = self._train.start(q, v, full, parameters)
