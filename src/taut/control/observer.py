@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -16,7 +15,7 @@ from taut.base.types import Array, Vector
 from taut.control.command import Torque
 from taut.maths import dynamics as dyn
 from taut.maths.friction import FrictionValues, dry_limit
-from taut.maths.model import Adds, Model, PayloadValues, model_of
+from taut.maths.model import Adds, Model, PayloadValues, links_of, model_of
 from taut.maths.task_inertia import TaskInertia
 from taut.trace import math as tm
 
@@ -155,7 +154,7 @@ class MomentumObserver(Declared):
     ) -> tuple[Vector, Vector]:
         """(n,) each: the momentum, and its rate without the drives' torque and what is external."""
         q, v = seen["q"], seen["v"]
-        model = model_of(arm if self.torque == "applied" else _without_rotors(arm))
+        model = model_of(arm) if self.torque == "applied" else links_of(arm)
         p, CT_v = dyn.momentum(model, q, v, payload)
         rate = CT_v - dyn.gravity_torque(model, q, payload)
         if self.torque == "applied":
@@ -180,8 +179,3 @@ class MomentumObserver(Declared):
         factors = tm.factor_spd(dyn.mass_matrix(model, q, payload))
         F = TaskInertia.of(dyn.jacobian(model, q)[:rows], factors, WRENCH_DAMPING).wrench(tau_ext)
         return F if rows == 6 else tm.array([*F, 0.0, 0.0, 0.0])
-
-
-@cache
-def _without_rotors(arm: Arm) -> Arm:
-    return arm.with_joints(rotor_inertia=0.0)
