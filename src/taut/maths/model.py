@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -117,6 +117,12 @@ class Model:
     @property
     def n(self) -> int:
         return len(self.joints)
+
+    @functools.cached_property
+    def without_rotors(self) -> Model:
+        """The same with rotors that have no inertia."""
+        joints = tuple(replace(joint, rotor_inertia=0.0) for joint in self.joints)
+        return replace(self, joints=joints)
 
     def placement(self, frame: str | None) -> tuple[int, Float64Array, Float64Array]:
         """Body of a frame, and its orientation and origin there."""

@@ -81,7 +81,7 @@ class Motion:
     @cached_property
     def link_model(self) -> Model:
         """The same without its rotors, whose inertia is a parameter."""
-        return model_of(self.parts.arm.with_joints(rotor_inertia=0.0))
+        return self.model.without_rotors
 
     @cached_property
     def work(self) -> tuple[str, ...]:

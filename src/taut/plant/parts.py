@@ -273,7 +273,7 @@ class PlantParts(Declared):
         n, names = train.arm.n, train.arm.joint_names
         p = {path: np.broadcast_to(value, (n,)) for path, value in subtree(parameters, "actuation").items()}
         rotor = np.broadcast_to(parameters.get("plant.rotor_inertia", 0.0), (n,))
-        links = mass_matrix(model_of(train.arm.with_joints(rotor_inertia=0.0)), train.arm.home)
+        links = mass_matrix(model_of(train.arm).without_rotors, train.arm.home)
         geared = np.diag(np.linalg.inv(links + np.diag(rotor))).copy()  # acceleration per torque of each motor
         for i in train.compliant:
             geared[i] = 1.0 / rotor[i]
@@ -332,7 +332,7 @@ class PlantParts(Declared):
         train = self.drivetrain
         n = train.arm.n
         rotor = np.broadcast_to(parameters.get("plant.rotor_inertia", 0.0), (n,))
-        model = model_of(train.arm.with_joints(rotor_inertia=0.0))
+        model = model_of(train.arm).without_rotors
         M = mass_matrix(model, q, PayloadValues.of(subtree(parameters, "plant.payload")))
         M = M + np.diag([rotor[i] if i in train.rigid else 0.0 for i in range(n)])
         J = jacobian(model, q)

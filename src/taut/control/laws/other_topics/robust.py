@@ -133,7 +133,7 @@ class Uncertainty(Declared):
 
     def torques(self, model: Model, q: Vector, v: Vector, v_ref: Vector, a_ref: Vector) -> Array:
         """(m, n) torques Y_l pi_l of each unknown at its largest: s . (M a_ref + C v_ref + g) errs by their sum."""
-        bare, unknown = without_rotors(model), self.unknown(model)
+        bare, unknown = model.without_rotors, self.unknown(model)
         if not unknown:
             return tm.zeros((0, model.n))
         return tm.array([dyn.reference_dynamics(bare, part, q, v, v_ref, a_ref) for _, part in unknown])
@@ -175,13 +175,6 @@ def friction_and_error(
 def scaled(body: RigidBody, factor: float) -> RigidBody:
     """A body of the same shape and another density."""
     return RigidBody(m=factor * body.m, h=factor * body.h, I=factor * body.I)
-
-
-def without_rotors(model: Model) -> Model:
-    """The model with rotors that have no inertia, for the torques of single bodies."""
-    return dataclasses.replace(
-        model, joints=tuple(dataclasses.replace(joint, rotor_inertia=0.0) for joint in model.joints)
-    )
 
 
 def _alone(model: Model, i: int, body: RigidBody) -> list[RigidBody]:

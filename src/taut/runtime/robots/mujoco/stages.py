@@ -149,7 +149,7 @@ class ForceStage(Stage):
 
         self._rig, self._parts, self._train = rig, parts, parts.drivetrain
         self._model = model_of(rig.arm)
-        self._links = model_of(rig.arm.with_joints(rotor_inertia=0.0))
+        self._links = self._model.without_rotors
         self._follower: Follower | None = None
         if parts.stiff:
             self._follower = Follower(arm=rig.arm, takes=parts.takes, model=self._links)
