@@ -69,7 +69,7 @@ def test_lifted_maps_are_dense_matrices(seed: int) -> None:
     rng = np.random.default_rng(seed)
     G, matrix = random_map(rng, 13)
     other, second = random_map(rng, 13)
-    one = Lifted.constant(np.array([0.5, 2.0]), 13)
+    one = Lifted.constant(np.diag([0.5, 2.0]), 13)
     ones = np.kron(np.eye(13), np.diag([0.5, 2.0]))
     assert np.allclose(dense(G, 2), matrix, atol=1e-12)
     assert np.allclose(dense(G.T, 2), matrix.T, atol=1e-12)
@@ -90,8 +90,8 @@ def test_the_filter_has_a_norm_of_at_most_one_and_a_padded_one_has_not() -> None
     """At both ends of a trial too, which is what zero-state filtering forwards and backwards is for."""
     from scipy.signal import filtfilt
 
-    nothing, samples = Lifted.constant(np.ones(1), 400), 400
-    Q, _, _ = PDLearning(Lp=1.0, cutoff=10.0).filtered(nothing, 1000.0)
+    nothing, samples = Lifted.constant(np.eye(1), 400), 400
+    Q, _ = PDLearning(Lp=1.0, cutoff=10.0).filtered(nothing, 1000.0)
     F = toeplitz(sosfilt(butter(2, 10.0, fs=1000.0, output="sos"), np.eye(1, samples)[0]), np.zeros(samples))
     assert np.allclose(dense(Q, 1), F.T @ F, atol=1e-10)
     assert 0.9 < Q.norm() <= 1.0
@@ -162,7 +162,7 @@ def test_the_response_is_that_of_a_run(drives: taut.drives.Actuation, lead: int)
         taut.run(ctrl, plant, taut.trajectories.Learned(motion=hold, u=size * u, period=DT), duration=0.4)
         for size in (0.0, 1.0)
     )
-    q, v = model.G.act(u[: 401 - lead]), model.V.act(u[: 401 - lead])
+    q, v = np.hsplit(model.both.act(u[: 401 - lead]), 2)
     assert np.allclose((run.q - rest.q)[lead:], q, atol=1e-3 * np.abs(q).max())
     assert np.allclose((run.v - rest.v)[lead:], v, atol=1e-3 * np.abs(v).max())
     assert np.abs((run.q - rest.q)[:lead]).max() <= 1e-9 * np.abs(q).max()
@@ -267,16 +267,16 @@ def test_with_a_filter_the_input_comes_nearer_to_its_limit_by_the_factor(seed: i
     """The promise for Q other than 1, of the maps themselves: random coupled responses and gains."""
     rng = np.random.default_rng(seed)
     decay = 0.8 ** np.arange(60)[:, np.newaxis, np.newaxis]
-    G, V = (Lifted.causal(decay * (eye + 0.02 * rng.standard_normal((60, 2, 2)))) for eye in (np.eye(2), 0.0))
+    h = [decay * (eye + 0.02 * rng.standard_normal((60, 2, 2))) for eye in (np.eye(2), 0.0)]
+    G, both = Lifted.causal(h[0]), Lifted.causal(np.hstack(h))
     law = PDLearning(Lp=rng.uniform(0.1, 0.2, 2), Ld=rng.uniform(0.0, 0.1, 2), cutoff=rng.uniform(5.0, 50.0))
-    Q, K, D = law.filtered(G, 1000.0)
-    assert D is not None
-    change = Q - K @ G - D @ V
-    factor, r, rate = change.norm(), rng.standard_normal((60, 2)), rng.standard_normal((60, 2))
+    Q, K = law.filtered(G, 1000.0)
+    change = Q - K @ both
+    factor, r = change.norm(), np.hstack([rng.standard_normal((60, 2)), rng.standard_normal((60, 2))])
     trials = [np.zeros((60, 2))]
     for _ in range(400):
         u = trials[-1]
-        trials.append(Q.act(u) + K.act(r - G.act(u)) + D.act(rate - V.act(u)))
+        trials.append(Q.act(u) + K.act(r - both.act(u)))
     apart = np.linalg.norm(np.array(trials) - trials[-1], axis=(1, 2))
     assert factor < 1.0
     assert (apart[1:20] <= (factor * 1.001 + 1e-9) * apart[:19]).all()
@@ -406,7 +406,7 @@ REF = taut.JointMotion(q=ARM.home)
         ({"ctrl": taut.compile([taut.Phase(taut.laws.ComputedTorque(kp=9.0, kd=6.0), REF)], ARM)}, "has phases"),
         ({"ref": taut.hold()}, "known before"),
         ({"ref": taut.stream(period=0.1, source=lambda x: x)}, "known before"),
-        ({"ref": taut.JointMotion(q=[0.0])}, "ref must have 2 joints; got 1"),
+        ({"ref": taut.JointMotion(q=[0.0])}, "ref.q must have shape (2,); the reference gives (1,)"),
         ({"by": 1.0}, "by must be a learning law"),
         ({"by": PDLearning(Lp=100.0, cutoff=500.0)}, "cutoff must be below half the rate, 500 Hz; got 500"),
         ({"by": PDLearning(Lp=[1.0, 2.0, 3.0])}, "by.Lp must be"),

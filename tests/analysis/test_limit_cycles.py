@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
+from cycle_cases import KINDS, case
 from refusals import refused
 
 import taut
@@ -64,6 +66,58 @@ def test_coulomb_friction_alone_makes_no_cycle() -> None:
     joint = taut.error_dynamics(M=0.5, b=0.1, kp=100.0, kd=10.0, rate=1000.0)
     elements = {"disturbance.command[0]": ("v[0]", lambda v, _: -0.4 * np.sign(v))}
     assert not taut.analysis.limit_cycles(joint, elements, amplitudes=(1e-4, 10.0)).cycles
+
+
+@pytest.mark.bars
+def test_no_cycle_of_one_element_is_missed(share: Callable[[int], int], bar: Callable[[str, object], None]) -> None:
+    """Nine kinds of elements in random chains: relays, gaps, steps, backlash, friction; against closed-loop roots."""
+    count, pairs, cases = 0, 0, share(250)
+    for seed in range(cases):
+        one = case(seed)
+        element = {"u[0]": ("y[0]", one.element)}
+        found = taut.analysis.limit_cycles(one.system, element, amplitudes=one.amplitudes).cycles
+        known = one.apart(one.cycles())
+        for omega, amplitude, stable in known:
+            near = [c for c in found if abs(math.log(c.amplitudes["y[0]"] / amplitude)) < 0.01 and c.stable == stable]
+            assert any(abs(math.log(c.omega / omega)) < 0.03 for c in near), (seed, one.kind, omega, amplitude)
+        assert len(found) >= len(known)
+        count, pairs = count + len(known), pairs + (len({stable for *_, stable in known}) == 2)
+    assert count > cases // 3
+    assert pairs
+    name = f"limit cycles of one element of {len(KINDS)} kinds in random chains, by closed-loop roots; not found"
+    bar(name, f"0 of {count}, in {pairs} cases stable and unstable ones")
+
+
+def test_jumps_between_the_samples_of_a_sine_are_located() -> None:
+    """A relay with a dead zone d: A^4 - g^2 A^2 + g^2 d^2 = 0 with g = 4 c |G| / pi, one stable and one not."""
+
+    def with_gap(y: Float64Array, _: Float64Array) -> Float64Array:
+        return -np.sign(y) * (np.abs(y) > 0.5)
+
+    cycles = taut.analysis.limit_cycles(chain(10.0), {"u[0]": ("y[0]", with_gap)}, amplitudes=(0.501, 100.0)).cycles
+    g = 4.0 / math.pi * 10.0 / 6.0
+    both = [math.sqrt(0.5 * g * (g + sign * math.sqrt(g * g - 1.0))) for sign in (-1.0, 1.0)]
+    assert sorted((cycle.amplitudes["y[0]"], cycle.stable) for cycle in cycles) == [
+        (pytest.approx(both[0], rel=1e-5), False), (pytest.approx(both[1], rel=1e-5), True)
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", [8, 19, 36])
+def test_an_element_in_two_parts_makes_the_same_cycles(seed: int) -> None:
+    """One of y and one of 3 y, at two inputs that act alike, against the sum of both at one."""
+    one, other = case(seed), case(seed + 9)
+    system = one.system
+    B, C = np.tile(system.B, 2), np.vstack([system.C, 3.0 * system.C])
+    two = taut.LinearSystem(A=system.A, B=B, C=C)
+    elements = {"u[0]": ("y[0]", one.element), "u[1]": ("y[1]", other.element)}
+    both = {"u[0]": ("y[0]", lambda y, rate: one.element(y, rate) + other.element(3.0 * y, 3.0 * rate))}
+    low, high = max(one.amplitudes[0], other.amplitudes[0]), one.amplitudes[1]
+    expected = taut.analysis.limit_cycles(system, both, amplitudes=(low, high)).cycles
+    found = taut.analysis.limit_cycles(two, elements, amplitudes=(low, high)).cycles
+    assert [(c.omega, c.amplitudes["y[0]"]) for c in found] == [
+        (pytest.approx(c.omega, rel=1e-3), pytest.approx(c.amplitudes["y[0]"], rel=1e-3)) for c in expected
+    ]
+    assert [c.stable for c in found] == [c.stable for c in expected]
 
 
 def test_what_cannot_be_looked_at_is_refused() -> None:

@@ -130,6 +130,13 @@ def circle(count: int) -> taut.analysis.StabilityMap:
     return taut.analysis.stability_map(lambda a, b: taut.LinearSystem(A=[[a, -b], [b, a]], dt=0.01), grid, grid)
 
 
+def test_any_verdict_over_two_parameters_is_mapped() -> None:
+    found = taut.analysis.stability_map(lambda step, kd: step * kd < 1.0, [0.1, 1.0], [0.5, 5.0, 20.0])
+    np.testing.assert_allclose(found.boundary.prod(axis=1), 1.0, rtol=2e-3)
+    assert found.stable.tolist() == [[True, True, False], [True, False, False]]
+    assert np.isnan(found.decay_rate).all()
+
+
 def test_its_picture_fills_what_is_stable() -> None:
     found = circle(13)
     np.testing.assert_allclose(np.linalg.norm(found.boundary, axis=1), 1.0, rtol=1e-3)

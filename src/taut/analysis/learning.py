@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from taut.arm.description import Arm
 from taut.arm.parts import short_way
 from taut.base.checks import instance_of, whole_number
-from taut.base.errors import MatchError, RangeError, UsageError, count_of
+from taut.base.errors import RangeError, UsageError, count_of
 from taut.base.fields import Declared, Field, Whole
 from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
-from taut.control.trajectories.reference import Hold, JointMotion, Stream, as_reference, rows_of
+from taut.control.trajectories.reference import JointMotion, known_rows
 from taut.control.trajectories.samples import Learned
 from taut.controller import Controller
 from taut.linear.judgement import without_dry_friction
@@ -39,7 +39,7 @@ MAX_DROOP: Final = 3.0  # [rad | m] of an arm whose weight the law does not know
 
 
 class LearningLaw(Declared):
-    """Base of learning laws u+ = F (Q u + K e + D e_dot), over all samples of a trial; F is the Q-filter.
+    """Base of learning laws u+ = F (Q u + K (e, e_dot)), over all samples of a trial; F is the Q-filter.
 
     The filter runs forwards and then backwards over the trial from a zero state, so that it has no phase lag and a
     norm of at most one, also at the ends of a trial.
@@ -52,8 +52,8 @@ class LearningLaw(Declared):
     cutoff: Field = Field(unit="Hz", above=0.0, optional=True, run_time=False)
     order: Whole = Whole(2, minimum=1, maximum=10)
 
-    def maps(self, G: Lifted) -> tuple[Lifted, Lifted, Lifted | None]:
-        """Q, K and D, from the response G of the joint positions to the input."""
+    def maps(self, G: Lifted) -> tuple[Lifted, Lifted]:
+        """Q, and K of the errors of positions and velocities, from the response G of the positions to the input."""
         raise NotImplementedError
 
     @property
@@ -61,11 +61,11 @@ class LearningLaw(Declared):
         """Whether nothing of the input is forgotten, F Q = 1, so that the error itself can vanish."""
         return self.cutoff is None
 
-    def filtered(self, G: Lifted, rate: float) -> tuple[Lifted, Lifted, Lifted | None]:
-        """F Q, F K and F D at a rate [Hz]."""
-        Q, K, D = self.maps(G)
+    def filtered(self, G: Lifted, rate: float) -> tuple[Lifted, Lifted]:
+        """F Q and F K at a rate [Hz]."""
+        Q, K = self.maps(G)
         if self.cutoff is None:
-            return Q, K, D
+            return Q, K
         from scipy.signal import butter, sosfilt
 
         if self.cutoff >= 0.5 * rate:
@@ -73,7 +73,7 @@ class LearningLaw(Declared):
         h = sosfilt(butter(self.order, self.cutoff, fs=rate, output="sos"), np.eye(1, G.samples)[0])
         forwards = Lifted.causal(h[:, np.newaxis, np.newaxis] * np.eye(G.symbol.shape[2]))
         F = forwards.T @ forwards
-        return F @ Q, F @ K, None if D is None else F @ D
+        return F @ Q, F @ K
 
 
 class PDLearning(LearningLaw):
@@ -94,10 +94,9 @@ class PDLearning(LearningLaw):
     Lp: Field = Field(unit="1/s^2", shape="n", minimum=0.0, run_time=False)
     Ld: Field = Field(0.0, unit="1/s", shape="n", minimum=0.0, run_time=False)
 
-    def maps(self, G: Lifted) -> tuple[Lifted, Lifted, Lifted | None]:
-        n = G.symbol.shape[2]
-        Q, K, D = (Lifted.constant(np.ones(n) * gains, G.samples) for gains in (1.0, self.Lp, self.Ld))
-        return Q, K, D
+    def maps(self, G: Lifted) -> tuple[Lifted, Lifted]:
+        one = np.eye(G.symbol.shape[2])
+        return Lifted.constant(one, G.samples), Lifted.constant(np.hstack([one * self.Lp, one * self.Ld]), G.samples)
 
 
 class NormOptimal(LearningLaw):
@@ -124,31 +123,30 @@ class NormOptimal(LearningLaw):
     def is_one(self) -> bool:
         return self.cutoff is None and self.effort == 0.0
 
-    def maps(self, G: Lifted) -> tuple[Lifted, Lifted, Lifted | None]:
+    def maps(self, G: Lifted) -> tuple[Lifted, Lifted]:
+        one = np.eye(G.symbol.shape[2])
         change, both = (
-            Lifted.constant(np.full(G.symbol.shape[2], weight), G.samples)
-            for weight in (self.change, self.effort + self.change)
+            Lifted.constant(weight * one, G.samples) for weight in (self.change, self.effort + self.change)
         )
         inverse = (G.T @ G + both).inverse()
-        Q = inverse @ (G.T @ G + change) if self.effort else Lifted.constant(np.ones(G.symbol.shape[2]), G.samples)
-        return Q, inverse @ G.T, None
+        Q = inverse @ (G.T @ G + change) if self.effort else Lifted.constant(one, G.samples)
+        return Q, inverse @ G.T @ _positions(G)
+
+
+def _positions(G: Lifted) -> Lifted:
+    """The map from positions and velocities to positions alone."""
+    n = G.symbol.shape[2]
+    return Lifted.constant(np.eye(n, 2 * n), G.samples)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Convergence:
-    """The convergence test for one model of the loop: sigma_max of Q (1 - L G), or of 1 - G L where Q = 1.
+    """The convergence test for one model of the loop: sigma_max of Q (1 - L G), or of 1 - G L where Q = 1."""
 
-    Args:
-        model: The arm, and the pose about which the loop was linearised.
-        factor: Over the samples of the trial: by at least so much the distance falls from trial to trial.
-        long_trial: The largest over all frequencies, a bound for trials of any length.
-        frequency: [Hz] where it is largest.
-    """
-
-    model: str
-    factor: float
-    long_trial: float
-    frequency: float
+    model: str  # the arm, and the pose about which the loop was linearised
+    factor: float  # over the samples of the trial: by at least so much the distance falls from trial to trial
+    long_trial: float  # the largest over all frequencies, a bound for trials of any length
+    frequency: float  # [Hz] where it is largest
 
     @property
     def ok(self) -> bool:
@@ -158,28 +156,16 @@ class Convergence:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Learning(Result):
-    """A learned input, and how the error fell.
-
-    Args:
-        law: The learning law.
-        tests: The convergence test, made before the first trial, for each model.
-        rms: Error of each trial [rad | m]: root of the mean over time of the squared error of all joints.
-        reference: The reference with the input of the best trial, `reference.u` (k, n) [rad/s^2 | m/s^2]: for any
-            later run, or for more trials.
-        lead: Ticks between an input and its first effect on the joints.
-        errors_fall: Whether a passed test promises that no error is larger than the one before (Q = 1).
-        unit: Of the error.
-        faults: Why the trials ended early, or the test that failed.
-    """
+    """A learned input, and how the error fell."""
 
     law: LearningLaw
-    tests: tuple[Convergence, ...]
-    rms: tuple[float, ...]
-    reference: Learned
-    lead: int
-    errors_fall: bool
-    unit: str
-    faults: tuple[str, ...]
+    tests: tuple[Convergence, ...]  # made before the first trial, one for each model
+    rms: tuple[float, ...]  # [rad | m] of each trial: root of the mean over time of the squared error of all joints
+    reference: Learned  # with the input of the best trial, `reference.u` [rad/s^2 | m/s^2]: for later runs and trials
+    lead: int  # ticks between an input and its first effect on the joints
+    errors_fall: bool  # whether a passed test promises that no error is larger than the one before (Q = 1)
+    unit: str  # of the error
+    faults: tuple[str, ...]  # why the trials ended early, or the test that failed
 
     @property
     def factor(self) -> float:
@@ -249,7 +235,7 @@ def learn(
 ) -> Learning:
     """Learn an input for a repeated motion, from trial to trial: iterative learning control.
 
-    Law:          u+ = F (Q u + K e + D e_dot), u [rad/s^2] added to the acceleration of the reference
+    Law:          u+ = F (Q u + K (e, e_dot)), u [rad/s^2] added to the acceleration of the reference
     Closed loop:  e = r - G u in each trial, r the error without learning; see the learning law
 
     G is the response of the sampled loop, linearised by `taut.linearise` with the controller's arm, viscous friction
@@ -303,8 +289,9 @@ def learn(
     q0, v0 = state_at_start(plant.arm, motion.q[0] if q0 is None else q0, motion.v[0] if v0 is None else v0)
     models = _models(ctrl, plant, motion.q[[ticks // 2, 0, -1]], arms, ticks)
     by.check_size(side.arm.joint_names, "by.")
-    Q, K, D = by.filtered(models[0].G, side.rate)
-    tests = tuple(_test(by, model, (Q, K, D), side.rate) for model in models)
+    Q, K = by.filtered(models[0].G, side.rate)
+    of_errors = by.is_one and not K.symbol[:, :, n:].any()  # which then fall themselves
+    tests = tuple(model.test(Q, K, of_errors=of_errors, rate=side.rate) for model in models)
     faults = _failure(tests, anyway)
     lead, u = models[0].lead, np.zeros((ticks, n))
     first, references, rms = None, [], []
@@ -319,11 +306,9 @@ def learn(
         _require_same_start(first, done, trial)
         references.append(reference)
         rms.append(float(np.sqrt(np.mean(np.sum(short_way(motion.q - done.q, done.continuous) ** 2, axis=1)))))
-        e = short_way(motion.q - done.extra.get("sensed.q", done.q), done.continuous)[lead:]
-        new = Q.act(u[: ticks - lead]) + K.act(e)
-        if D is not None:
-            new = new + D.act((motion.v - done.extra.get("sensed.v", done.v))[lead:])
-        u = np.vstack([new, np.zeros((lead, n))])
+        e = short_way(motion.q - done.extra.get("sensed.q", done.q), done.continuous)
+        both = np.hstack([e, motion.v - done.extra.get("sensed.v", done.v)])
+        u = np.vstack([Q.act(u[: ticks - lead]) + K.act(both[lead:]), np.zeros((lead, n))])
     if not rms:
         raise UsageError(f"{faults[-1]}; learning needs a law that follows its reference without it", name="ctrl")
     return Learning(
@@ -332,7 +317,7 @@ def learn(
         rms=tuple(rms),
         reference=references[int(np.argmin(rms))],
         lead=lead,
-        errors_fall=by.is_one and (D is None or all(model.decoupled for model in models)),
+        errors_fall=of_errors or (by.is_one and all(model.decoupled for model in models)),
         unit=" | ".join(dict.fromkeys(side.arm.units)),
         faults=tuple(faults),
     )
@@ -340,12 +325,12 @@ def learn(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Model:
-    """Response of joint positions and velocities to the input over a trial, from the first tick that it reaches."""
+    """Response of the joints to the input over a trial, from the first tick that it reaches."""
 
     name: str
     lead: int
-    G: Lifted
-    V: Lifted
+    G: Lifted  # of positions
+    both: Lifted  # of positions and velocities
 
     @property
     def decoupled(self) -> bool:
@@ -353,10 +338,18 @@ class _Model:
         size = np.abs(self.G.symbol).max(axis=0)
         return bool((size - np.diag(np.diag(size))).max() <= SAME_RESPONSE * size.max())
 
+    def test(self, Q: Lifted, K: Lifted, *, of_errors: bool, rate: float) -> Convergence:
+        """sigma_max of the map from one trial to the next, of the error or of the input."""
+        change = Q - self.G @ K @ _positions(self.G).T if of_errors else Q - K @ self.both
+        gains = change.gains()
+        k = int(np.argmax(gains))
+        frequency = 0.5 * rate * k / (len(gains) - 1)
+        return Convergence(model=self.name, factor=change.norm(), long_trial=float(gains[k]), frequency=frequency)
 
-def known_motion(ctrl: Controller, ref: object, ticks: int) -> Any:
+
+def known_motion(ctrl: Controller, ref: object, ticks: int) -> JointMotion:
     """The reference at every tick of a trial."""
-    side, given = ctrl.side, as_reference(ref)
+    side = ctrl.side
     if side.task is not None or side.law.reference is not JointMotion:
         which = "has phases" if side.task is not None else f"follows {side.law.reference.described()}"
         raise UsageError(
@@ -364,16 +357,7 @@ def known_motion(ctrl: Controller, ref: object, ticks: int) -> Any:
             "taut.laws.ComputedTorque",
             name="ctrl",
         )
-    if isinstance(given, (Hold, Stream)):
-        raise UsageError(
-            "an input is found for a motion that is known before, as a sample or a trajectory of joints; got "
-            f"{type(given).__name__}",
-            name="ref",
-        )
-    motion: Any = rows_of(given, side.dt * np.arange(ticks, dtype=np.float64), JointMotion)
-    if motion.q.shape[1] != side.arm.n:
-        raise MatchError(f"ref must have {count_of(side.arm.n, 'joint')}; got {motion.q.shape[1]}", name="ref")
-    return motion
+    return known_rows("ref", ref, side.dt * np.arange(ticks, dtype=np.float64), side.arm.n)
 
 
 def _models(
@@ -414,8 +398,8 @@ def _model(name: str, loop: Loop, pose: Float64Array, ticks: int, lead: int | No
     if not size.any():
         raise unused_acceleration(title)
     first = int(np.argmax(size > NO_LEAD * size.max())) if lead is None else lead
-    q, v = (Lifted.causal(part[first:]) for part in np.split(h, 2, axis=1))
-    return _Model(name=name, lead=first, G=q, V=v)
+    both = h[first:]
+    return _Model(name=name, lead=first, G=Lifted.causal(both[:, : len(columns)]), both=Lifted.causal(both))
 
 
 def unused_acceleration(title: str) -> UsageError:
@@ -425,19 +409,6 @@ def unused_acceleration(title: str) -> UsageError:
         "taut.laws.ComputedTorque, or add + taut.laws.FeedForward() to a taut.laws.PID",
         name="ctrl",
     )
-
-
-def _test(by: LearningLaw, model: _Model, maps: tuple[Lifted, Lifted, Lifted | None], rate: float) -> Convergence:
-    """sigma_max of the map from one trial to the next: of the error where Q = 1, else of the input."""
-    Q, K, D = maps
-    if D is None:
-        change = Q - model.G @ K if by.is_one else Q - K @ model.G
-    else:
-        change = Q - K @ model.G - D @ model.V
-    gains = change.gains()
-    k = int(np.argmax(gains))
-    frequency = 0.5 * rate * k / (len(gains) - 1)
-    return Convergence(model=model.name, factor=change.norm(), long_trial=float(gains[k]), frequency=frequency)
 
 
 def _failure(tests: Sequence[Convergence], anyway: bool) -> list[str]:

@@ -21,7 +21,7 @@ from taut.control.gains import Gain
 from taut.control.law import Law
 from taut.control.laws.joint import ComputedTorque, FrictionCompensation
 from taut.control.laws.other_topics.robust import Robust, Uncertainty, friction_and_error
-from taut.control.trajectories.reference import JointMotion, Sample, Trajectory, sample_rows
+from taut.control.trajectories.reference import JointMotion, Sample, Trajectory, known_rows
 from taut.controller import compile
 from taut.loop import Loop
 from taut.maths import dynamics as dyn
@@ -147,10 +147,8 @@ def _largest(A: Float64Array, B: Float64Array) -> Float64Array:
 def _along(arm: Arm, reference: Trajectory | Sample, duration: float, instants: int) -> JointMotion:
     """The reference at so many instants."""
     instance_of("arm", arm, Arm, "an Arm from taut.load_arm")
-    known = "a reference that is known beforehand, a trajectory with at(t) or a taut.JointMotion"
-    instance_of("reference", reference, (Trajectory, Sample), known)
     times = np.linspace(0.0, positive_scalar("duration", duration, unit="s"), instants)
-    return JointMotion.of(sample_rows(reference, times, JointMotion, arm.n))
+    return known_rows("reference", reference, times, arm.n)
 
 
 def boundary_layer(
@@ -360,7 +358,7 @@ class Search:
             Loop(compile(each, known, rate=rate), plant, reference, duration=duration)
             for each, known in zip(laws, (arm, nominal), strict=True)
         )
-        self.start = sample_rows(reference, np.zeros(1), JointMotion, arm.n)
+        self.start = known_rows("reference", reference, np.zeros(1), arm.n)
         self.middle = {path: self.robust.parameters[path] for _, path, _ in self.unknowns}
 
     def cases(self, trials: int, seed: int) -> list[Case]:
@@ -380,6 +378,6 @@ class Search:
             values[path] = values[path] + at * half
         for path, value in values.items():
             loop.parameters[path] = value
-        run = simulated(loop, q0=self.start["q"][0], v0=self.start["v"][0], progress=False)
+        run = simulated(loop, q0=self.start.q[0], v0=self.start.v[0], progress=False)
         assert run.error is not None
         return np.asarray(np.abs(run.error).max(axis=0)) if run.outcome.ok else np.full(run.n, np.inf)

@@ -14,7 +14,7 @@ from taut.base.types import Array, Vector
 from taut.control.command import Torque
 from taut.maths import dynamics as dyn
 from taut.maths.friction import FrictionValues, dry_limit
-from taut.maths.model import Adds, Model, PayloadValues, model_of
+from taut.maths.model import Adds, Model, PayloadValues, links_of, model_of
 from taut.maths.task_inertia import TaskInertia
 from taut.trace import math as tm
 
@@ -147,7 +147,7 @@ class MomentumObserver(Declared):
     ) -> tuple[Vector, Vector]:
         """(n,) each: the momentum, and its rate without the drives' torque and what is external."""
         q, v = seen["q"], seen["v"]
-        model = model_of(arm) if self.torque == "applied" else model_of(arm).without_rotors
+        model = model_of(arm) if self.torque == "applied" else links_of(arm)
         p, CT_v = dyn.momentum(model, q, v, payload)
         rate = CT_v - dyn.gravity_torque(model, q, payload)
         if self.torque == "applied":

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -118,12 +118,6 @@ class Model:
     def n(self) -> int:
         return len(self.joints)
 
-    @functools.cached_property
-    def without_rotors(self) -> Model:
-        """The same with rotors that have no inertia."""
-        joints = tuple(replace(joint, rotor_inertia=0.0) for joint in self.joints)
-        return replace(self, joints=joints)
-
     def placement(self, frame: str | None) -> tuple[int, Float64Array, Float64Array]:
         """Body of a frame, and its orientation and origin there."""
         found = self.arm.frame(frame)
@@ -163,6 +157,12 @@ def model_of(arm: Arm) -> Model:
         p_WB=arm.T_WB.p,
         gravity_B=_rounded(snapped(arm.T_WB.R).T @ arm.gravity),
     )
+
+
+@functools.lru_cache(maxsize=64)
+def links_of(arm: Arm) -> Model:
+    """The constants of an arm without its rotors."""
+    return model_of(arm.with_joints(rotor_inertia=0.0))
 
 
 def _turn_onto_z(axis: Float64Array) -> Float64Array:

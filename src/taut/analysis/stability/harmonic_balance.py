@@ -9,6 +9,7 @@ from itertools import product
 from typing import Any, Final
 
 import numpy as np
+from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import root
 
 from taut.base.checks import finite_array, instance_of
@@ -21,11 +22,25 @@ Element = Callable[[Float64Array, Float64Array], ArrayLike]
 """What a signal and its rate, both (k,) over one period of a sine, give: lambda y, rate: -0.4 * np.sign(rate)."""
 
 SAMPLES: Final = 512  # of a sine
-SOLVER_STARTS: Final = (24, 12)  # frequencies and amplitudes from which the equations are solved
+SMALLEST_JUMP: Final = 0.01  # [-] of an element's range
+SECTIONS: Final = (64, 6)  # parts into which the interval of a jump is cut, and how often
+MAX_JUMPS: Final = 64  # in a period: of more, each changes little
+FIRST_GRID: Final = 64  # frequencies, and amplitudes, before they are refined
+LARGEST_STEP: Final = (0.1, 0.4)  # [-] change of G and of N from one to the next, with one element and with several
+REFINEMENTS: Final = 10  # halvings of a step at most, and only below so many points
+MAX_POINTS: Final = 400
+OFF_AXIS: Final = 1e-12  # [-] of a frequency, so that no pole lies on the grid
+SOLVER_STEPS: Final = 25  # evaluations for each unknown: starts are near
+MARGIN: Final = 0.25  # [-] of the change over a cell: a root this near to it is looked for as well
+SWEEPS: Final = 12  # of the amplitudes of other elements, at a frequency and an amplitude of the first
+SETTLED: Final = 0.2  # [-] change of such an amplitude in the last sweep
+OTHER_AMPLITUDES: Final = (1e-9, 1e9, 193)  # [-] of the first one's range, for the tables of other elements
+COARSE_FREQUENCIES: Final = 17  # of the table of an element that depends on the rate's size
 BELOW_HALF_RATE: Final = 0.9  # [-] above it a sampled sine is none
 FREQUENCIES_BEYOND: Final = 30.0  # [-] of the frequencies of the slowest and the fastest pole
 LEAST_SIGNAL: Final = 1e-12  # [-] of the first one
 MAX_RESIDUAL: Final = 1e-8  # [-] of the harmonic balance
+NEARLY: Final = 0.05  # [-] likewise, with jumps that are not located
 ALIKE: Final = 1e-3  # [-] two solutions whose frequency and amplitudes differ by less are one
 NUDGE: Final = 1e-4  # [-] of the amplitudes, and of the frequency, for the stability of a cycle
 
@@ -86,6 +101,10 @@ def limit_cycles(
     `-c np.sign(v)` from v to the torque, backlash `-k (d - np.clip(d, -b, b))` from the deflection of the teeth, an
     encoder `np.round(q / s) * s - q` from a position to the error of its measurement.
 
+    Solutions are looked for wherever the balance of an element changes its sign on a grid of frequencies and
+    amplitudes that follows G and N; the amplitudes of other elements are iterated there. Cycles whose amplitudes
+    differ by less than a third, or which are just beyond the threshold of a jump, may be missed.
+
     Args:
         system: The loop without the elements, sampled or continuous: `taut.error_dynamics`, `taut.linearise`, ...
         elements: For an input of the system, the output that drives it and the function between them.
@@ -120,24 +139,55 @@ def limit_cycles(
     speeds = np.abs(system.s_poles)
     speeds = speeds[speeds > 0.0] if (speeds > 0.0).any() else np.ones(1)
     top = math.inf if system.dt is None else BELOW_HALF_RATE * math.pi / system.dt
-    low_speed, high_speed = speeds.min() / FREQUENCIES_BEYOND, min(FREQUENCIES_BEYOND * speeds.max(), top)
+    band = speeds.min() / FREQUENCIES_BEYOND, min(FREQUENCIES_BEYOND * speeds.max(), top)
     names = [output for output, _ in elements.values()]
-    found: list[LimitCycle] = []
-    starts = product(np.geomspace(low_speed, high_speed, SOLVER_STARTS[0]), np.geomspace(low, high, SOLVER_STARTS[1]))
-    for omega, size in starts:
-        cycle = balance.solved(omega, size)
-        if cycle is None or not (low <= cycle[1][0] <= high and cycle[0] < top):
-            continue
-        each = dict(zip(names, cycle[1].tolist(), strict=True))
-        made = LimitCycle(omega=cycle[0], amplitudes=each, stable=balance.attracts(*cycle))
-        if not any(_alike(made, other) for other in found):
-            found.append(made)
+    nearly: list[Complex] = []
+    points: list[Complex] = []
+    with np.errstate(all="ignore"):
+        for start in balance.starts(band, (low, high)):
+            near = balance.solved(start, exact=False)
+            if near is not None and not _known(near, nearly):
+                nearly.append(near)
+                point = balance.solved(near, exact=True)
+                if point is not None and not _known(point, points):
+                    points.append(point)
+    found = [
+        LimitCycle(omega=float(point[0].real), amplitudes=dict(zip(names, abs(point[1:]).tolist(), strict=True)),
+                   stable=balance.attracts(point))
+        for point in points if low <= abs(point[1]) <= high and point[0].real < top
+    ]  # fmt: skip
     return LimitCycles(cycles=tuple(sorted(found, key=lambda cycle: cycle.omega)))
 
 
-def _alike(one: LimitCycle, other: LimitCycle) -> bool:
-    a, b = ([cycle.omega, *cycle.amplitudes.values()] for cycle in (one, other))
-    return bool(np.allclose(a, b, rtol=ALIKE, atol=0.0))
+def _known(point: Complex, others: list[Complex]) -> bool:
+    return any(np.allclose(abs(point), abs(other), rtol=ALIKE, atol=0.0) for other in others)
+
+
+def _refined(low: float, high: float, of: Callable[[Float64Array], Complex], largest: float) -> Float64Array:
+    """Increasing numbers such that a function of them changes by little from one to the next."""
+    points = np.geomspace(low, high, FIRST_GRID)
+    values = of(points).reshape(FIRST_GRID, -1)
+    for _ in range(REFINEMENTS):
+        size = np.linalg.norm(values, axis=1)
+        coarse = np.linalg.norm(np.diff(values, axis=0), axis=1) > largest * np.maximum(size[1:], size[:-1])
+        if not coarse.any() or len(points) > MAX_POINTS:
+            break
+        after = np.flatnonzero(coarse) + 1
+        middle = np.sqrt(points[after - 1] * points[after])
+        values = np.insert(values, after, of(middle).reshape(len(middle), -1), axis=0)
+        points = np.insert(points, after, middle)
+    return points
+
+
+def _cells_of_roots(F: Complex) -> list[list[int]]:
+    """(k, 2) cells of a grid (., .) in which a complex function may have a root: both its parts change their sign."""
+    inside: Any = True
+    for part in (F.real, F.imag):
+        corners = np.stack([part[:-1, :-1], part[1:, :-1], part[:-1, 1:], part[1:, 1:]])
+        least, largest = corners.min(axis=0), corners.max(axis=0)
+        inside = inside & (np.abs(least + largest) <= (1.0 + 2.0 * MARGIN) * (largest - least))
+    cells: list[list[int]] = np.argwhere(inside).tolist()
+    return cells
 
 
 class _Balance:
@@ -160,51 +210,114 @@ class _Balance:
             given = function(np.sin(self.phase), np.cos(self.phase)) if callable(function) else function
             finite_array(f"what the element of '{name}' gives", given, shape=(SAMPLES,))
 
-    def G(self, s: complex) -> Complex:
-        """(m, m) from the inputs to the outputs."""
-        z = np.exp(s * self.dt) if self.dt else s
-        return np.asarray(self.C @ np.linalg.solve(z * np.eye(len(self.A)) - self.A, self.B) + self.D)
+    def G(self, s: Any) -> Complex:
+        """(..., m, m) from the inputs to the outputs."""
+        z = np.asarray(np.exp(s * self.dt) if self.dt else s)[..., np.newaxis, np.newaxis]
+        return np.asarray(self.C @ np.linalg.solve(z * np.eye(len(self.A)) - self.A, self.B + 0.0 * z) + self.D)
 
-    def N(self, omega: float, sizes: Float64Array) -> Complex:
+    def N(self, omega: float, sizes: Float64Array, *, exact: bool = True) -> Complex:
         """(m,) describing functions at amplitudes."""
-        out = []
-        for function, size in zip(self.functions, sizes.tolist(), strict=True):
-            y, rate = size * np.sin(self.phase), size * omega * np.cos(self.phase)
-            out.append(self.first @ np.asarray(function(y, rate)) / size)
-        return np.array(out)
+        pairs = zip(self.functions, sizes.tolist(), strict=True)
+        return np.array([self._harmonic(function, omega, size, exact) for function, size in pairs])
 
-    def solved(self, omega: float, size: float) -> tuple[float, Float64Array] | None:
-        """Frequency and amplitudes of a cycle near these, if the equations have a solution."""
-        m = len(self.functions)
-        loop = np.eye(m) - self.G(1j * omega) * self.N(omega, np.full(m, size))
-        shape = np.linalg.svd(loop)[2][-1].conj()  # nearly in balance
-        shape = shape / shape[0] if shape[0] else np.ones(m)
-        start = np.concatenate([[math.log(omega), math.log(size)], shape[1:].real, shape[1:].imag])
+    def _harmonic(self, function: Element, omega: float, size: float, exact: bool) -> complex:
+        """Describing function of an element; exactly, its jumps are located between the samples of the sine."""
+
+        def given(phase: Float64Array) -> Float64Array:
+            return np.asarray(function(size * np.sin(phase), size * omega * np.cos(phase)), dtype=np.float64)
+
+        u = given(self.phase)
+        total, change = complex(self.first @ u), np.diff(u, append=u[0])
+        unlike = np.minimum(*(np.abs(change - np.roll(change, side)) for side in (-1, 1)))  # those beside it
+        at = np.flatnonzero(unlike > SMALLEST_JUMP * np.ptp(u))
+        if not exact or not 0 < at.size <= MAX_JUMPS:
+            return total / size
+        parts, repeats = SECTIONS
+        ends, start, width = np.stack([u[at], u[at] + change[at]], axis=1), self.phase[at], 2.0 * np.pi / SAMPLES
+        middle, rows = start + 0.5 * width, np.arange(len(at))
+        cuts = at[:, np.newaxis] + 1 + rows[:, np.newaxis] * (parts - 1) + np.arange(parts - 1)
+        for _ in range(repeats):  # an element sees a whole period each time
+            inner = start[:, np.newaxis] + width * np.arange(1, parts) / parts
+            seen = given(np.insert(self.phase, np.repeat(at + 1, parts - 1), inner.ravel()))[cuts]
+            values = np.concatenate([ends[:, :1], seen, ends[:, 1:]], axis=1)
+            part = np.abs(np.diff(values, axis=1)).argmax(axis=1)
+            ends = np.stack([values[rows, part], values[rows, part + 1]], axis=1)
+            width /= parts
+            start = start + width * part
+        jumps = (ends[:, 1] - ends[:, 0]) * (middle - start) * np.exp(-1j * start)
+        return (total + 1j / np.pi * complex(jumps.sum())) / size
+
+    def starts(self, band: tuple[float, float], sizes: tuple[float, float]) -> list[Complex]:
+        """(1 + m,) frequency and signals near every cycle: where the loop of one element balances on a grid.
+
+        At each point the others' signals are iterated, from small and from large ones on, which converges for the
+        element that dominates: each has a grid.
+        """
+        m, (low, high) = len(self.functions), sizes
+        step = LARGEST_STEP[m > 1]
+        omegas = _refined(*band, lambda w: self.G((1j + OFF_AXIS) * w), step)
+        first = _refined(low, high, lambda a: self._table(0, np.array(band), a).T, step)
+        wide = np.geomspace(OTHER_AMPLITUDES[0] * low, OTHER_AMPLITUDES[1] * high, OTHER_AMPLITUDES[2])
+        N = [self._interpolated(k, omegas, wide if k else first) for k in range(m)]
+        G, found = self.G((1j + OFF_AXIS) * omegas)[:, np.newaxis], list[Complex]()
+        for one, initial in product(range(m), wide[[0, -1]][:m]):
+            order, grid = [one, *(k for k in range(m) if k != one)], wide if one else first
+            y = np.full((len(omegas), len(grid), m), initial)
+            y[..., 0] = grid
+            for _ in range(SWEEPS if m > 1 else 1):
+                each = [N[k]((np.log(omegas)[:, np.newaxis], np.log(y[..., i]))) for i, k in enumerate(order)]
+                loop = np.eye(m) - G[..., order, :][..., order] * np.stack(each, axis=-1)[..., np.newaxis, :]
+                rest = np.linalg.solve(loop[..., 1:, 1:], -loop[..., 1:, :1])[..., 0] * y[..., :1]
+                change = np.sqrt(np.clip(np.abs(rest), wide[0], wide[-1]) / y[..., 1:])
+                y[..., 1:] *= change
+            balance = loop[..., 0, 0] + np.sum(loop[..., 0, 1:] * rest / y[..., :1], axis=-1)
+            balance[(np.abs(np.log(change)) > SETTLED).any(axis=-1)] = np.nan
+            for i, j in _cells_of_roots(balance):
+                signals = np.array([grid[j : j + 2].mean(), *rest[i, j]])[np.argsort(order)]
+                found.append(np.array([omegas[i : i + 2].mean(), *(signals / signals[0] * abs(signals[0]))]))
+        return found
+
+    def _table(self, k: int, omegas: Float64Array, sizes: Float64Array) -> Complex:
+        function = self.functions[k]
+        return np.array([[self._harmonic(function, w, a, exact=False) for a in sizes] for w in omegas])
+
+    def _interpolated(self, k: int, omegas: Float64Array, sizes: Float64Array) -> Any:
+        """A describing function by logarithms of frequency and amplitude; most do not depend on the frequency."""
+        coarse = np.geomspace(omegas[0], omegas[-1], COARSE_FREQUENCIES)
+        table = self._table(k, coarse[[0, -1]], sizes)
+        if np.allclose(table[0], table[1], rtol=ALIKE):
+            coarse = coarse[[0, -1]]
+        else:
+            table = self._table(k, coarse, sizes)
+        return RegularGridInterpolator((np.log(coarse), np.log(sizes)), table, bounds_error=False, fill_value=None)
+
+    def solved(self, start: Complex, *, exact: bool) -> Complex | None:
+        """(1 + m,) frequency and signals of a cycle near these, if the equations have a solution."""
+        others = len(self.functions) - 1
+
+        def point(x: Float64Array) -> Complex:
+            ratios = x[2 : 2 + others] + 1j * x[2 + others :]
+            ratios = np.where(np.abs(ratios) > LEAST_SIGNAL, ratios, LEAST_SIGNAL)
+            omega, size = np.exp(np.clip(x[:2], -300.0, 300.0)).tolist()
+            return np.array([omega, size, *(size * ratios)])
 
         def missing(x: Float64Array) -> Float64Array:
-            omega, y = self._unpacked(x)
-            left = (y - self.G(1j * omega) @ (self.N(omega, np.abs(y)) * y)) / y[0]
+            omega, y = float(point(x)[0].real), point(x)[1:]
+            left = (y - self.G(1j * omega) @ (self.N(omega, np.abs(y), exact=exact) * y)) / y[0]
             return np.concatenate([left.real, left.imag])
 
-        with np.errstate(all="ignore"):
-            out = root(missing, start, tol=1e-11)
-        if not np.abs(out.fun).max() < MAX_RESIDUAL:
-            return None
-        omega, y = self._unpacked(out.x)
-        return omega, np.abs(y)
+        ratios = start[2:] / start[1]
+        x = np.concatenate([np.log(np.abs(start[:2])), ratios.real, ratios.imag])
+        out = root(missing, x, tol=1e-11, options={"maxfev": SOLVER_STEPS * len(x)})
+        return point(out.x) if np.abs(out.fun).max() < (MAX_RESIDUAL if exact else NEARLY) else None
 
-    def _unpacked(self, x: Float64Array) -> tuple[float, Complex]:
-        omega, size = np.exp(np.clip(x[:2], -300.0, 300.0)).tolist()
-        others = len(self.functions) - 1
-        ratios = np.concatenate([[1.0], x[2 : 2 + others] + 1j * x[2 + others :]])
-        return omega, np.where(np.abs(ratios) > LEAST_SIGNAL, ratios, LEAST_SIGNAL) * size
-
-    def attracts(self, omega: float, sizes: Float64Array) -> bool:
+    def attracts(self, point: Complex) -> bool:
         """Whether the mode of the cycle decays with larger amplitudes: Re ds/d(size) < 0 of det(1 - G(s) N) = 0."""
 
         def determinant(s: complex, sizes: Float64Array) -> Any:
             return np.linalg.det(np.eye(len(sizes)) - self.G(s) * self.N(omega, sizes))
 
+        omega, sizes = float(point[0].real), np.abs(point[1:])
         s, step = 1j * omega, NUDGE * omega
         by_s = (determinant(s + step, sizes) - determinant(s - step, sizes)) / (2.0 * step)
         by_size = (determinant(s, sizes * (1.0 + NUDGE)) - determinant(s, sizes * (1.0 - NUDGE))) / (2.0 * NUDGE)

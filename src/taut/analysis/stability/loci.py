@@ -198,7 +198,7 @@ class StabilityMap(Result):
         x: (m,) values of the first parameter.
         y: (k,) values of the second.
         stable: (m, k) whether the system is stable.
-        decay_rate: (m, k) [1/s] of the system, negative where it is not stable.
+        decay_rate: (m, k) [1/s] of the system, negative where it is not stable; NaN of a verdict alone.
         boundary: (p, 2) points on the boundary, by bisection.
         along: (p,) the parameter that was bisected for each: 0 for x, 1 for y.
         labels: The two parameters, with their units.
@@ -241,18 +241,18 @@ class StabilityMap(Result):
 
 
 def stability_map(
-    system_of: Callable[[float, float], LinearSystem],
+    system_of: Callable[[float, float], LinearSystem | bool],
     x: ArrayLike,
     y: ArrayLike,
     *,
     labels: tuple[str, str] = ("x", "y"),
 ) -> StabilityMap:
-    """Stability of a linear system over two parameters.
+    """Stability of a linear system over two parameters, or another verdict, such as that no limit cycle is large.
 
     Regions smaller than the steps of the grid are not seen, and between two neighbours one boundary is found.
 
     Args:
-        system_of: The system at two values.
+        system_of: The system at two values, or whether the loop is good there.
         x: (m,) increasing values of the first parameter.
         y: (k,) increasing values of the second.
         labels: The two, with their units: ("rate [Hz]", "kd [N m s/rad]").
@@ -273,8 +273,16 @@ def stability_map(
         Chapter, section 10.2.1.1, practical bounds on feedback gains.
     """
     grids = _grid("x", x), _grid("y", y)
-    systems = [[_system(system_of, a, b) for b in grids[1].tolist()] for a in grids[0].tolist()]
-    stable = np.array([[system.stable for system in row] for row in systems])
+
+    def verdict(*values: float) -> tuple[bool, float]:
+        found = system_of(*values) if callable(system_of) else None
+        if isinstance(found, (bool, np.bool_)):
+            return bool(found), np.nan
+        system = _system((lambda: found) if callable(system_of) else system_of)
+        return system.stable, system.decay_rate
+
+    verdicts = np.array([[verdict(a, b) for b in grids[1].tolist()] for a in grids[0].tolist()])
+    stable = verdicts[..., 0] > 0.0
     points, along = [], []
     for axis in (0, 1):
         for place in np.argwhere(np.diff(stable, axis=axis)).tolist():
@@ -285,14 +293,14 @@ def stability_map(
                 value: float, point: list[float] = point, axis: int = axis, first: bool = stable[*place]
             ) -> bool:
                 point[axis] = value
-                return system_of(*point).stable == first
+                return verdict(*point)[0] == first
 
             point[axis] = bisected(same, low, high, MAP_TOLERANCE)
             points.append(point)
             along.append(axis)
     return StabilityMap(
         x=grids[0], y=grids[1], stable=stable,
-        decay_rate=np.array([[system.decay_rate for system in row] for row in systems]),
+        decay_rate=verdicts[..., 1],
         boundary=np.array(points).reshape(-1, 2), along=np.array(along, dtype=np.intp), labels=labels,
     )  # fmt: skip
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, TypeAlias, runt
 
 import numpy as np
 
-from taut.base.checks import entry_names, finite_array, vector
+from taut.base.checks import entry_names, finite_array, instance_of, vector
 from taut.base.errors import RangeError, ShapeError, UsageError, unknown_name
 from taut.base.fields import Declared, Field, Part, Plain
 from taut.base.types import Array, ArrayLike, Float64Array
@@ -273,6 +273,14 @@ def stacked(samples: Sequence[Sample]) -> Sample:
         return kind.of({name: np.stack([getattr(sample, name) for sample in samples]) for name in kind.fields(1)})
     except (AttributeError, ValueError) as cause:
         raise ShapeError("the samples of a reference must be of one kind and size", name="ref") from cause
+
+
+def known_rows(name: str, motion: object, times: Float64Array, n: int) -> JointMotion:
+    """A motion of n joints that is known beforehand, at many times; UsageError for a stream or a hold."""
+    known = "a motion that is known beforehand, a trajectory with at(t) or a taut.JointMotion"
+    instance_of(name, motion, (Trajectory, Sample), known)
+    assert isinstance(motion, (Trajectory, Sample))
+    return JointMotion.of(sample_rows(motion, times, JointMotion, n))
 
 
 def sample_rows(

@@ -16,7 +16,7 @@ from taut.control.gains import Gain
 from taut.control.law import Law
 from taut.control.trajectories.reference import JointMotion
 from taut.maths import dynamics as dyn
-from taut.maths.model import Model, PayloadValues, RigidBody
+from taut.maths.model import Model, PayloadValues, RigidBody, links_of
 from taut.maths.regressor import parameters_of, pseudo_inertia
 from taut.maths.snapshot import Snapshot
 from taut.trace import math as tm
@@ -133,7 +133,7 @@ class Uncertainty(Declared):
 
     def torques(self, model: Model, q: Vector, v: Vector, v_ref: Vector, a_ref: Vector) -> Array:
         """(m, n) torques Y_l pi_l of each unknown at its largest: s . (M a_ref + C v_ref + g) errs by their sum."""
-        bare, unknown = model.without_rotors, self.unknown(model)
+        bare, unknown = links_of(model.arm), self.unknown(model)
         if not unknown:
             return tm.zeros((0, model.n))
         return tm.array([dyn.reference_dynamics(bare, part, q, v, v_ref, a_ref) for _, part in unknown])
