@@ -61,8 +61,8 @@ class MotorStep:
 class MotorModel(Declared):
     """Base of motors: declared fields, and pure functions of the joint torque that is asked for.
 
-    A subclass writes `step`; one that remembers something writes `start` too. Each `Field` is a parameter of the
-    plant by its path, actuation.motor.NAME.
+    A subclass writes `step`; one that remembers something writes `start` too, one behind springs `stiffness`. Each
+    `Field` is a parameter of the plant by its path, actuation.motor.NAME.
     """
 
     @property

@@ -31,7 +31,7 @@ class VariableStiffnessActuator(MotorModel):
 
     A command beyond the springs is limited as above, so that no tendon gets slack by command; the run's column
     saturated.drives is 1 for such a joint, and the outcome says so. Columns drives.equilibrium and drives.stiffness
-    are of the first step of each tick.
+    are of the first step of each tick; in the account of energy work.motor is what the springs do on the links.
 
     Args:
         springs: Two for each joint.
