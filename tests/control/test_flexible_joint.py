@@ -534,11 +534,28 @@ class TestMessages:
             taut.compile(taut.laws.JointTorqueFeedback(law=taut.laws.VelocityPI(kp=1.0), inertia=0.1), arm)
         with refused(errors.RangeError):
             taut.compile(fast(2000.0, 500.0), arm)
-        for poles in ([-20.0] * 4, [-1.0, -2.0, -3.0, -4.0 + 1.0j], [np.nan] * 4, [-1.0, -2.0]):
+        wrong = (
+            [-20.0] * 4,
+            [-1.0, -2.0, -3.0, -4.0 + 1.0j],
+            [np.nan] * 4,
+            [-1.0, -2.0],
+            [20.0, -11.0, -12.0, -13.0],
+        )
+        for poles in wrong:
             with refused(errors.RangeError):
                 taut.laws.FullStateFeedback.placed(arm, stiffness=500.0, poles=poles, rate=1000.0)
         with refused(errors.MatchError):
             taut.laws.FullStateFeedback.placed(PLANAR2, stiffness=500.0, poles=[-1.0, -2.0, -3.0, -4.0], rate=1000.0)
+
+    def test_a_growing_mode_is_named_by_its_joint(self) -> None:
+        arm = taut.load_arm("ur10").with_joints(rotor_inertia=0.5)
+        spring = taut.drives.Actuation(transmission=taut.drives.Transmission(stiffness=2000.0))
+        plant = taut.RigidPlant(arm.with_friction(taut.Friction()), actuation=spring, substeps=10)
+        ctrl = taut.compile(taut.laws.ComputedTorque(kp=400.0, kd=40.0), arm)
+        found = taut.analysis.judge(taut.Loop(ctrl, plant, duration=1.0))
+        assert not found.stable
+        assert "joint '" in found.direction
+        assert sum(found.joints.values()) == pytest.approx(1.0, abs=0.01)
 
     def test_the_desired_motor_holds_gravity(self) -> None:
         x = taut.snapshot(PLANAR2, PLANAR2.home)
