@@ -145,7 +145,7 @@ def tick_figures() -> dict[str, dict]:
 
 def adaptive_figures() -> dict[str, dict]:
     """One tick of adaptive control of the payload, and of all links, against computed torque."""
-    arm, reach = rivals.ARM, {"lam": 10.0, "k": 10.0, "gamma": 5.0}
+    arm, reach = rivals.ARM, {"lam": 10.0, "k": 10.0, "gamma": 5.0, "max_payload": 2.0}
     laws = {
         "computed": taut.laws.ComputedTorque(kp=100.0, kd=20.0),
         "payload": taut.laws.Adaptive(**reach),

@@ -54,7 +54,7 @@ LAWS: dict[str, tuple[Callable[[taut.Arm], taut.Law], str]] = {
         lambda arm: laws.PID(kp=400.0 * own(arm), kd=40.0 * own(arm), ki=400.0 * own(arm)),
         FREE,
     ),
-    "Adaptive": (lambda _: laws.Adaptive(lam=10.0, k=10.0, gamma=2.0), FREE),
+    "Adaptive": (lambda _: laws.Adaptive(lam=10.0, k=10.0, gamma=2.0, max_payload=2.0), FREE),
     "Robust": (
         # without intervals: a bound on what is zero at rest, such as weight without gravity, is not smooth there
         lambda _: laws.Robust(

@@ -21,7 +21,7 @@ HYBRID = laws.HybridMotionForce(constraint=lambda T: T.p[2] - 0.1, motion=TASK, 
 LAWS: dict[str, tuple[taut.Law, dict[str, Any]]] = {
     "PID": (laws.PID(kp=1.0, kd=2.0), {"kp": 3.0}),
     "FeedForward": (laws.FeedForward(), {}),
-    "Adaptive": (laws.Adaptive(lam=10.0, k=10.0, gamma=5.0), {"gamma": 2.0}),
+    "Adaptive": (laws.Adaptive(lam=10.0, k=10.0, gamma=5.0, max_payload=2.0), {"gamma": 2.0}),
     "ComputedTorque": (JOINT, {"kd": 30.0}),
     "GravityPID": (laws.GravityPID(kp=1.0, kd=2.0, integral=BACK), {"integral": laws.Integral(anti_windup="none")}),
     "GravityCompensation": (laws.GravityCompensation(), {}),

@@ -43,6 +43,7 @@ CASES: list[tuple[Callable[[], object], type[taut.TautError], str]] = [
         taut.errors.UsageError,
         "takes",
     ),
+    (lambda: taut.RigidPlant(DRY, integrator="rk4"), taut.errors.UsageError, "integrator"),
     (lambda: taut.RigidPlant(ARM, substeps=0), taut.errors.RangeError, "substeps"),
     (
         lambda: taut.RigidPlant(ARM, substeps=1001),

@@ -170,8 +170,8 @@ class PlantParts(Declared):
         for what, there in rough.items():
             if there:
                 raise UsageError(
-                    f"rk4 moves the arm alone, under smooth forces, and this plant has {what}; use "
-                    "semi-implicit-euler, in MuJoCo discrete",
+                    f'integrator="rk4" is for smooth forces, and this plant has {what}; use '
+                    'integrator="semi-implicit-euler", or "discrete" of a MujocoPlant',
                     name="integrator",
                 )
 

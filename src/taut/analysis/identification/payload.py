@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import qr
 
 from taut.analysis.identification.regression import ArmRegression, linear_text
@@ -41,6 +42,7 @@ class PayloadEstimate(Result):
     com: Float64Array  # (3,) [m]; NaN where the mass is not positive
     inertia: Float64Array  # (6,) [kg m^2] xx, yy, zz, xy, xz, yz
     body: Float64Array  # (10,) parameters of the whole body, as `PARAMETERS`
+    excited: NDArray[np.bool_]  # (10,) of mass, com and inertia: no direction that was not excited has a part of it
     eigenvalues: Float64Array  # (10,) [N^2 m^2], the largest first
     not_excited: Float64Array  # (j, 10) directions of the parameters [kg, kg m, kg m^2]
     directions: tuple[str, ...]  # each as a sum: "h_z", "I_xx - 0.3 h_x"; the first parameter is in no other one
@@ -61,9 +63,10 @@ class PayloadEstimate(Result):
 
     def content(self) -> Content:
         """The payload, and the directions that were not excited."""
-        numbers = [("mass [kg]", self.mass)]
-        numbers += [(f"com {axis} [m]", float(x)) for axis, x in zip("xyz", self.com, strict=True)]
-        numbers += [(f"{name} [kg m^2]", float(x)) for name, x in zip(rg.PARAMETERS[4:], self.inertia, strict=True)]
+        names = ["mass [kg]", *(f"com {axis} [m]" for axis in "xyz")]
+        names += [f"{name} [kg m^2]" for name in rg.PARAMETERS[4:]]
+        values = map(float, (self.mass, *self.com, *self.inertia))
+        rows = [(*row, "yes" if ok else "no") for *row, ok in zip(names, values, self.excited, strict=True)]
         found = f"the motion excited {self.rank} of 10 directions of the parameters"
         if self.directions:
             found += "; not excited, and so not learned: " + "; ".join(self.directions)
@@ -71,12 +74,14 @@ class PayloadEstimate(Result):
             title="payload by the estimate at the end of the run, in the tool frame",
             summary=[found],
             tables=[
-                Table(columns=("quantity", "estimate"), rows=numbers),
+                Table(columns=("quantity", "estimate", "excited"), rows=rows),
                 Table(title="excitation", columns=("eigenvalue [N^2 m^2]",), rows=[(x,) for x in self.eigenvalues]),
             ],
             notes=[
                 f"a direction counts as excited above {EXCITED:g} of the largest eigenvalue; h is mass times "
-                "centre of mass, I about the tool's origin, both of the whole body that carries the tool"
+                "centre of mass, I about the tool's origin, both of the whole body that carries the tool",
+                "the law keeps that whole body possible; the payload is its difference to the model's body, and may be "
+                "impossible (a negative mass or inertia) where the motion did not excite it",
             ],
         )
 
@@ -96,7 +101,7 @@ def payload_estimate(run: Run) -> PayloadEstimate:
     Example:
         >>> import taut
         >>> arm = taut.load_arm("planar2")
-        >>> ctrl = taut.compile(taut.laws.Adaptive(lam=10.0, k=10.0, gamma=5.0), arm)
+        >>> ctrl = taut.compile(taut.laws.Adaptive(lam=10.0, k=10.0, gamma=5.0, max_payload=2.0), arm)
         >>> wave = taut.trajectories.Sine(center=[0.0, 0.0], amplitude=[0.8, 0.6], frequency=[0.5, 0.7])
         >>> run = taut.run(ctrl, taut.RigidPlant(arm.with_payload(1.0), friction=None), wave, duration=8.0)
         >>> found = payload_estimate(run)
@@ -123,11 +128,15 @@ def payload_estimate(run: Run) -> PayloadEstimate:
     values, vectors = np.linalg.eigh(root.T @ (Y.T @ Y / len(run)) @ root)
     directions = _readable((root @ vectors[:, values <= EXCITED * values[-1]]).T / sizes)
     named = (np.argsort(-np.abs(each), kind="stable")[: np.sum(np.abs(each) >= NAMED)] for each in directions)
+    known = np.all(np.abs(directions) < NAMED, axis=0)
+    known[1:] &= known[0]  # the centre of mass is h / m, and the inertia is about it
+    known[4:] &= known[[[2, 3], [1, 3], [1, 2], [1, 2], [1, 3], [2, 3]]].all(axis=1)
     return PayloadEstimate(
         mass=float(load.mass),
         com=load.com,
         inertia=load.inertia,
         body=body,
+        excited=known,
         eigenvalues=values[::-1].copy(),
         not_excited=directions * sizes,
         directions=tuple(

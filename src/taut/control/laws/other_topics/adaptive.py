@@ -53,8 +53,9 @@ class Adaptive(Law):
 
     Guaranteed in the sampled loop: every estimate is that of a possible body, whatever is measured (P^ > 0: positive
     mass, and an inertia that a body can have). Not guaranteed there: that V falls in every tick. Keep k dt <= 0.1 and
-    gamma max eig(M^-1 Y Q Y^T) dt well below k along the motion, where Q y are the parameters of P^ L(y) P^: beyond k
-    the sampled adaptation is unstable, which is checked for Y at rest at the start.
+    gamma max eig(M^-1 Y Q Y^T) dt a fifth of k, where Q y are the parameters of P^ L(y) P^: beyond k the sampled
+    adaptation is unstable, which is checked for Y at rest at the start, with `max_payload` in P^. State the rotors'
+    inertia: a last joint of 1e-4 kg m^2 turns unstable by an estimate that overshoots, whatever gamma.
     Estimates need not tend to the truth: what the motion does not excite is not learned, see
     `taut.analysis.payload_estimate`. A lasting torque that is in no parameter, such as a hand that pushes or dry
     friction that the model has none of, is taken for mass: set `dead_zone`, limits, and state friction.
@@ -66,6 +67,8 @@ class Adaptive(Law):
         lam: Rate at which e follows s.
         k: Rate at which s decays.
         gamma: Adaptation gain of inertial parameters.
+        max_payload: Heaviest mass that the tool may carry beyond the model's payload, taken for a cube of 0.1 m: the
+            limit of gamma is that of an estimate with it, often a hundredth of the limit of an empty flange.
         links: "payload", the body that carries the tool with its payload, or "all" bodies.
         gamma_friction: Adaptation gain of viscous and dry friction; without it friction is no part of the law. The
             estimates start at the model's friction, and what is zero there stays zero.
@@ -86,7 +89,7 @@ class Adaptive(Law):
     Example:
         >>> import taut
         >>> arm = taut.load_arm("panda")
-        >>> ctrl = taut.compile(Adaptive(lam=10.0, k=10.0, gamma=5.0), arm)
+        >>> ctrl = taut.compile(Adaptive(lam=10.0, k=10.0, gamma=5.0, max_payload=2.0), arm)
         >>> tau = ctrl.step(arm.home, np.zeros(7), taut.JointMotion(q=arm.home))
         >>> ctrl.memory["law.estimate"][0, 0].round(3)  # [kg] of hand and last link
         np.float64(1.496)
@@ -99,6 +102,7 @@ class Adaptive(Law):
     lam: Gain = Gain(unit="1/s", accepts=("scalar",))
     k: Gain = Gain(unit="1/s", shape="scalar")
     gamma: Gain = Gain(unit="1/J", shape="scalar")
+    max_payload: Gain = Gain(unit="kg", shape="scalar")
     links: Choice[Links] = Choice("payload", "all")
     gamma_friction: Gain = Gain(unit="1/J", shape="scalar", optional=True)
     width: Gain = Gain(0.01, unit="rad/s | m/s", accepts=("scalar",), above=0.0)
@@ -135,7 +139,7 @@ class Adaptive(Law):
                 "arm.with_friction(taut.Friction(...)), or leave gamma_friction out",
                 name="friction",
             )
-        which, estimate = adapted(x.model, self.links), self._at_start(x)
+        which, estimate = adapted(x.model, self.links), self._at_start(x, self.prior[()])
         for k, row in zip(which, estimate, strict=True):
             sizes = np.linalg.eigvalsh(rg.pseudo_inertia(row))
             if not sizes[0] > THINNEST * sizes[-1]:
@@ -147,27 +151,29 @@ class Adaptive(Law):
                     value=float(sizes[0]),
                 )
         y = np.array([rg.covectors(x.model, x.q, np.zeros(x.n), np.zeros(x.n), unit) for unit in np.eye(x.n)])
-        moved = sum(y[:, k] @ metric(row) @ y[:, k].T for k, row in zip(which, estimate, strict=True))
+        loaded = self._at_start(x, max(self.prior[()], self.max_payload[()]))
+        moved = sum(y[:, k] @ metric(row) @ y[:, k].T for k, row in zip(which, loaded, strict=True))
         fastest = float(np.linalg.eigvals(np.linalg.solve(x.M, moved)).real.max())
         if self.gamma[()] * fastest > self.k[()] * rate:
             raise RangeError(
-                f"gamma must be <= {self.k[()] * rate / fastest:.4g} [1/J] at this pose, k * rate / max eig(M^-1 Y "
-                f"Q Y^T), or the sampled adaptation to weight oscillates with growing amplitude; got "
-                f"{self.gamma[()]:g}",
+                f"gamma must be <= {self.k[()] * rate / fastest:.4g} [1/J] at this pose with "
+                f"max_payload={self.max_payload[()]:g} kg, k * rate / max eig(M^-1 Y Q Y^T), or the sampled "
+                "adaptation to weight oscillates with growing amplitude; motion lowers the limit: stay a factor of "
+                f"five below; got {self.gamma[()]:g}",
                 name="gamma",
                 value=float(self.gamma[()]),
             )
 
     def start(self, x: Snapshot, ref: Sample) -> Mapping[str, Any]:  # noqa: ARG002
-        estimate = self._at_start(x)
+        estimate = self._at_start(x, self.prior[()])
         roots = [tm.factor_spd(rg.pseudo_inertia(row)).root() for row in estimate]
         friction = tm.zeros(0) if self.gamma_friction is None else _friction(x.friction)
         size = 0 if self.composite is None else (x.n, 1 + 10 * len(estimate))
         return {"root": tm.stack(roots), "estimate": estimate, "friction": friction, "filtered": tm.zeros(size)}
 
-    def _at_start(self, x: Snapshot) -> Matrix:
-        """(m, 10) of the model's bodies with payload and prior."""
-        bodies, mass = list(x.model.links), self.prior[()]
+    def _at_start(self, x: Snapshot, mass: Any) -> Matrix:
+        """(m, 10) of the model's bodies with payload and a cube of this mass at the tool."""
+        bodies = list(x.model.links)
         tool, R, p = x.model.placement(None)
         side = mass * PRIOR_SIDE**2 / 6.0
         cube = PayloadValues(mass=mass, com=np.zeros(3), inertia=tm.array([side, side, side, 0.0, 0.0, 0.0]))
