@@ -40,7 +40,7 @@ def test_arm_springs_and_tank_never_gain_energy(
 def test_a_spring_that_is_switched_with_the_motion_gains_energy_only_without_a_tank(
     tmp_path: Path, tank: bool
 ) -> None:
-    """2 kg, 2 N s/m, 0.05 m, 1000 N/m on the way in and 200 on the way out."""
+    """2 kg, 2 N s/m, 0.05 m, 1000 N/m while it returns and 200 while it departs."""
     (tmp_path / "slider.urdf").write_text(SLIDER)
     arm = taut.load_arm(tmp_path / "slider.urdf", tool="slide").with_gravity([0.0, 0.0, 0.0])
     along = taut.Coordinates(function=lambda T: taut.math.array([T.p[0]]))
