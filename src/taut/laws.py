@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from taut.control.laws.other_topics.flexible_joint import MotorSidePD as MotorSidePD
     from taut.control.laws.other_topics.robust import Robust as Robust
     from taut.control.laws.other_topics.robust import Uncertainty as Uncertainty
+    from taut.control.laws.other_topics.variable_stiffness import VariableStiffness as VariableStiffness
     from taut.control.laws.task import TaskComputedTorque as TaskComputedTorque
     from taut.control.laws.task import TaskPosition as TaskPosition
     from taut.control.laws.task import TaskVelocity as TaskVelocity

@@ -137,7 +137,12 @@ def test_every_law_of_motion_and_force_is_here() -> None:
         "VirtualBall",
     }
     parts |= {"CollisionReflex", "DisturbanceRejection", "MotorSide", "FastTorqueLoop", "JointTorqueFeedback"}
-    parts |= {"MotorSidePD", "FullStateFeedback", "FlexibleJointLinearisation"}  # of plants with elastic joints
+    parts |= {
+        "MotorSidePD",
+        "FullStateFeedback",
+        "FlexibleJointLinearisation",
+        "VariableStiffness",
+    }  # of elastic joints
     here = {name.partition(" ")[0].partition(",")[0] for name in LAWS} | {"ViaJointSpace"}
     assert set(law_classes(laws)) - parts <= here
 

@@ -42,6 +42,12 @@ LAWS: dict[str, tuple[taut.Law, dict[str, Any]]] = {
         laws.FlexibleJointLinearisation(stiffness=1000.0, omega=30.0),
         {"omega": 15.0},
     ),
+    "VariableStiffness": (
+        laws.VariableStiffness(
+            springs=taut.drives.AntagonisticSprings(a=40.0, c_min=0.25, c_max=0.75), stiffness=80.0, slew=100.0
+        ),
+        {"stiffness": 120.0},
+    ),
     "RaisedGains": (
         laws.RaisedGains(inner=laws.PID(kp=1.0, kd=2.0), factor=2.0),
         {"inner": laws.PID(kp=2.0, kd=2.0)},

@@ -32,7 +32,8 @@ from taut.plant.rigid import Integrator, RigidPlant
 from taut.runtime.simulate import run as simulated
 from taut.trace import math as tm
 
-MAX_LAYER_RATE: Final = 0.5  # [-] of T times the loop's largest rate in its layer; explicit steps are stable below 2
+MAX_LAYER_RATE: Final = 0.5  # [-] of T times the loop's largest rate in its layer
+MAX_SAMPLED_RATE: Final = 2.0  # [-] of the same: explicit steps are stable below
 MIN_RHO: Final = 0.05  # of the largest: a joint that needs no robust torque on the reference gets a layer too
 INSTANTS: Final = 401  # of the reference; the level set takes every sixth or so
 LEVEL_INSTANTS: Final = 61
@@ -151,6 +152,12 @@ def _along(arm: Arm, reference: Trajectory | Sample, duration: float, instants: 
     return known_rows("reference", reference, times, arm.n)
 
 
+def _of_some_width(found: Bounds) -> Bounds:
+    if not found.rho.any():
+        raise RangeError("uncertainty must have an interval of some width; nothing in it is unknown", name="links")
+    return found
+
+
 def boundary_layer(
     arm: Arm,
     reference: Trajectory | Sample,
@@ -192,10 +199,8 @@ def boundary_layer(
         [0.017, 0.05]
     """
     rows = _along(arm, reference, duration, INSTANTS)
-    x = UncertainArm(arm, Robust(lam=lam, k=k, phi=1.0, uncertainty=uncertainty)).bounds(rows)
+    x = _of_some_width(UncertainArm(arm, Robust(lam=lam, k=k, phi=1.0, uncertainty=uncertainty)).bounds(rows))
     rho, mobility, limit = x.rho.max(axis=0), x.mobility, MAX_LAYER_RATE * rate_in_hertz(rate)
-    if not rho.any():
-        raise RangeError("uncertainty must have an interval of some width; nothing in it is unknown", name="links")
     max_k = limit / float(_largest(x.M, x.light).max())
     if k >= max_k:
         raise RangeError(
@@ -228,25 +233,35 @@ class Certificate(Result):
 
     @property
     def ok(self) -> bool:
-        """There is a certificate, and nothing that was found exceeds it."""
-        return self.certified is not None and bool((self.found <= self.certified).all())
+        """There is a certificate, nothing that was found exceeds it, and the rate is enough for the layer."""
+        within = self.certified is not None and bool((self.found <= self.certified).all())
+        return within and self.sampled < MAX_SAMPLED_RATE
 
     def content(self) -> Content:
         """Both figures for each joint, and computed torque's."""
         certified = [None] * len(self.joints) if self.certified is None else self.certified.tolist()
         columns = certified, self.found.tolist(), self.computed_torque.tolist()
-        none = "no certificate: the level set on which rho holds grows without end; take a thinner phi or a larger k"
+        faults = []
+        if self.certified is None:
+            faults += [
+                "no certificate: the level set on which rho holds grows without end; take a thinner phi or a larger k"
+            ]
+        if self.sampled >= MAX_SAMPLED_RATE:
+            faults += [
+                "the layer is too thin for the rate: the sampled loop is unstable in it and chatters; raise phi"
+            ]
         notes = [
             f"found: in {self.runs} simulations of arms of the set, corners among them, and a search from the worst",
             "certified: in continuous time, from a start on the reference, while no torque saturates; exact over the "
             "set and over velocities in the level set; positions in it are sampled at corners: an estimate there",
-            f"sampled loop: T times its largest rate is {self.sampled:.3g}; it should stay below {MAX_LAYER_RATE:g}",
+            f"sampled loop: T times its largest rate is {self.sampled:.3g}; it is stable below {MAX_SAMPLED_RATE:g}; "
+            f"taut.analysis.boundary_layer keeps it at {MAX_LAYER_RATE:g} on the reference",
             f"inverse dynamics with an additional term has {'no' if self.alpha >= 1.0 else 'a'} bound: its alpha is "
             f"{self.alpha:.3g}, and must be below 1",
         ]
         return Content(
             title="robust control: error certified, and largest error found",
-            faults=[none] if self.certified is None else [],
+            faults=faults,
             tables=[
                 Table(
                     columns=("joint", "certified", "found", "computed torque, found", "unit"),
@@ -306,7 +321,7 @@ def certify(
     instance_of("law", law, Robust, "a taut.laws.Robust")
     rows, trials = _along(arm, reference, duration, INSTANTS), whole_number("trials", trials, minimum=2)
     arms, k = UncertainArm(arm, law), float(law.k)
-    x = arms.bounds(rows)
+    x = _of_some_width(arms.bounds(rows))
     start = float(x.c.max() * (x.rho.max(axis=0) @ arms.phi)) / (8.0 * k)
     level = arms.level_set(_along(arm, reference, duration, LEVEL_INSTANTS), start)
     layer = k * x.M + np.einsum("ki,ij->kij", x.rho / arms.phi, np.eye(arm.n))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import struct
 from collections import Counter
@@ -19,6 +20,7 @@ from taut.trace.graph import BOOLEAN_OPS, LARGEST, NONE, Op
 _DECIDING: Final = frozenset(
     {Op.SQRT, Op.LOG, Op.ASIN, Op.ACOS, Op.ATAN2, Op.FLOOR, Op.LT, Op.LE, Op.EQ},
 )
+BLOCK_LINES: Final = 200  # LLVM's quick level takes a time that grows with the square of a block's length
 LIBM: Final = ("asin", "acos", "atan2", "log", "tanh")
 
 _OPERATION: Final = {
@@ -207,16 +209,12 @@ def kernel(program: Program, name: str, linkage: str = "") -> str:
 
     All inputs are read before anything is written, so the new memory may be the old one.
     """
-    body = _Body(program)
-    return "\n".join(
-        [
-            f"define {linkage} void @{name}(ptr %inputs, ptr %parameters, ptr %memory, ptr %new, ptr %outputs) "
-            "nounwind {",
-            *body.lines(),
-            " ret void",
-            "}",
-        ]
-    )
+    lines = _Body(program).lines()
+    parts = [lines[k : k + BLOCK_LINES] for k in range(0, len(lines), BLOCK_LINES)]
+    blocks = ([f" br label %part{k}", f"part{k}:", *part] for k, part in enumerate(parts))
+    pointers = ", ".join(f"ptr %{block}" for block in ("inputs", "parameters", "memory", "new", "outputs"))
+    head = f"define {linkage} void @{name}({pointers}) nounwind {{"
+    return "\n".join([head, *itertools.chain.from_iterable(blocks), " ret void", "}"])
 
 
 def _never_negative(program: Program) -> set[int]:

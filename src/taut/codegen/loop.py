@@ -207,8 +207,10 @@ def loop_text(memory_size: int, repeats: int, command: Field | None = None) -> s
             " %i1 = add i64 %i, 1",
             f" %again = icmp slt i64 %i1, {repeats}",
             " br i1 %again, label %inner, label %check",
-            "check:",
         )
+    else:
+        w.line(" br label %check")
+    w.line("check:")
     guarded = [("%new", memory_size)]
     if command is not None:
         guarded.append((w.put(f"getelementptr double, ptr %output, i64 {command.offset}"), command.size))

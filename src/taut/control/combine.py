@@ -11,7 +11,7 @@ from taut.arm.description import Arm
 from taut.base.errors import MatchError, UsageError, unknown_name
 from taut.base.fields import Declared, Part
 from taut.base.types import Vector
-from taut.control.command import Command, MitCommand, of_kind, one_kind, rows_of
+from taut.control.command import Command, MitCommand, Terms, Torque, of_kind, one_kind, rows_of
 from taut.control.gains import MemoryView
 from taut.control.law import Law, call
 from taut.control.trajectories.compound import joined, require_part_name, together_kind
@@ -251,6 +251,13 @@ class Wrapper(Law, abstract=True):
     def inner(self, law: Law, x: Snapshot, ref: Any, memory: MemoryView, dt: Any) -> tuple[Command, dict[str, Any]]:
         """The command of the law that is wrapped, or of a changed copy of it, and its new memory."""
         return call(law, x, ref, {name: memory[name] for name in memory if name not in self.memories}, dt)
+
+    def inner_torque(self, x: Snapshot, ref: Any, memory: MemoryView, dt: Any) -> tuple[Terms, dict[str, Any]]:
+        """The terms of the torque of the law that is wrapped, and its new memory; UsageError for another command."""
+        command, after = self.inner(self.law, x, ref, memory, dt)
+        if not isinstance(command, Torque):
+            self.refuse("law", f"must give a torque, and {type(self.law).__name__} gives a {command.kind}")
+        return command.terms, after
 
     @property
     def controlled_frame(self) -> str | None:

@@ -183,7 +183,11 @@ def _branches(map_: LoopMap, found: Derivative) -> list[str]:
         dry = sum(np.abs(numbers.get(f"plant.friction.{kind}", 0.0)) for kind in ("coulomb", "static"))
         held = (np.abs(v) < SLIDING) & (dry > 0.0)
         out += [f"dry friction holds joint '{joints[i]}' (stiction)" for i in np.flatnonzero(held)]
-    out += [f"sensor {name} is at its limit" for name, on in subtree(record, "saturated").items() if np.any(on > 0.5)]
+    out += [
+        f"{'drives are' if name == 'drives' else f'sensor {name} is'} at the limit"
+        for name, on in subtree(record, "saturated").items()
+        if np.any(on > 0.5)
+    ]
     rows = np.atleast_1d(memory.get("plant.contact.on", ())) > 0.5
     out += [f"contact row {i} is {'closed' if on else 'open'}, and stays so" for i, on in enumerate(rows)]
     notices = map_.side.notices

@@ -159,6 +159,12 @@ def model_of(arm: Arm) -> Model:
     )
 
 
+@functools.lru_cache(maxsize=64)
+def links_of(arm: Arm) -> Model:
+    """The constants of an arm without its rotors."""
+    return model_of(arm.with_joints(rotor_inertia=0.0))
+
+
 def _turn_onto_z(axis: Float64Array) -> Float64Array:
     """A rotation whose third column is the axis; exact for axes along +-x, +-y, +-z."""
     k = int(np.argmax(np.abs(axis)))

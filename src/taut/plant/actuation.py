@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -21,6 +21,7 @@ from taut.trace import math as tm
 Values = Mapping[str, Any]
 MAX_TAPS: Final = 1000
 DUE: Final = 1e-3  # [-] of a period of the motors' own loop: rounding of its clock
+OF_DRIVES: Final = ("drives.", "saturated.drives")  # begin what of the drives' memory a run records
 PARTS: Final = ("motor", "ripple", "transmission", "torque_loop")
 
 
@@ -37,10 +38,11 @@ class MotorInput:
     """What a motor meets in one step."""
 
     tau: Vector  # (n,) what is asked for, at the joints [N m | N]
-    v: Vector  # (n,) joint speeds when the step begins [rad/s | m/s]
+    q: Vector  # (n,) joint positions when the step begins [rad | m]
+    v: Vector  # (n,) joint speeds [rad/s | m/s]
     gear: Float64Array  # (n,) revolutions of the motor per revolution of the joint
     ripple: Any  # factor of the motor's torque at this position
-    memory: Values  # before the step
+    memory: Values  # before the step; "held" is the command that stands at the drives
     p: Values  # current values of the fields by name
     bandwidth: Any  # of the amplifier [rad/s]; None for an ideal one
     dt: Any  # length of the step [s]
@@ -59,8 +61,8 @@ class MotorStep:
 class MotorModel(Declared):
     """Base of motors: declared fields, and pure functions of the joint torque that is asked for.
 
-    A subclass writes `step`; one that remembers something writes `start` too. Each `Field` is a parameter of the
-    plant by its path, actuation.motor.NAME.
+    A subclass writes `step`; one that remembers something writes `start` too, one behind springs `stiffness`. Each
+    `Field` is a parameter of the plant by its path, actuation.motor.NAME.
     """
 
     @property
@@ -72,6 +74,15 @@ class MotorModel(Declared):
         """Memory at the start, when the motors hold the arm with tau: of the lag, where there is a bandwidth."""
         return {} if bandwidth is None else {"motor": tau}
 
+    @property
+    def kp_at_start(self) -> Float64Array | float:
+        """(n,) or scalar, stiffness with which motors that take a MitCommand hold the arm before the first one."""
+        return 0.0
+
+    def placed(self, memory: dict[str, Any], q: Vector) -> dict[str, Any]:  # noqa: ARG002
+        """Memory at the start, with the joints at q (n,), of motors that have positions of their own."""
+        return memory
+
     def step(self, x: MotorInput) -> MotorStep:
         """What the motors do in one step."""
         raise NotImplementedError
@@ -79,6 +90,13 @@ class MotorModel(Declared):
     def braking(self, gear: Float64Array, p: Values) -> Float64Array:  # noqa: ARG002
         """(n,) loss of torque at the joint per speed at the limit [N m s/rad], for the check of steps."""
         return np.zeros(len(gear))
+
+    def stiffness(self, p: Values) -> Float64Array | float:  # noqa: ARG002
+        """(n,) or scalar, largest loss of torque at the joint per position [N m/rad], for the check of steps."""
+        return 0.0
+
+    def check_with(self, arm: Arm, takes: str, others: Collection[str]) -> None:
+        """Refuse an arm, a kind of command, or `others` of the plant's options that do not go with these motors."""
 
 
 class Motor(MotorModel):
@@ -364,10 +382,10 @@ class Actuation(Declared):
             )
         return round(taps)
 
-    def start(self, arm: Arm, weight: Vector, parameters: Values) -> dict[str, Any]:
+    def start(self, arm: Arm, q: Vector, weight: Vector, parameters: Values) -> dict[str, Any]:
         """The drives' memory at the start: they hold the arm, as its brakes did before, or give all they can."""
         motor, p = self.motor or IDEAL, subtree(parameters, "actuation.motor")
-        memory = motor.start(weight, arm.gear, parameters.get("actuation.bandwidth"), p)
+        memory = motor.placed(motor.start(weight, arm.gear, parameters.get("actuation.bandwidth"), p), q)
         if self.torque_loop is not None:
             memory["torque_loop"] = tm.zeros(arm.n)
         if self.inner_rate is not None:
@@ -407,7 +425,7 @@ class Actuation(Declared):
         if self.ripple is not None:
             ripple = 1.0 + p["ripple.amplitude"] * tm.sin(p["ripple.periods"] * arm.gear * q)
         x = MotorInput(
-            tau=tau, v=v, gear=arm.gear, ripple=ripple, memory=memory, p=subtree(p, "motor"),
+            tau=tau, q=q, v=v, gear=arm.gear, ripple=ripple, memory=memory, p=subtree(p, "motor"),
             bandwidth=p.get("bandwidth"), dt=dt,
         )  # fmt: skip
         given = (self.motor or IDEAL).step(x)
@@ -437,8 +455,13 @@ def aim(
     if takes == "velocity":
         mean, after = lagged(wanted, v, bandwidth, dt)
         return q + mean * dt, after
+    # A continuous joint goes the short way round.
+    return settling(-arm.difference(wanted, q), q, v, bandwidth, dt)
+
+
+def settling(e: Vector, q: Vector, v: Vector, bandwidth: Any, dt: Any) -> tuple[Vector, Vector]:
+    """Position and velocity a time dt after q and v, e away from what a critically damped lag follows: both exact."""
     # e(t) = (e0 + (v + omega e0) t) exp(-omega t).
-    e = -arm.difference(wanted, q)  # a continuous joint goes the short way round
     rate = v + bandwidth * e
     decay = tm.exp(-bandwidth * dt)
     return (q - e) + (e + rate * dt) * decay, (rate - bandwidth * (e + rate * dt)) * decay

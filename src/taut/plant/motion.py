@@ -21,7 +21,7 @@ from taut.base.types import Array, Vector
 from taut.maths import dynamics as dyn
 from taut.maths.dynamics import compensation
 from taut.maths.friction import dry_friction, friction_torque
-from taut.maths.model import Model, PayloadValues, model_of
+from taut.maths.model import Model, PayloadValues, links_of, model_of
 from taut.plant.actuation import MotorStep, aim
 from taut.plant.contact_step import ContactStep, contact_step
 from taut.plant.drivetrain import FrictionLaw, FrictionLimits
@@ -81,7 +81,7 @@ class Motion:
     @cached_property
     def link_model(self) -> Model:
         """The same without its rotors, whose inertia is a parameter."""
-        return model_of(self.parts.arm.with_joints(rotor_inertia=0.0))
+        return links_of(self.parts.arm)
 
     @cached_property
     def work(self) -> tuple[str, ...]:

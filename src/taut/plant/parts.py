@@ -18,7 +18,7 @@ from taut.base.fields import Choice, Declared, Part, Plain
 from taut.base.paths import flatten, subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.maths.dynamics import jacobian, mass_matrix
-from taut.maths.model import Adds, PayloadValues, model_of
+from taut.maths.model import Adds, PayloadValues, links_of
 from taut.plant.actuation import Actuation
 from taut.plant.contact import Contacts
 from taut.plant.drivetrain import Drivetrain, FrictionLaw, require_rotors
@@ -113,6 +113,15 @@ class PlantParts(Declared):
             )
         names = self.arm.joint_names
         self.actuation.check_size(names, "actuation.")
+        if self.actuation.motor is not None:
+            there = [name for name in self.actuation.for_torque_only if name != "motor"]
+            for name, value in {
+                "inner_rate": self.actuation.inner_rate,
+                "adds": self.adds.names,
+                "rk4": self.smooth,
+            }.items():
+                there += [name] if value else []
+            self.actuation.motor.check_with(self.arm, self.takes, there)
         self.sensors.check_arm(self.arm, touched=self.touched)
         if isinstance(self.friction, FrictionLaw):
             self.friction.check_size(names, FRICTION)
@@ -173,8 +182,10 @@ class PlantParts(Declared):
 
     def held_at_start(self, q: Any, weight: Any) -> Any:
         """What stands at drives of torques until the first command: they carry the weight (n,)."""
-        zero = tm.zeros(self.arm.n)
-        return tm.stack([q, zero, zero, zero, weight]) if self.takes == "mit" else weight
+        if self.takes != "mit":
+            return weight
+        zero, motor = tm.zeros(self.arm.n), self.actuation.motor
+        return tm.stack([q, zero, zero if motor is None else zero + motor.kp_at_start, zero, weight])
 
     @cached_property
     def drivetrain(self) -> Drivetrain:
@@ -273,7 +284,7 @@ class PlantParts(Declared):
         n, names = train.arm.n, train.arm.joint_names
         p = {path: np.broadcast_to(value, (n,)) for path, value in subtree(parameters, "actuation").items()}
         rotor = np.broadcast_to(parameters.get("plant.rotor_inertia", 0.0), (n,))
-        links = mass_matrix(model_of(train.arm.with_joints(rotor_inertia=0.0)), train.arm.home)
+        links = mass_matrix(links_of(train.arm), train.arm.home)
         geared = np.diag(np.linalg.inv(links + np.diag(rotor))).copy()  # acceleration per torque of each motor
         for i in train.compliant:
             geared[i] = 1.0 / rotor[i]
@@ -287,6 +298,14 @@ class PlantParts(Declared):
                 f"the motor of joint '{names[i]}' loses torque with speed so steeply that its joint answers in "
                 f"{steps.dt / max(fast[i], 1e-300):.3g} s",
                 "the joint its rotor's inertia, by gears",
+            )
+            omega = np.sqrt(actuation.motor.stiffness(subtree(p, "motor")) * geared)
+            i = int(np.argmax(omega))
+            steps.require(
+                omega[i] * steps.dt,
+                "motor",
+                f"the springs of joint '{names[i]}' oscillate at {omega[i]:.3g} rad/s",
+                "softer springs",
             )
         if actuation.torque_loop is not None:
             share = 1.0 - rotor * geared  # of the motor's torque that a rigid gear passes on at once
@@ -332,7 +351,7 @@ class PlantParts(Declared):
         train = self.drivetrain
         n = train.arm.n
         rotor = np.broadcast_to(parameters.get("plant.rotor_inertia", 0.0), (n,))
-        model = model_of(train.arm.with_joints(rotor_inertia=0.0))
+        model = links_of(train.arm)
         M = mass_matrix(model, q, PayloadValues.of(subtree(parameters, "plant.payload")))
         M = M + np.diag([rotor[i] if i in train.rigid else 0.0 for i in range(n)])
         J = jacobian(model, q)

@@ -22,7 +22,7 @@ from taut.maths import dynamics as dyn
 from taut.maths.constraints.constraint import Constraint
 from taut.maths.model import Adds, Model, model_of
 from taut.maths.snapshot import Snapshot
-from taut.plant.actuation import Actuation, delayed
+from taut.plant.actuation import OF_DRIVES, Actuation, delayed
 from taut.plant.contact import Contacts, RigidContact, each_contact
 from taut.plant.contact_step import REPORTED, contact_start
 from taut.plant.drivetrain import FrictionLaw
@@ -186,7 +186,7 @@ class RigidPlant:
         memory["held"] = held = self.parts.held_at_start(q, weight)
         train, steps = self.parts.drivetrain, Steps(dt, self.substeps)
         if not self.parts.stiff:
-            memory |= self.actuation.start(self.arm, weight, parameters)
+            memory |= self.actuation.start(self.arm, q, weight, parameters)
             memory |= train.start(q, v, full, parameters)
             if train.dry and len(train.rigid) > 1:
                 memory["friction_residual"] = 0.0
@@ -227,10 +227,10 @@ class RigidPlant:
     def extra(self, before: Values, after: Values) -> dict[str, Any]:
         """What a run records of a tick, besides motion and torques: from memory at the tick and after the first step.
 
-        F_ext, friction_residual and contact.* are those of that step, work.* is until the tick.
+        F_ext, friction_residual, contact.* and what drives report are those of that step, work.* is until the tick.
         """
         reported = ("F_ext", "friction_residual", *(f"contact.{name}" for name in REPORTED))
-        out = {name: after[name] for name in reported if name in after}
+        out = {name: after[name] for name in after if name in reported or name.startswith(OF_DRIVES)}
         return out | {name: value for name, value in before.items() if name.startswith("work.")}
 
     def command(self, command: Vector, memory: Values, t: Any) -> dict[str, Any]:

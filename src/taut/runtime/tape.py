@@ -136,6 +136,11 @@ class Tape:
         """Sensors that reached the end of their range in the first ticks of the run, and the notices of the law."""
         said, sensors = "", [name for name in self.outputs if name.startswith("saturated.")]
         texts = {name: f"the sensor of {name.removeprefix('saturated.')} was at its range" for name in sensors}
+        texts |= {
+            name: "a command was beyond the springs of the drives, and limited,"
+            for name in texts
+            if name == "saturated.drives"
+        }
         for path, text in (texts | dict(self._side.notices)).items():
             there = self.outputs[path][:ticks] != 0.0
             if self._phases and path not in texts:

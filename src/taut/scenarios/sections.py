@@ -27,7 +27,7 @@ from taut.control.law import Law
 from taut.control.limits import Limits
 from taut.control.observer import MomentumObserver
 from taut.control.sensing import Difference, Kalman, LowPass, Sensing
-from taut.drives import ElectricMotor, Motor, MotorModel
+from taut.drives import ElectricMotor, Motor, MotorModel, VariableStiffnessActuator
 from taut.environments import (
     Damper,
     Environment,
@@ -303,8 +303,10 @@ def _environment(table: Table, key: str) -> Environment:
 
 @reads(MotorModel)
 def _motor(table: Table, key: str) -> Any:
-    """A motor with electrical numbers is an electric motor."""
+    """A motor with electrical numbers is an electric motor, one with springs a variable-stiffness actuator."""
     below = table.table(key)
+    if "springs" in below:
+        return read(VariableStiffnessActuator, below)
     return read(Motor if below.values.keys() <= arguments(Motor).keys() else ElectricMotor, below)
 
 

@@ -33,7 +33,7 @@ OFF_AXIS: Final = 1e-12  # [-] of a frequency, so that no pole lies on the grid
 SOLVER_STEPS: Final = 25  # evaluations for each unknown: starts are near
 CELL_MARGIN: Final = 0.25  # [-] of the change over a cell: a root this near to it is looked for as well
 SWEEPS: Final = 12  # of the amplitudes of other elements, at a frequency and an amplitude of the first
-LAST_CHANGE: Final = 0.2  # [-] change of such an amplitude in the last sweep
+SETTLED_CHANGE: Final = 0.2  # [-] change of such an amplitude in the last sweep
 OTHER_AMPLITUDES: Final = (1e-9, 1e9, 193)  # [-] of the first one's range, for the tables of other elements
 COARSE_FREQUENCIES: Final = 17  # of the table of an element that depends on the rate's size
 BELOW_HALF_RATE: Final = 0.9  # [-] above it a sampled sine is none
@@ -271,7 +271,7 @@ class _Balance:
                 change = np.sqrt(np.clip(np.abs(rest), wide[0], wide[-1]) / y[..., 1:])
                 y[..., 1:] *= change
             balance = loop[..., 0, 0] + np.sum(loop[..., 0, 1:] * rest / y[..., :1], axis=-1)
-            balance[(np.abs(np.log(change)) > LAST_CHANGE).any(axis=-1)] = np.nan
+            balance[(np.abs(np.log(change)) > SETTLED_CHANGE).any(axis=-1)] = np.nan
             for i, j in _cells_of_roots(balance):
                 signals = np.array([grid[j : j + 2].mean(), *rest[i, j]])[np.argsort(order)]
                 found.append(np.array([omegas[i : i + 2].mean(), *(signals / signals[0] * abs(signals[0]))]))

@@ -110,9 +110,7 @@ class AppliedWrench(Wrapper):
         return outwards(R, ref.F_app)
 
     def command(self, x: Snapshot, ref: HybridMotion, memory: MemoryView, dt: Any) -> tuple[Command, dict[str, Any]]:
-        command, after = self.inner(self.law, x, ref.motion, memory, dt)
-        if not isinstance(command, Torque):
-            self.refuse("law", f"must give a torque, and {type(self.law).__name__} gives a {command.kind}")
+        tau, after = self.inner_torque(x, ref.motion, memory, dt)
         motion: Any = ref.motion
         F, J = self._wrench(x, ref), x.J(self.controlled_frame)
         V, mobility, wrench = J @ x.v - motion.twist, _mobility(x, J), []
@@ -121,7 +119,7 @@ class AppliedWrench(Wrapper):
             u = F[part] / length
             fastest = 0.5 / (dt * (u @ (mobility[part, part] @ u)) + NEVER)
             wrench.extend(F[part] - tm.minimum(length / speed, fastest) * (u @ V[part]) * u)
-        return Torque(command.terms + Terms(applied=J.T @ tm.array(wrench))), after
+        return Torque(tau + Terms(applied=J.T @ tm.array(wrench))), after
 
 
 def _mobility(x: Snapshot, J: Matrix) -> Matrix:

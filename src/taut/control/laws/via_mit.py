@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from taut.control.combine import Wrapper
-from taut.control.command import MitCommand, Torque
+from taut.control.command import MitCommand
 from taut.control.gains import Gain, GainValue, MemoryView
 from taut.maths.snapshot import Snapshot
 
@@ -61,9 +61,7 @@ class ViaMit(Wrapper):
                 )
 
     def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: Any) -> tuple[MitCommand, dict[str, Any]]:
-        command, after = self.inner(self.law, x, ref, memory, dt)
-        if not isinstance(command, Torque):
-            self.refuse("law", f"must give a torque, and {type(self.law).__name__} gives a {command.kind}")
+        tau, after = self.inner_torque(x, ref, memory, dt)
         gains = {name: getattr(self, f"{name}_motor") for name in ("kp", "kd")}
         own = {name: getattr(self.law, name) if gain is None else gain for name, gain in gains.items()}
-        return MitCommand(q=x.q, v=x.v, tau=command.terms, **own), after
+        return MitCommand(q=x.q, v=x.v, tau=tau, **own), after

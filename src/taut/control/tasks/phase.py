@@ -127,7 +127,7 @@ def collision(x: Seen, threshold: ArrayLike) -> Any:
     bound = finite_array("threshold", threshold, unit="N m | N")
     if bound.shape not in ((), (x.n,)) or np.any(bound <= 0.0):
         raise RangeError(
-            f"threshold must be > 0 [N m | N], one number or {x.n}; got {bound.tolist()}; make it by "
+            f"threshold must be one number or {x.n}, > 0 [N m | N]; got {bound.tolist()}; make it by "
             "taut.analysis.collision_threshold(run)",
             name="threshold",
         )

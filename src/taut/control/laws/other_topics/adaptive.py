@@ -49,7 +49,6 @@ class Adaptive(Law):
                     tend to 0, for constant parameters, no other torques and no saturation, in continuous time
                     d(P, P^) = log(det P^ / det P) + tr(P^^-1 P) - 4
                   |s_i| <= sqrt(2 V(0) (M_true^-1)_ii): a payload step adds d / gamma to V
-
                   composite adaptation lets V fall at e_p . R e_p besides
 
     Guaranteed in the sampled loop: every estimate is that of a possible body, whatever is measured (P^ > 0: positive
@@ -110,7 +109,6 @@ class Adaptive(Law):
     root = Memory(unit="kg^0.5, kg^0.5 m", doc="G of each adapted body")
     estimate = Memory(unit="kg, kg m, kg m^2", record=True, doc="ten parameters of each adapted body")
     friction = Memory(unit="N m s/rad, N m", record=True, doc="viscous and dry friction, where they are adapted")
-
     filtered = Memory(unit="N m, and that per parameter", doc="low-pass of composite adaptation")
     begun = Memory(doc="0 in the first tick, 1 after it")
 
@@ -208,21 +206,17 @@ class Adaptive(Law):
 
     def _momenta(self, x: Snapshot) -> tuple[Matrix, Matrix]:
         """(n, 1 + 10 m) p, and C^T v - g: of the model without payload, and per parameter of each adapted body."""
-        model, rest = x.model, np.zeros(x.n)
+        model, rest, which = x.model, np.zeros(x.n), adapted(x.model, self.links)
         p, rate = dyn.momentum(model, x.q, x.v)
-        columns = [[p], [rate - dyn.gravity_torque(model, x.q)]]
-
-        def quadratic(v: Vector, a: Vector, gravity: Any) -> Matrix:  # noqa: ARG001
-            return rg.covectors(model, x.q, v, a, x.v, gravity=False)
-
-        units = np.eye(x.n)
-        along = [dyn.along_reference(quadratic, x.v, unit, rest).reshape(x.n, 10) for unit in units]
-        of_p = [rg.covectors(model, x.q, rest, x.v, unit, gravity=False) for unit in units]
-        of_g = [rg.covectors(model, x.q, rest, rest, unit) for unit in units]
-        for k in adapted(model, self.links):
-            columns[0] += list(tm.stack([y[k] for y in of_p]).T)
-            columns[1] += list(tm.stack([c[k] - g[k] for c, g in zip(along, of_g, strict=True)]).T)
-        return tm.stack(columns[0]).T, tm.stack(columns[1]).T
+        of_p, of_g = (
+            tm.stack([rg.covectors(model, x.q, rest, a, unit, gravity=gravity) for unit in np.eye(x.n)])
+            for a, gravity in ((x.v, False), (rest, True))
+        )
+        energies = tm.jacobian(lambda q: 0.5 * rg.covectors(model, q, rest, x.v, x.v, gravity=False).reshape(-1), x.q)
+        of_rate = energies.reshape(x.n, 10, x.n)  # by the rows of v M v / 2, whose slope by q is C^T v
+        columns = [p, *(row for k in which for row in of_p[:, k].T)]
+        rates = [rate - dyn.gravity_torque(model, x.q), *(row for k in which for row in of_rate[k] - of_g[:, k].T)]
+        return tm.stack(columns).T, tm.stack(rates).T
 
     def _corrections(self, x: Snapshot, memory: MemoryView, dt: Any) -> tuple[list[Vector], Matrix]:
         """W^T R e_p of each adapted body (10,), and the new memory of the filter."""
@@ -232,16 +226,16 @@ class Adaptive(Law):
         # Exact for held torques: p-dot is the difference of two ticks, C^T v - g the mean of both.
         impulse = (a / dt) * p
         before = tm.where(memory.begun > 0.0, memory.filtered + a * applied, impulse - 0.5 * a * rate)
-        W, which = impulse - before - 0.5 * a * rate, adapted(x.model, self.links)
+        W = impulse - before - 0.5 * a * rate
         filtered = before + a * (impulse + (1.0 - 0.5 * a) * rate - before)
         e_p, reach = W[:, 0], 0.0
-        for i, (k, G) in enumerate(zip(which, memory.root, strict=True)):
-            own = W[:, 1 + 10 * i : 11 + 10 * i]
+        each = [W[:, i : i + 10] for i in range(1, W.shape[1], 10)]
+        for k, G, own in zip(adapted(x.model, self.links), memory.root, each, strict=True):
             e_p = e_p + own @ (_parameters(G) - rg.parameters_of(x.model.links[k]))
             reach = reach + sum(np.sum((G.T @ rg.covector_matrix(w) @ G) ** 2) for w in own)
         R = self.composite[()]
         R = R * MAX_REACH / tm.maximum(dt * self.gamma[()] * R * reach, MAX_REACH)
-        return [R * (e_p @ W[:, 1 + 10 * i : 11 + 10 * i]) for i in range(len(which))], filtered
+        return [R * (e_p @ own) for own in each], filtered
 
 
 def adapted(model: Model, links: Links) -> tuple[int, ...]:

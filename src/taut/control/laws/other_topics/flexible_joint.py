@@ -9,21 +9,17 @@ arm has none (a plant's spring is its `taut.drives.Transmission`), and so it may
 any gain. Only `FullStateFeedback` needs D; the others leave it out of their model.
 
 q_motor and v_motor are measured on the motor's side of the spring, in joint units; tau_J is the joint torque sensor.
-
-References:
-    Spong, Modeling and control of elastic joint robots, J. Dynamic Systems, Measurement and Control 109 (1987).
-    De Luca and Book, Robots with flexible elements, Springer Handbook of Robotics.
 """
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, Final, Self
 
 import numpy as np
 
 from taut.arm.description import Arm
 from taut.base.checks import finite_array, finite_scalar, positive_scalar
-from taut.base.errors import MatchError, RangeError, ShapeError
+from taut.base.errors import MatchError, RangeError
 from taut.base.fields import Field
 from taut.base.types import Array, ArrayLike, Vector
 from taut.control.closed_loop import ClosedLoop
@@ -37,7 +33,6 @@ from taut.maths.snapshot import Snapshot, snapshot
 from taut.trace import math as tm
 
 SPRING: Final = "N m/rad | N/m"
-WHOLE_TORQUE: Final = 1e-9  # [-] of gravity and Coriolis torques: a smaller difference is rounding
 
 
 def with_rotors(x: Snapshot, inertia: ArrayLike) -> Snapshot:
@@ -46,50 +41,32 @@ def with_rotors(x: Snapshot, inertia: ArrayLike) -> Snapshot:
     return x.of_model(model, x.measured, elsewhere=x.elsewhere)
 
 
-class SpringTorque(NamedTuple):
-    """The spring torque that moves the links along a path, and its two rates, (n,) each."""
+def spring_torque(links: Snapshot, q: Vector, v: Vector, a: Vector, j: Any, s: Any) -> tuple[Vector, Vector, Vector]:
+    """The spring torque that moves the links along a path with these derivatives, and its two rates, (n,) each."""
 
-    tau: Vector  # [N m | N]
-    rate: Vector  # [N m/s | N/s]
-    second: Vector  # [N m/s^2 | N/s^2]
+    def tau(t: Array) -> Vector:
+        dt = t[0]
+        q_t, v_t, a_t = (x + dt * (x_1 + 0.5 * dt * x_2) for x, x_1, x_2 in ((q, v, a), (v, a, j), (a, j, s)))
+        return links.at(q_t, v_t).inverse_dynamics(a_t)
 
-    @classmethod
-    def along(cls, links: Snapshot, q: Vector, v: Vector, a: Vector, j: Any, s: Any) -> SpringTorque:
-        """Inverse dynamics of the links along the path with these derivatives, differentiated twice by time."""
+    def rate(t: Array) -> Vector:
+        return tm.jacobian(tau, t)[:, 0]
 
-        def tau(t: Array) -> Vector:
-            dt = t[0]
-            q_t, v_t, a_t = (x + dt * (x_1 + 0.5 * dt * x_2) for x, x_1, x_2 in ((q, v, a), (v, a, j), (a, j, s)))
-            return links.at(q_t, v_t).inverse_dynamics(a_t)
-
-        def rate(t: Array) -> Vector:
-            return tm.jacobian(tau, t)[:, 0]
-
-        links.used.update(("gravity", "coriolis"))
-        now = np.zeros(1)
-        return cls(tau(now), rate(now), tm.jacobian(rate, now)[:, 0])
+    links.used.update(("gravity", "coriolis"))
+    now = np.zeros(1)
+    return tau(now), rate(now), tm.jacobian(rate, now)[:, 0]
 
 
-class DesiredMotor(NamedTuple):
-    """Where the motors must be so that the links follow a reference, and the torques for it; (n,) arrays."""
-
-    q: Vector
-    v: Vector
-    tau: Vector
-
-    @classmethod
-    def of(cls, x: Snapshot, ref: Any, K: GainValue) -> DesiredMotor:
-        """q_des + tau_J / K, its rate, and tau_J + B a_motor, along a `SmoothMotion`."""
-        tau, rate, second = SpringTorque.along(with_rotors(x, 0.0), ref.q, ref.v, ref.a, ref.j, ref.s)
-        k = K.as_array()
-        return cls(ref.q + tau / k, ref.v + rate / k, tau + x.arm.rotor_inertia * (ref.a + second / k))
+def desired_motor(x: Snapshot, ref: Any, stiffness: GainValue) -> tuple[Vector, Vector, Vector]:
+    """q_des + tau_J / K of the motors, its rate, and tau_J + B a_motor, with which the links follow a reference."""
+    tau, rate, second = spring_torque(with_rotors(x, 0.0), ref.q, ref.v, ref.a, ref.j, ref.s)
+    K = stiffness.as_array()
+    return ref.q + tau / K, ref.v + rate / K, tau + x.arm.rotor_inertia * (ref.a + second / K)
 
 
 def check_whole_torque(law: Law, x: Snapshot) -> None:
     """MatchError where the plant adds gravity or Coriolis torques: these laws give all that the motors do."""
-    moved = x.at(x.q + 0.3, x.v + 1.0)  # a state in which both show
-    whole = moved.inverse_dynamics(np.zeros(x.n))
-    if np.any(np.abs(whole - moved.h) > WHOLE_TORQUE * (1.0 + np.abs(whole))):
+    if np.any(x.at(x.q + 0.3, x.v + 1.0).added):  # a state in which both show
         raise MatchError(
             f"{type(law).__name__} gives the whole torque of the motors, and the plant adds a part of it itself; use "
             "a plant with adds=(), or a law of rigid joints",
@@ -97,12 +74,12 @@ def check_whole_torque(law: Law, x: Snapshot) -> None:
         )
 
 
-def check_rotors(law: Law, x: Snapshot) -> None:
+def check_rotors(law: type[Law], x: Snapshot) -> None:
     """MatchError for a motor without inertia, which would follow any torque at once."""
     for joint, inertia in zip(x.arm.joint_names, x.arm.rotor_inertia, strict=True):
         if not inertia > 0.0:
             raise MatchError(
-                f"{type(law).__name__} needs the rotor inertia of each joint, and the model's joint '{joint}' has "
+                f"{law.__name__} needs the rotor inertia of each joint, and the model's joint '{joint}' has "
                 "none; give the arm gears: arm.with_gears(ratio=100.0, motor_inertia=1e-4)",
                 joint=joint,
                 name="rotor_inertia",
@@ -152,10 +129,10 @@ class MotorSidePD(Law):
         check_whole_torque(self, x)
 
     def command(self, x: Snapshot, ref: SmoothMotion) -> Command:
-        motor, M = DesiredMotor.of(x, ref, self.stiffness), x.at(ref.q, ref.v).M
+        (q, v, tau), M = desired_motor(x, ref, self.stiffness), x.at(ref.q, ref.v).M
         m = tm.array([M[i, i] for i in range(x.n)])
-        e, e_dot = x.arm.difference(motor.q, x.q_motor), motor.v - x.v_motor
-        return Torque(m * Terms(P=self.kp @ e, D=self.kd @ e_dot) + Terms(feedforward=motor.tau))
+        feedback = Terms(P=self.kp @ x.arm.difference(q, x.q_motor), D=self.kd @ (v - x.v_motor))
+        return Torque(m * feedback + Terms(feedforward=tau))
 
 
 class MotorSide(Wrapper):
@@ -211,7 +188,8 @@ class FastTorqueLoop(Wrapper):
         ['bandwidth', 'kd', 'ki', 'kp', 'stiffness']
 
     References:
-        Spong (1987). Kokotovic, Khalil and O'Reilly, Singular Perturbation Methods in Control (1986), section 1.3.
+        Spong, Modeling and control of elastic joint robots, J. Dynamic Systems, Measurement and Control 109 (1987).
+        Kokotovic, Khalil and O'Reilly, Singular Perturbation Methods in Control (1986), section 1.3.
     """
 
     stiffness: Gain = Gain(unit=SPRING, accepts=("scalar",), above=0.0)
@@ -221,7 +199,7 @@ class FastTorqueLoop(Wrapper):
         require_at_most("bandwidth", self.bandwidth.as_array(), rate, "rad/s", "or the torque loop oscillates")
 
     def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
-        check_rotors(self, x)
+        check_rotors(type(self), x)
         check_whole_torque(self, x)
 
     def closed_loop(self, x: Snapshot) -> ClosedLoop | None:
@@ -229,10 +207,10 @@ class FastTorqueLoop(Wrapper):
 
     def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
         links, K, w = with_rotors(x, 0.0), self.stiffness.as_array(), self.bandwidth.as_array()
-        command, after = self.inner(self.law, links, ref, memory, dt)
+        tau, after = self.inner_torque(links, ref, memory, dt)
         B, tau_J, rate = x.arm.rotor_inertia, x.tau_meas, self.stiffness @ (x.v_motor - x.v)
         moved = tau_J + B * (links.forward_dynamics(tau_J) - (w * w * tau_J + 2.0 * w * rate) / K)
-        return Torque((B * w * w / K) * torques(self, command) + Terms(torque_loop=moved)), after
+        return Torque((B * w * w / K) * tau + Terms(torque_loop=moved)), after
 
 
 class JointTorqueFeedback(Wrapper):
@@ -268,26 +246,15 @@ class JointTorqueFeedback(Wrapper):
     inertia: Field = Field(unit="kg m^2 | kg", shape="n", above=0.0, run_time=False)
 
     def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
-        check_rotors(self, x)
+        check_rotors(type(self), x)
 
     def closed_loop(self, x: Snapshot) -> ClosedLoop | None:
         return Wrapper.closed_loop(self, with_rotors(x, self.inertia))
 
     def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
-        command, after = self.inner(self.law, with_rotors(x, self.inertia), ref, memory, dt)
+        tau, after = self.inner_torque(with_rotors(x, self.inertia), ref, memory, dt)
         ratio = x.arm.rotor_inertia / self.inertia
-        return Torque(ratio * torques(self, command) + Terms(torque_feedback=(1.0 - ratio) * x.tau_meas)), after
-
-
-def torques(wrapper: Wrapper, command: Command) -> Terms:
-    """The terms of a law's torque; MatchError for a command of another kind."""
-    if not isinstance(command, Torque):
-        raise MatchError(
-            f"{type(wrapper).__name__} is around a law that gives torques; {type(wrapper.law).__name__} gives a "
-            f"{type(command).__name__}",
-            name="law",
-        )
-    return command.terms
+        return Torque(ratio * tau + Terms(torque_feedback=(1.0 - ratio) * x.tau_meas)), after
 
 
 class FullStateFeedback(Law):
@@ -357,16 +324,17 @@ class FullStateFeedback(Law):
         A = np.array([[0.0, 1.0, 0.0, 0.0], link, [0.0, 0.0, 0.0, 1.0], motor])
         Ad, Bd, *_ = cont2discrete((A, np.array([[0.0], [0.0], [0.0], [1.0 / B]]), np.eye(4), np.zeros((4, 1))), dt)
         desired = np.asarray(poles, dtype=np.complex128)
-        if desired.shape != (4,):
-            raise ShapeError(f"poles must be four, one for each state; got shape {desired.shape}", name="poles")
+        wrong = RangeError(
+            "poles must be four [1/s], finite, with negative real parts, all different, and conjugates in pairs, "
+            f"such as -20, -22, -24, -26; got {[x.real if x.imag == 0.0 else x for x in desired.tolist()]}",
+            name="poles",
+        )
+        if np.any(desired.real >= 0.0):
+            raise wrong
         try:
             gains = place_poles(Ad, Bd, np.exp(desired * dt)).gain_matrix[0]
         except ValueError as cause:
-            raise RangeError(
-                f"poles must be finite, all different, and conjugates in pairs, such as -20, -22, -24, -26; got "
-                f"{desired.tolist()}",
-                name="poles",
-            ) from cause
+            raise wrong from cause
         return cls(stiffness=K, feedback=gains)
 
     def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
@@ -374,11 +342,9 @@ class FullStateFeedback(Law):
         check_whole_torque(self, x)
 
     def command(self, x: Snapshot, ref: SmoothMotion) -> Command:
-        motor, k = DesiredMotor.of(x, ref, self.stiffness), self.feedback.as_array()
-        e, e_motor = x.difference(ref.q), x.arm.difference(motor.q, x.q_motor)
-        return Torque(
-            P=k[0] * e + k[2] * e_motor, D=k[1] * (ref.v - x.v) + k[3] * (motor.v - x.v_motor), feedforward=motor.tau
-        )
+        (q, v, tau), k = desired_motor(x, ref, self.stiffness), self.feedback.as_array()
+        P = k[0] * x.difference(ref.q) + k[2] * x.arm.difference(q, x.q_motor)
+        return Torque(P=P, D=k[1] * (ref.v - x.v) + k[3] * (v - x.v_motor), feedforward=tau)
 
 
 def check_one_joint(x: Snapshot) -> None:
@@ -389,12 +355,7 @@ def check_one_joint(x: Snapshot) -> None:
             "arm.subset",
             name="arm",
         )
-    if not x.arm.rotor_inertia[0] > 0.0:
-        raise MatchError(
-            "FullStateFeedback needs the rotor inertia of the joint; give the arm gears: "
-            "arm.with_gears(ratio=100.0, motor_inertia=1e-4)",
-            name="rotor_inertia",
-        )
+    check_rotors(FullStateFeedback, x)
 
 
 class FlexibleJointLinearisation(Law):
@@ -430,16 +391,16 @@ class FlexibleJointLinearisation(Law):
     omega: Gain = Gain(unit="rad/s", accepts=("scalar",), above=0.0)
 
     def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
-        check_rotors(self, x)
+        check_rotors(type(self), x)
         check_whole_torque(self, x)
 
     def command(self, x: Snapshot, ref: SmoothMotion) -> Command:
         links, none, B = with_rotors(x, 0.0), tm.zeros(x.n), x.arm.rotor_inertia
         K, w = self.stiffness.as_array(), self.omega.as_array()
         a = links.forward_dynamics(x.tau_meas)
-        without_jerk = SpringTorque.along(links, x.q, x.v, a, none, none).rate
+        _, without_jerk, _ = spring_torque(links, x.q, x.v, a, none, none)
         j = tm.solve_spd(links.M_factors, self.stiffness @ (x.v_motor - x.v) - without_jerk)
-        without_snap = SpringTorque.along(links, x.q, x.v, a, j, none).second
+        _, _, without_snap = spring_torque(links, x.q, x.v, a, j, none)
         snap = Terms(
             feedforward=ref.s + 4.0 * w * (ref.j - j) + 6.0 * w**2 * (ref.a - a),
             P=w**4 * x.difference(ref.q),

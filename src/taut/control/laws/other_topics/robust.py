@@ -16,7 +16,7 @@ from taut.control.gains import Gain
 from taut.control.law import Law
 from taut.control.trajectories.reference import JointMotion
 from taut.maths import dynamics as dyn
-from taut.maths.model import Model, PayloadValues, RigidBody
+from taut.maths.model import Model, PayloadValues, RigidBody, links_of
 from taut.maths.regressor import parameters_of, pseudo_inertia
 from taut.maths.snapshot import Snapshot
 from taut.trace import math as tm
@@ -79,15 +79,16 @@ class Uncertainty(Declared):
         for name in ("payload", "viscous", "coulomb"):
             low, high = (0.0, 0.0) if getattr(self, name) is None else getattr(self, name)
             if np.any(low > high):
-                self.refuse(name, f"must be (smallest, largest); got {np.stack([low, high]).tolist()}", RangeError)
+                got = f"({np.squeeze(low).tolist()}, {np.squeeze(high).tolist()})"
+                self.refuse(name, f"must be (smallest, largest); got {got}", RangeError)
 
     def check_arm(self, model: Model) -> None:
         """Refuse an arm that these intervals are not for: other joints, or links that are no rigid bodies."""
         own = model.arm.payload
         if own.mass + self.payload[0] < 0.0:
             raise RangeError(
-                f"uncertainty.payload must begin at {-own.mass:g} [kg] or above, for the arm carries {own.mass:g} "
-                f"kg; got {self.payload[0]:g}",
+                f"uncertainty.payload must begin at {0.0 - own.mass:g} [kg] or above, for the arm carries "
+                f"{own.mass:g} kg; got {self.payload[0]:g}",
                 name="payload",
             )
         if np.any(self.payload) and model.placement(None)[0] == BASE:
@@ -133,7 +134,7 @@ class Uncertainty(Declared):
 
     def torques(self, model: Model, q: Vector, v: Vector, v_ref: Vector, a_ref: Vector) -> Array:
         """(m, n) torques Y_l pi_l of each unknown at its largest: s . (M a_ref + C v_ref + g) errs by their sum."""
-        bare, unknown = without_rotors(model), self.unknown(model)
+        bare, unknown = links_of(model.arm), self.unknown(model)
         if not unknown:
             return tm.zeros((0, model.n))
         return tm.array([dyn.reference_dynamics(bare, part, q, v, v_ref, a_ref) for _, part in unknown])
@@ -175,13 +176,6 @@ def friction_and_error(
 def scaled(body: RigidBody, factor: float) -> RigidBody:
     """A body of the same shape and another density."""
     return RigidBody(m=factor * body.m, h=factor * body.h, I=factor * body.I)
-
-
-def without_rotors(model: Model) -> Model:
-    """The model with rotors that have no inertia, for the torques of single bodies."""
-    return dataclasses.replace(
-        model, joints=tuple(dataclasses.replace(joint, rotor_inertia=0.0) for joint in model.joints)
-    )
 
 
 def _alone(model: Model, i: int, body: RigidBody) -> list[RigidBody]:

@@ -15,7 +15,7 @@ from taut.base.errors import UsageError
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.maths.model import Adds
-from taut.plant.actuation import Actuation, delayed
+from taut.plant.actuation import OF_DRIVES, Actuation, delayed
 from taut.plant.environments.environment import Environment
 from taut.plant.motion import WORK_OF_IT
 from taut.plant.parts import PlantParts
@@ -322,7 +322,8 @@ class MujocoPlant(PlantInMujoco):
         work = {} if self._parts.environment is None else {WORK_OF_IT: np.asarray(self._work)}
         normal = {} if self._normals is None else {PRESSED: self._normals.of_contacts()}
         cut = {"tau_cut": self._cut} if self._parts.stiff else {}
-        return {"F_ext": self._F_ext, **cut, **work, **normal, **self._saturated, **self._poses()}
+        drives = {name: x.copy() for name, x in self._forces.memory.items() if name.startswith(OF_DRIVES)}
+        return {"F_ext": self._F_ext, **cut, **work, **normal, **drives, **self._saturated, **self._poses()}
 
 
 def _rebuilt(made_of: Mapping[str, Any], values: Mapping[str, ArrayLike]) -> MujocoPlant:

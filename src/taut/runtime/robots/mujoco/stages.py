@@ -17,7 +17,7 @@ from taut.codegen.loop import StepLoop
 from taut.codegen.program import Block
 from taut.maths import dynamics as dyn
 from taut.maths.dynamics import compensation
-from taut.maths.model import Model, PayloadValues, model_of
+from taut.maths.model import Model, PayloadValues, links_of, model_of
 from taut.plant.actuation import aim
 from taut.plant.environments.environment import touch
 from taut.plant.parts import PlantParts
@@ -149,7 +149,7 @@ class ForceStage(Stage):
 
         self._rig, self._parts, self._train = rig, parts, parts.drivetrain
         self._model = model_of(rig.arm)
-        self._links = model_of(rig.arm.with_joints(rotor_inertia=0.0))
+        self._links = links_of(rig.arm)
         self._follower: Follower | None = None
         if parts.stiff:
             self._follower = Follower(arm=rig.arm, takes=parts.takes, model=self._links)
@@ -220,7 +220,7 @@ class ForceStage(Stage):
         weight = full - compensation(self._model, parts.adds, q, np.zeros(arm.n), payload)
         memory = {"held": parts.held_at_start(q, weight), "tau_link": full}
         if self._follower is None:
-            memory |= parts.actuation.start(arm, weight, parameters)
+            memory |= parts.actuation.start(arm, q, weight, parameters)
         else:
             memory |= self._follower.start(q, v, parameters, division)
         started = self._train.start(q, v, full, parameters)
