@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import operator
 from collections.abc import Callable, Mapping
 from typing import Any, Final, Protocol, runtime_checkable
 
@@ -119,7 +118,7 @@ class EnergyTank(Wrapper):
         command, after = self.inner(law, x, ref, memory, dt)
         parts = command.terms.parts
         last = {
-            "torque": functools.reduce(operator.add, [parts[name] for name in OF_SPRINGS if name in parts]),
+            "torque": sum((parts[name] for name in OF_SPRINGS if name in parts), start=tm.zeros(x.n)),
             "q": tm.array(x.q),
             "stored": stored + paid * cost,
             "dissipated": tm.maximum(law.dissipation(x, ref), 0.0) * dt,
