@@ -25,7 +25,8 @@ from taut.trace.scalar import Condition
 
 STOP: Final = "stop"
 CONTACT: Final = 1.0  # [N] a force that counts as contact, for laws that never start without
-OWN_WORDS: Final = (STOP, *"phase next ticks ended begin lasted energy seen".split())  # of the memory of a task
+# of the memory of a task
+OWN_WORDS: Final = (STOP, "phase", "next", "ticks", "ended", "begin", "lasted", "energy", "seen")
 PhaseReference: TypeAlias = Reference | Callable[[Snapshot], Reference] | None
 
 
