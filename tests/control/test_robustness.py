@@ -7,10 +7,11 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from refusals import refused
 from robust_sets import planar_set, reference, with_links
 
 import taut
-from taut.analysis.robustness import MAX_LAYER_RATE, UncertainArm
+from taut.analysis.robustness import MAX_LAYER_RATE, MAX_SAMPLED_RATE, UncertainArm
 from taut.maths.model import PayloadValues, model_of
 from taut.maths.regressor import parameters_of
 
@@ -110,11 +111,22 @@ def test_the_layer_keeps_the_loop_below_half_a_rate_and_k_has_a_limit() -> None:
     unknown = planar_set()
     found = certificate("planar2", unknown, phi=layer("planar2", unknown), trials=2)
     assert 0.5 * MAX_LAYER_RATE < found.sampled <= MAX_LAYER_RATE
-    with pytest.raises(taut.errors.RangeError) as refused:
+    with refused(taut.errors.RangeError) as told:
         layer("planar2", unknown, k=1000.0)
-    assert refused.value.name == "k"
-    with pytest.raises(taut.errors.RangeError):
-        layer("planar2", taut.laws.Uncertainty(viscous=(0.1, 0.1), coulomb=(0.0, 0.0)), duration=0.01)
+    assert told.value.name == "k"
+    nothing = taut.laws.Uncertainty(viscous=(0.1, 0.1), coulomb=(0.0, 0.0))
+    with refused(taut.errors.RangeError):
+        layer("planar2", nothing, duration=0.01)
+    with refused(taut.errors.RangeError):
+        certificate("planar2", nothing, phi=0.1)
+
+
+def test_a_layer_too_thin_for_the_rate_is_a_fault_whatever_is_found() -> None:
+    found = certificate("planar2", planar_set(), phi=[0.003, 0.003], trials=2)
+    assert found.sampled > MAX_SAMPLED_RATE
+    assert found.certified is not None
+    assert not found.ok
+    assert "too thin for the rate" in str(found)
 
 
 def test_a_payload_with_a_point_mass_at_the_tool_is_the_sum_of_both() -> None:

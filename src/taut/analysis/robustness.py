@@ -32,7 +32,8 @@ from taut.plant.rigid import Integrator, RigidPlant
 from taut.runtime.simulate import run as simulated
 from taut.trace import math as tm
 
-MAX_LAYER_RATE: Final = 0.5  # [-] of T times the loop's largest rate in its layer; explicit steps are stable below 2
+MAX_LAYER_RATE: Final = 0.5  # [-] of T times the loop's largest rate in its layer
+MAX_SAMPLED_RATE: Final = 2.0  # [-] of the same: explicit steps are stable below
 MIN_RHO: Final = 0.05  # of the largest: a joint that needs no robust torque on the reference gets a layer too
 INSTANTS: Final = 401  # of the reference; the level set takes every sixth or so
 LEVEL_INSTANTS: Final = 61
@@ -64,8 +65,12 @@ class Bounds:
 
     M: Float64Array  # (k, n, n) of the law's model
     light: Float64Array  # (k, n, n) of the lightest arm
-    heavy: Float64Array  # (k, n, n) of the heaviest arm
     rho: Float64Array  # (k, n) largest error of the law's torques
+
+    @property
+    def heavy(self) -> Float64Array:
+        """(k, n, n) of the heaviest arm: M is in the middle."""
+        return 2.0 * self.M - self.light
 
     @property
     def mobility(self) -> Float64Array:
@@ -100,7 +105,7 @@ class UncertainArm:
             M, light = (dyn.mass_matrix(dataclasses.replace(model, bodies=(*x,)), q) for x in (middle, lightest))
             rest = torques(np.zeros(n))
             slopes = tm.jacobian(lambda s: torques(s).reshape(-1), np.zeros(n)).reshape(*rest.shape, n)
-            return {"M": M, "light": light, "heavy": 2.0 * M - light, "torques": rest, "slopes": slopes}
+            return {"M": M, "light": light, "torques": rest, "slopes": slopes}
 
         self._at = over_rows(at, q=n, v_ref=n, a_ref=n)
 
@@ -116,7 +121,11 @@ class UncertainArm:
         # friction errs most at an end: towards v_des the error falls, and beyond v_des it grows with v - v_des
         ends = (friction_and_error(*self.friction, v_ref + s, rows.v, self.law.width) for s in (-np.asarray(S), S))
         rho += np.maximum(*(error for _, error in ends)) + self.law.uncertainty.disturbance
-        return Bounds(M=x["M"], light=x["light"], heavy=x["heavy"], rho=rho)
+        if not rho.any():
+            raise RangeError(
+                "uncertainty must have an interval of some width; nothing in it is unknown", name="links"
+            )
+        return Bounds(M=x["M"], light=x["light"], rho=rho)
 
     def level_set(self, rows: JointMotion, V: float) -> Float64Array | None:
         """(n,) bounds S of |s| on the smallest level set of V that holds what it implies; None without one."""
@@ -194,8 +203,6 @@ def boundary_layer(
     rows = _along(arm, reference, duration, INSTANTS)
     x = UncertainArm(arm, Robust(lam=lam, k=k, phi=1.0, uncertainty=uncertainty)).bounds(rows)
     rho, mobility, limit = x.rho.max(axis=0), x.mobility, MAX_LAYER_RATE * rate_in_hertz(rate)
-    if not rho.any():
-        raise RangeError("uncertainty must have an interval of some width; nothing in it is unknown", name="links")
     max_k = limit / float(_largest(x.M, x.light).max())
     if k >= max_k:
         raise RangeError(
@@ -228,25 +235,28 @@ class Certificate(Result):
 
     @property
     def ok(self) -> bool:
-        """There is a certificate, and nothing that was found exceeds it."""
-        return self.certified is not None and bool((self.found <= self.certified).all())
+        """There is a certificate, nothing that was found exceeds it, and the rate is enough for the layer."""
+        within = self.certified is not None and bool((self.found <= self.certified).all())
+        return within and self.sampled < MAX_SAMPLED_RATE
 
     def content(self) -> Content:
         """Both figures for each joint, and computed torque's."""
         certified = [None] * len(self.joints) if self.certified is None else self.certified.tolist()
         columns = certified, self.found.tolist(), self.computed_torque.tolist()
         none = "no certificate: the level set on which rho holds grows without end; take a thinner phi or a larger k"
+        thin = "the layer is too thin for the rate: the sampled loop is unstable in it and chatters; raise phi"
         notes = [
             f"found: in {self.runs} simulations of arms of the set, corners among them, and a search from the worst",
             "certified: in continuous time, from a start on the reference, while no torque saturates; exact over the "
             "set and over velocities in the level set; positions in it are sampled at corners: an estimate there",
-            f"sampled loop: T times its largest rate is {self.sampled:.3g}; it should stay below {MAX_LAYER_RATE:g}",
+            f"sampled loop: T times its largest rate is {self.sampled:.3g}; it is stable below {MAX_SAMPLED_RATE:g}; "
+            f"taut.analysis.boundary_layer keeps it at {MAX_LAYER_RATE:g} on the reference",
             f"inverse dynamics with an additional term has {'no' if self.alpha >= 1.0 else 'a'} bound: its alpha is "
             f"{self.alpha:.3g}, and must be below 1",
         ]
         return Content(
             title="robust control: error certified, and largest error found",
-            faults=[none] if self.certified is None else [],
+            faults=[none] * (self.certified is None) + [thin] * (self.sampled >= MAX_SAMPLED_RATE),
             tables=[
                 Table(
                     columns=("joint", "certified", "found", "computed torque, found", "unit"),

@@ -196,7 +196,7 @@ class LawSide:
         added = () if self.limits is None else self.limits.terms(command, self.title)
         measured = self.measurements_at_rest(self.arm.home)
         at_rest = self.sensing_at_start(measured, self._own_parameters)
-        at_rest |= self._observer_at_start(measured, np.zeros(self.arm.n), self._own_parameters)
+        at_rest |= self._observed(measured, np.zeros(self.arm.n), self._own_parameters, self.dt)
         limits: dict[str, Any] = fresh_blend(self.arm.n) if "blend" in added else {}
         follows = "tau_applied" in x.used or self.sensing.observer is not None
         if (torque and follows) or {"rate_limit", "blend"} & set(added):
@@ -261,6 +261,8 @@ class LawSide:
     def recorded(self) -> dict[str, str]:
         """Paths of the memory that a run keeps, as it is after each tick, by its column: law.ik_error."""
         of_task = {} if self.task is None else {"phase": "law.phase", "phase_ended": "law.ended"}
+        if "law.energy" in self.probe.shapes and self.task is not None:
+            of_task["energy"] = "law.energy"
         kept = (f"{path}.{name}" for path, law in self.laws for name in law.recorded)
         return of_task | {path: path for path in kept if path in self.probe.shapes}
 
@@ -299,15 +301,20 @@ class LawSide:
         own, payload = subtree(parameters, "sensing"), _payload_of(parameters)
         return self.sensing.start(self.arm, self._with_v(measured), own, payload)
 
-    def _observer_at_start(
-        self, seen: Mapping[str, Any], tau: Vector, parameters: Mapping[str, Any]
+    def _observed(
+        self,
+        seen: Mapping[str, Any],
+        tau: Vector,
+        parameters: Mapping[str, Any],
+        dt: Any,
+        memory: Mapping[str, Any] | None = None,
     ) -> dict[str, Any]:
-        """Its memory in the first tick, under a torque tau (n,) that the plant holds, by path below "sensing"."""
+        """The observer's memory under a torque tau (n,) that the plant holds, by path below "sensing"."""
         observer, own = self.sensing.observer, subtree(parameters, "sensing.observer")
         if observer is None:
             return {}
-        memory = observer.start(self.arm, seen, tau, self.adds, own, _payload_of(parameters), self.dt)
-        return {f"observer.{name}": value for name, value in memory.items()}
+        new = observer.observe(self.arm, seen, tau, self.adds, own, _payload_of(parameters), dt, memory)
+        return {f"observer.{name}": value for name, value in new.items()}
 
     def _estimated(self, q: Vector, tau_ext: Vector, parameters: Mapping[str, Any]) -> dict[str, Any]:
         """What the law sees of an estimate, by name."""
@@ -363,7 +370,7 @@ class LawSide:
         held = tm.where(measured[KNOWN] > 0.5, measured[HELD], rest) if KNOWN in measured else rest
         limits = {**fresh_blend(n), "tau_applied": held, "tau_cut": tm.zeros(n)}
         if self.sensing.observer is not None:
-            sensing |= self._observer_at_start(seen, held, parameters)
+            sensing |= self._observed(seen, held, parameters, self.dt)
             seen |= self._estimated(seen["q"], tm.zeros(n), parameters)
         x = self._snapshot(seen, parameters, limits if "limits.tau_applied" in shapes else {})
         law = self.law.bound(subtree(parameters, "law"))
@@ -390,18 +397,9 @@ class LawSide:
             before = {**before, "tau_cut": tm.where(begins, tm.zeros(self.arm.n), before["tau_cut"])}
         seen, sensing = self.sense(measured, subtree(memory, "sensing"), parameters, dt)
         if self.sensing.observer is not None:
-            tau_ext, observed = self.sensing.observer.observe(
-                self.arm,
-                seen,
-                before.get("tau_applied", np.zeros(self.arm.n)),
-                self.adds,
-                nested["sensing"]["observer"],
-                subtree(parameters, "sensing.observer"),
-                _payload_of(parameters),
-                dt,
-            )
-            seen |= self._estimated(seen["q"], tau_ext, parameters)
-            sensing |= {f"observer.{name}": value for name, value in observed.items()}
+            tau = before.get("tau_applied", np.zeros(self.arm.n))
+            sensing |= self._observed(seen, tau, parameters, dt, nested["sensing"]["observer"])
+            seen |= self._estimated(seen["q"], sensing["observer.tau_ext"], parameters)
         x = self._snapshot(seen, parameters, before)
         law = self.law.bound(subtree(parameters, "law"))
         given_by_law, after = call(law, x, ref, _nested_memory(law, nested.get("law", {})), dt)

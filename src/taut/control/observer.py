@@ -8,7 +8,6 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.base.checks import entry_names
 from taut.base.errors import MatchError, RangeError
 from taut.base.fields import Choice, Declared, Field
 from taut.base.types import Array, Vector
@@ -20,7 +19,6 @@ from taut.maths.task_inertia import TaskInertia
 from taut.trace import math as tm
 
 Values = Mapping[str, Any]
-MAX_GAIN: Final = 1.0  # [-] bandwidth times period: from here on the estimate overshoots what it estimates
 WRENCH_DAMPING: Final = 1e-4  # [1/kg, 1/(kg m^2)] a direction in which the tool seems heavier than 10 t has no F_ext
 
 
@@ -100,18 +98,16 @@ class MomentumObserver(Declared):
     def check_fit(self, arm: Arm, rate: float) -> None:
         """It must fit an arm and a rate [Hz]. Raises ShapeError, RangeError."""
         self.check_size(arm.joint_names, "sensing.observer.")
-        values = np.asarray(self.bandwidth)
-        if np.any(values >= MAX_GAIN * rate):
-            index = [int(i) for i in np.argwhere(values >= MAX_GAIN * rate)[0]]
-            value = float(values[tuple(index)])
-            who = entry_names("sensing.observer.bandwidth", index, arm.joint_names)
+        values = np.broadcast_to(self.bandwidth, (arm.n,))
+        i = int(np.argmax(values >= rate))
+        if values[i] >= rate:
             raise RangeError(
-                f"{who} must be < {MAX_GAIN * rate:g} [1/s], the controller's rate, or the estimate overshoots; got "
-                f"{value!r}; half of it serves laws that feed the estimate back",
+                f"sensing.observer.bandwidth of joint '{arm.joint_names[i]}' must be < {rate:g} [1/s], the "
+                f"controller's rate, or the estimate overshoots; got {values[i]:g}; half of it serves laws that feed "
+                "the estimate back",
                 name="sensing.observer.bandwidth",
-                joint=arm.joint_names[index[0]] if index else None,
-                value=value,
-                rule="below the rate",
+                joint=arm.joint_names[i],
+                value=float(values[i]),
             )
 
     def check_command(self, kind: str, law: str) -> None:
@@ -123,31 +119,28 @@ class MomentumObserver(Declared):
                 name="sensing.observer",
             )
 
-    def start(
-        self, arm: Arm, seen: Values, tau: Vector, adds: Adds, parameters: Values, payload: PayloadValues, dt: Any
-    ) -> dict[str, Any]:
-        """Memory of an arm on which nothing external acts, in the tick of `seen`, under tau (n,) until then."""
-        tau = seen["tau_meas"] if self.torque == "measured" else tau
-        p, b = self._balance(arm, seen, tau, adds, parameters, payload)
-        return {"tau_ext": tm.zeros(arm.n), "momentum": p - 0.5 * dt * b - dt * tau}
-
     def observe(
         self,
         arm: Arm,
         seen: Values,  # measurements as the law sees them, by name
         tau: Vector,  # (n,) command of the last tick, after limits
         adds: Adds,
-        memory: Values,
         parameters: Values,
         payload: PayloadValues,
         dt: Any,
-    ) -> tuple[Vector, dict[str, Any]]:
-        """(n,) tau_ext [N m | N], and the new memory: it, and the momentum with half a period of what changes it."""
+        memory: Values | None = None,
+    ) -> dict[str, Any]:
+        """New memory: (n,) tau_ext [N m | N], and the momentum with half a period of what changes it.
+
+        Without memory it is that of the tick before, of an arm on which nothing external acts.
+        """
         tau, gain = seen["tau_meas"] if self.torque == "measured" else tau, parameters["bandwidth"]
         p, b = self._balance(arm, seen, tau, adds, parameters, payload)
-        unexplained = p - 0.5 * dt * b - memory["momentum"] - dt * tau
-        r = (1.0 - gain * dt) * memory["tau_ext"] + gain * unexplained
-        return r, {"tau_ext": r, "momentum": p + 0.5 * dt * b}
+        before = p - 0.5 * dt * b - dt * tau
+        if memory is None:
+            return {"tau_ext": tm.zeros(arm.n), "momentum": before}
+        r = (1.0 - gain * dt) * memory["tau_ext"] + gain * (before - memory["momentum"])
+        return {"tau_ext": r, "momentum": p + 0.5 * dt * b}
 
     def _balance(
         self, arm: Arm, seen: Values, tau: Vector, adds: Adds, parameters: Values, payload: PayloadValues

@@ -351,7 +351,8 @@ def directions(
     system: LinearSystem, mode: Mode, joints: Sequence[str], M: Float64Array, J: Float64Array
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Fractions of the joints, and of the tool's world axes by kinetic energy, in a mode; the largest first."""
-    of_joints = [sum(mode.participation.get(f"plant.{x}[{i}]", 0.0) for x in "qv") for i in range(len(joints))]
+    sides = ("q", "v", "q_motor", "v_motor")  # link and motor of an elastic joint
+    of_joints = [sum(mode.participation.get(f"plant.{x}[{i}]", 0.0) for x in sides) for i in range(len(joints))]
     velocity = np.abs(J @ mode.shape[system.state_places("plant.q")]) ** 2  # of a mode, v = (z - 1) q / dt
     mobility = np.diag(J @ np.linalg.solve(M, J.T))
     energy = np.divide(velocity, mobility, out=np.zeros(6), where=mobility > MIN_MOBILITY * mobility.max(initial=0.0))

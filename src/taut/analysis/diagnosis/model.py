@@ -12,6 +12,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from scipy.optimize import least_squares, lsq_linear
 
+from taut.analysis.identification.regression import ArmRegression
 from taut.arm.description import Arm
 from taut.base.types import Array, Float64Array
 from taut.codegen.program import over_rows
@@ -85,13 +86,11 @@ class ArmModel:
         count = len(self.run) - 1
         return np.unique(np.linspace(0, count - 1, min(count, FIT_TICKS)).round().astype(np.intp))
 
-    def _each(self, payload: Float64Array, *, moving: bool) -> Float64Array:
-        """(ticks, n) torques with a payload (10,), or (ticks, 10) one at each tick."""
-        v, a = self.run.v[self.ticks], self.acceleration
-        if not moving:
-            v, a = np.zeros_like(v), np.zeros_like(a)
-        load = {name: np.broadcast_to(payload, (len(v), 10))[:, columns] for name, columns in PAYLOAD.items()}
-        return _torques_of(self.arm)(q=self.run.q[self.ticks], v=v, a=a, **load)["tau"]
+    def _torques(self, factor: float) -> Float64Array:
+        """(ticks, n) torques with the declared payload, with velocities and accelerations times a factor."""
+        payload, v, a = self.payloads[self.ticks], self.run.v[self.ticks], self.acceleration
+        load = {name: payload[:, columns] for name, columns in PAYLOAD.items()}
+        return _torques_of(self.arm)(q=self.run.q[self.ticks], v=factor * v, a=factor * a, **load)["tau"]
 
     @cached_property
     def acceleration(self) -> Float64Array:
@@ -103,12 +102,12 @@ class ArmModel:
     @cached_property
     def gravity(self) -> Float64Array:
         """(ticks, n) g with the declared payload."""
-        return self._each(self.payloads[self.ticks], moving=False)
+        return self._torques(0.0)
 
     @cached_property
     def motion(self) -> Float64Array:
         """(ticks, n) M a + C v + g with the declared payload."""
-        return self._each(self.payloads[self.ticks], moving=True)
+        return self._torques(1.0)
 
     @cached_property
     def residual(self) -> Float64Array:
@@ -118,15 +117,10 @@ class ArmModel:
     @cached_property
     def payload_columns(self) -> Float64Array:
         """(ticks, n, 10) torque of a payload by what it is linear in: its mass, moment and inertia at the tool."""
-        unit = np.eye(10)
-        empty = self._each(np.zeros(10), moving=True)
-        at = self._each(unit[0], moving=True) - empty
-        turning = [self._each(unit[4 + i], moving=True) - empty for i in range(6)]
-        moments = []
-        for i in range(3):
-            one = self._each(unit[0] + unit[1 + i], moving=True) - empty - at
-            moments.append(one - sum(turning[j] for j in range(3) if j != i))
-        return np.stack([at, *moments, *turning], axis=2)
+        if not self.tool.links:
+            return np.zeros((*self.acceleration.shape, 10))
+        state = self.run.q[self.ticks], self.run.v[self.ticks], self.acceleration
+        return ArmRegression(self.arm, ("payload",)).columns(*state)[0]
 
     @cached_property
     def tool(self) -> Chain:

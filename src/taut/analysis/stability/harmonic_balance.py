@@ -28,12 +28,12 @@ MAX_JUMPS: Final = 64  # in a period: of more, each changes little
 FIRST_GRID: Final = 64  # frequencies, and amplitudes, before they are refined
 LARGEST_STEP: Final = (0.1, 0.4)  # [-] change of G and of N from one to the next, with one element and with several
 REFINEMENTS: Final = 10  # halvings of a step at most, and only below so many points
-MAX_POINTS: Final = 400
+MAX_GRID: Final = 400
 OFF_AXIS: Final = 1e-12  # [-] of a frequency, so that no pole lies on the grid
 SOLVER_STEPS: Final = 25  # evaluations for each unknown: starts are near
-MARGIN: Final = 0.25  # [-] of the change over a cell: a root this near to it is looked for as well
+CELL_MARGIN: Final = 0.25  # [-] of the change over a cell: a root this near to it is looked for as well
 SWEEPS: Final = 12  # of the amplitudes of other elements, at a frequency and an amplitude of the first
-SETTLED: Final = 0.2  # [-] change of such an amplitude in the last sweep
+SETTLED_CHANGE: Final = 0.2  # [-] change of such an amplitude in the last sweep
 OTHER_AMPLITUDES: Final = (1e-9, 1e9, 193)  # [-] of the first one's range, for the tables of other elements
 COARSE_FREQUENCIES: Final = 17  # of the table of an element that depends on the rate's size
 BELOW_HALF_RATE: Final = 0.9  # [-] above it a sampled sine is none
@@ -170,7 +170,7 @@ def _refined(low: float, high: float, of: Callable[[Float64Array], Complex], lar
     for _ in range(REFINEMENTS):
         size = np.linalg.norm(values, axis=1)
         coarse = np.linalg.norm(np.diff(values, axis=0), axis=1) > largest * np.maximum(size[1:], size[:-1])
-        if not coarse.any() or len(points) > MAX_POINTS:
+        if not coarse.any() or len(points) > MAX_GRID:
             break
         after = np.flatnonzero(coarse) + 1
         middle = np.sqrt(points[after - 1] * points[after])
@@ -185,7 +185,7 @@ def _cells_of_roots(F: Complex) -> list[list[int]]:
     for part in (F.real, F.imag):
         corners = np.stack([part[:-1, :-1], part[1:, :-1], part[:-1, 1:], part[1:, 1:]])
         least, largest = corners.min(axis=0), corners.max(axis=0)
-        inside = inside & (np.abs(least + largest) <= (1.0 + 2.0 * MARGIN) * (largest - least))
+        inside = inside & (np.abs(least + largest) <= (1.0 + 2.0 * CELL_MARGIN) * (largest - least))
     cells: list[list[int]] = np.argwhere(inside).tolist()
     return cells
 
@@ -271,24 +271,21 @@ class _Balance:
                 change = np.sqrt(np.clip(np.abs(rest), wide[0], wide[-1]) / y[..., 1:])
                 y[..., 1:] *= change
             balance = loop[..., 0, 0] + np.sum(loop[..., 0, 1:] * rest / y[..., :1], axis=-1)
-            balance[(np.abs(np.log(change)) > SETTLED).any(axis=-1)] = np.nan
+            balance[(np.abs(np.log(change)) > SETTLED_CHANGE).any(axis=-1)] = np.nan
             for i, j in _cells_of_roots(balance):
                 signals = np.array([grid[j : j + 2].mean(), *rest[i, j]])[np.argsort(order)]
                 found.append(np.array([omegas[i : i + 2].mean(), *(signals / signals[0] * abs(signals[0]))]))
         return found
 
     def _table(self, k: int, omegas: Float64Array, sizes: Float64Array) -> Complex:
-        function = self.functions[k]
-        return np.array([[self._harmonic(function, w, a, exact=False) for a in sizes] for w in omegas])
+        return np.array([[self._harmonic(self.functions[k], w, a, exact=False) for a in sizes] for w in omegas])
 
     def _interpolated(self, k: int, omegas: Float64Array, sizes: Float64Array) -> Any:
         """A describing function by logarithms of frequency and amplitude; most do not depend on the frequency."""
         coarse = np.geomspace(omegas[0], omegas[-1], COARSE_FREQUENCIES)
         table = self._table(k, coarse[[0, -1]], sizes)
-        if np.allclose(table[0], table[1], rtol=ALIKE):
-            coarse = coarse[[0, -1]]
-        else:
-            table = self._table(k, coarse, sizes)
+        alike = np.allclose(table[0], table[1], rtol=ALIKE)
+        coarse, table = (coarse[[0, -1]], table) if alike else (coarse, self._table(k, coarse, sizes))
         return RegularGridInterpolator((np.log(coarse), np.log(sizes)), table, bounds_error=False, fill_value=None)
 
     def solved(self, start: Complex, *, exact: bool) -> Complex | None:

@@ -324,14 +324,17 @@ class FullStateFeedback(Law):
         A = np.array([[0.0, 1.0, 0.0, 0.0], link, [0.0, 0.0, 0.0, 1.0], motor])
         Ad, Bd, *_ = cont2discrete((A, np.array([[0.0], [0.0], [0.0], [1.0 / B]]), np.eye(4), np.zeros((4, 1))), dt)
         desired = np.asarray(poles, dtype=np.complex128)
+        wrong = RangeError(
+            "poles must be four [1/s], finite, with negative real parts, all different, and conjugates in pairs, "
+            f"such as -20, -22, -24, -26; got {[x.real if x.imag == 0.0 else x for x in desired.tolist()]}",
+            name="poles",
+        )
+        if np.any(desired.real >= 0.0):
+            raise wrong
         try:
             gains = place_poles(Ad, Bd, np.exp(desired * dt)).gain_matrix[0]
         except ValueError as cause:
-            raise RangeError(
-                "poles must be four, finite, all different, and conjugates in pairs, such as -20, -22, -24, -26; "
-                f"got {desired.tolist()}",
-                name="poles",
-            ) from cause
+            raise wrong from cause
         return cls(stiffness=K, feedback=gains)
 
     def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002

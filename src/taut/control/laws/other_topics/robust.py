@@ -79,15 +79,16 @@ class Uncertainty(Declared):
         for name in ("payload", "viscous", "coulomb"):
             low, high = (0.0, 0.0) if getattr(self, name) is None else getattr(self, name)
             if np.any(low > high):
-                self.refuse(name, f"must be (smallest, largest); got {np.stack([low, high]).tolist()}", RangeError)
+                got = f"({np.squeeze(low).tolist()}, {np.squeeze(high).tolist()})"
+                self.refuse(name, f"must be (smallest, largest); got {got}", RangeError)
 
     def check_arm(self, model: Model) -> None:
         """Refuse an arm that these intervals are not for: other joints, or links that are no rigid bodies."""
         own = model.arm.payload
         if own.mass + self.payload[0] < 0.0:
             raise RangeError(
-                f"uncertainty.payload must begin at {-own.mass:g} [kg] or above, for the arm carries {own.mass:g} "
-                f"kg; got {self.payload[0]:g}",
+                f"uncertainty.payload must begin at {0.0 - own.mass:g} [kg] or above, for the arm carries "
+                f"{own.mass:g} kg; got {self.payload[0]:g}",
                 name="payload",
             )
         if np.any(self.payload) and model.placement(None)[0] == BASE:
