@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable
 from typing import Any
@@ -16,6 +17,7 @@ import taut
 import taut.math as tm
 from taut.base.types import Float64Array
 from taut.control.laws.other_topics.flexible_joint import desired_motor, spring_torque
+from taut.control.trajectories.reference import rows_of
 from taut.maths import dynamics as dyn
 from taut.maths.model import PayloadValues, model_of
 from taut.trajectories import SmoothMotion
@@ -25,6 +27,7 @@ PLANAR2 = taut.load_arm("planar2").with_joints(rotor_inertia=[0.3, 0.1]).with_fr
 PANDA = taut.load_arm("panda").with_joints(rotor_inertia=[0.6] * 4 + [0.2] * 3).with_friction(FREE)
 UR10 = taut.load_arm("ur10").with_joints(rotor_inertia=[1.0] * 3 + [0.3] * 3).with_friction(FREE)
 ONE = taut.load_arm("one_joint", gravity=[0.0, 0.0, 0.0]).with_joints(rotor_inertia=0.2).with_friction(FREE)
+LOADED = {mass: PLANAR2.with_payload(mass) for mass in (0.1, 0.5)}
 SENSORS = taut.sensors.Sensors(
     motor=taut.sensors.Encoder(), motor_velocity=taut.sensors.Tachometer(), torque=taut.sensors.TorqueSensor()
 )
@@ -51,6 +54,28 @@ def of_panda() -> taut.trajectories.Sine:
     return reference(PANDA, A.tolist(), [0.5, 0.4, 0.6, 0.5, 0.7, 0.6, 0.5])
 
 
+@functools.lru_cache
+def spring_period(arm: taut.Arm, h: float, substeps: int) -> Any:
+    """Motion of links and motors in a period, of (q, v, q_motor, v_motor), tau, K, D and B: RK4, one code per arm."""
+    n, model, payload = arm.n, model_of(arm.with_joints(rotor_inertia=0.0)), PayloadValues.of(arm.payload)
+
+    def period(y: Float64Array, tau: Float64Array, K: Float64Array, D: Any, B: Float64Array) -> Float64Array:
+        def rates(y: Float64Array) -> Float64Array:
+            q, v, q_m, v_m = (y[k * n : (k + 1) * n] for k in range(4))
+            spring = K * (q_m - q) + D * (v_m - v)
+            a = dyn.forward_dynamics(model, q, v, spring, payload)
+            return tm.array([*v, *a, *v_m, *((tau - spring) / B)])
+
+        for _ in range(substeps):
+            k1 = rates(y)
+            k2 = rates(y + 0.5 * h * k1)
+            k3 = rates(y + 0.5 * h * k2)
+            y = y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + rates(y + h * k3))
+        return y
+
+    return taut.native(period, y=4 * n, tau=n, K=n, D=(), B=n)
+
+
 def followed(
     law: taut.Law,
     arm: taut.Arm,
@@ -69,30 +94,14 @@ def followed(
 
     The motors start with the spring torque of the reference and its rate, in a law of rigid joints with gravity's.
     """
-    n, h = arm.n, 1.0 / (rate * substeps)
+    n, B, K = arm.n, arm.rotor_inertia, K * np.ones(arm.n)
     links = (true or arm).with_joints(rotor_inertia=0.0)
-    model, payload, B, K = model_of(links), PayloadValues.of(links.payload), arm.rotor_inertia, K * np.ones(n)
-
-    def rates(y: Float64Array, tau: Float64Array) -> Float64Array:
-        q, v, q_m, v_m = (y[k * n : (k + 1) * n] for k in range(4))
-        spring = K * (q_m - q) + D * (v_m - v)
-        a = dyn.forward_dynamics(model, q, v, spring, payload)
-        return tm.array([*v, *a, *v_m, *((tau - spring) / B)])
-
-    def period(y: Float64Array, tau: Float64Array) -> Float64Array:
-        for _ in range(substeps):
-            k1 = rates(y, tau)
-            k2 = rates(y + 0.5 * h * k1, tau)
-            k3 = rates(y + 0.5 * h * k2, tau)
-            y = y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + rates(y + h * k3, tau))
-        return y
-
-    advance = taut.native(period, y=4 * n, tau=n)
+    advance = spring_period(true or arm, 1.0 / (rate * substeps), substeps)
     k = taut.compile(law, arm, rate=rate).bind()
     ticks = round(duration * rate)
-    rows = [SmoothMotion.taken(ref.at(i / rate)) for i in range(ticks)]
+    table: Any = rows_of(ref, np.arange(ticks) / rate, SmoothMotion)
+    rows = [taut.JointMotion.of({name: getattr(table, name)[i] for name in "qvajs"}) for i in range(ticks)]
     first = rows[0]
-    assert first is not None
     q = first.q + off
     x = taut.snapshot(links, q, first.v)
     if seen == "both":
@@ -118,7 +127,7 @@ def followed(
                 array[:] = getattr(row, field)
         k.tick()
         errors[i] = row.q - q
-        y = advance(y, k.command)
+        y = advance(y, k.command, K, np.array(D), B)
     return errors
 
 
@@ -183,7 +192,7 @@ class TestFigures:
         }  # fmt: skip
         for (mass, omega), figure in expected.items():
             law = motor_side(K2) if omega is None else linearising(omega, K2)
-            found = figures(followed(law, PLANAR2, K2, of_planar2(), true=PLANAR2.with_payload(mass)))[0]
+            found = figures(followed(law, PLANAR2, K2, of_planar2(), true=LOADED[mass]))[0]
             assert found == pytest.approx(figure, rel=ROW)
 
     def test_the_error_of_the_fast_torque_loop_falls_with_its_bandwidth(self) -> None:

@@ -56,12 +56,10 @@ class SetPointCondition(Result):
         """Verdict and stiffness of each joint."""
         i = int(np.argmin(self.series))
         found = (
-            f"the stiffness of spring and gain in series is {self.margin:.3g} times alpha = {self.alpha:.4g} N m/rad"
+            f"spring and gain in series give joint '{self.joints[i]}' {self.series[i]:.4g} N m/rad, "
+            f"{self.margin:.3g} times alpha = {self.alpha:.4g} N m/rad, the largest slope of gravity"
         )
-        weak = (
-            f"spring and gain in series give joint '{self.joints[i]}' {self.series[i]:.4g} N m/rad, and gravity's "
-            f"slope alpha is up to {self.alpha:.4g}: the proof does not hold; raise kp, or take a stiffer joint"
-        )
+        weak = f"{found}: the proof does not hold; raise kp, or take a stiffer joint"
         rows = list(zip(self.joints, self.series.tolist(), strict=True))
         return Content(
             title="set-points of motor-side PD",

@@ -27,23 +27,14 @@ INSIDE: Final = 1e-9  # [-] below one, of the modulus of a pole that is within t
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Lqr(Result):
-    """A linear-quadratic regulator at a pose.
+    """A linear-quadratic regulator at a pose."""
 
-    Args:
-        law: The `taut.laws.StateFeedback` to compile and run.
-        K: (n, 2 n) gains of positions, then of velocities: tau = tau_0 - K (x - x_0).
-        P: (2 n, 2 n) the cost that is left from a state, x^T P x.
-        system: The closed loop from tick to tick.
-        arm: Name of the arm.
-        q: (n,) the pose [rad | m].
-    """
-
-    law: StateFeedback
-    K: Float64Array
-    P: Float64Array
-    system: LinearSystem
-    arm: str
-    q: Float64Array
+    law: StateFeedback  # to compile and run
+    K: Float64Array  # (n, 2 n) gains of positions, then of velocities: tau = tau_0 - K (x - x_0)
+    P: Float64Array  # (2 n, 2 n) the cost that is left from a state, x^T P x
+    system: LinearSystem  # the closed loop from tick to tick
+    arm: str  # its name
+    q: Float64Array  # (n,) the pose [rad | m]
 
     @property
     def poles(self) -> Complex:

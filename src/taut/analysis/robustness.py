@@ -65,8 +65,12 @@ class Bounds:
 
     M: Float64Array  # (k, n, n) of the law's model
     light: Float64Array  # (k, n, n) of the lightest arm
-    heavy: Float64Array  # (k, n, n) of the heaviest arm
     rho: Float64Array  # (k, n) largest error of the law's torques
+
+    @property
+    def heavy(self) -> Float64Array:
+        """(k, n, n) of the heaviest arm: M is in the middle."""
+        return 2.0 * self.M - self.light
 
     @property
     def mobility(self) -> Float64Array:
@@ -101,7 +105,7 @@ class UncertainArm:
             M, light = (dyn.mass_matrix(dataclasses.replace(model, bodies=(*x,)), q) for x in (middle, lightest))
             rest = torques(np.zeros(n))
             slopes = tm.jacobian(lambda s: torques(s).reshape(-1), np.zeros(n)).reshape(*rest.shape, n)
-            return {"M": M, "light": light, "heavy": 2.0 * M - light, "torques": rest, "slopes": slopes}
+            return {"M": M, "light": light, "torques": rest, "slopes": slopes}
 
         self._at = over_rows(at, q=n, v_ref=n, a_ref=n)
 
@@ -117,7 +121,11 @@ class UncertainArm:
         # friction errs most at an end: towards v_des the error falls, and beyond v_des it grows with v - v_des
         ends = (friction_and_error(*self.friction, v_ref + s, rows.v, self.law.width) for s in (-np.asarray(S), S))
         rho += np.maximum(*(error for _, error in ends)) + self.law.uncertainty.disturbance
-        return Bounds(M=x["M"], light=x["light"], heavy=x["heavy"], rho=rho)
+        if not rho.any():
+            raise RangeError(
+                "uncertainty must have an interval of some width; nothing in it is unknown", name="links"
+            )
+        return Bounds(M=x["M"], light=x["light"], rho=rho)
 
     def level_set(self, rows: JointMotion, V: float) -> Float64Array | None:
         """(n,) bounds S of |s| on the smallest level set of V that holds what it implies; None without one."""
@@ -150,12 +158,6 @@ def _along(arm: Arm, reference: Trajectory | Sample, duration: float, instants: 
     instance_of("arm", arm, Arm, "an Arm from taut.load_arm")
     times = np.linspace(0.0, positive_scalar("duration", duration, unit="s"), instants)
     return known_rows("reference", reference, times, arm.n)
-
-
-def _of_some_width(found: Bounds) -> Bounds:
-    if not found.rho.any():
-        raise RangeError("uncertainty must have an interval of some width; nothing in it is unknown", name="links")
-    return found
 
 
 def boundary_layer(
@@ -199,7 +201,7 @@ def boundary_layer(
         [0.017, 0.05]
     """
     rows = _along(arm, reference, duration, INSTANTS)
-    x = _of_some_width(UncertainArm(arm, Robust(lam=lam, k=k, phi=1.0, uncertainty=uncertainty)).bounds(rows))
+    x = UncertainArm(arm, Robust(lam=lam, k=k, phi=1.0, uncertainty=uncertainty)).bounds(rows)
     rho, mobility, limit = x.rho.max(axis=0), x.mobility, MAX_LAYER_RATE * rate_in_hertz(rate)
     max_k = limit / float(_largest(x.M, x.light).max())
     if k >= max_k:
@@ -241,15 +243,8 @@ class Certificate(Result):
         """Both figures for each joint, and computed torque's."""
         certified = [None] * len(self.joints) if self.certified is None else self.certified.tolist()
         columns = certified, self.found.tolist(), self.computed_torque.tolist()
-        faults = []
-        if self.certified is None:
-            faults += [
-                "no certificate: the level set on which rho holds grows without end; take a thinner phi or a larger k"
-            ]
-        if self.sampled >= MAX_SAMPLED_RATE:
-            faults += [
-                "the layer is too thin for the rate: the sampled loop is unstable in it and chatters; raise phi"
-            ]
+        none = "no certificate: the level set on which rho holds grows without end; take a thinner phi or a larger k"
+        thin = "the layer is too thin for the rate: the sampled loop is unstable in it and chatters; raise phi"
         notes = [
             f"found: in {self.runs} simulations of arms of the set, corners among them, and a search from the worst",
             "certified: in continuous time, from a start on the reference, while no torque saturates; exact over the "
@@ -261,7 +256,7 @@ class Certificate(Result):
         ]
         return Content(
             title="robust control: error certified, and largest error found",
-            faults=faults,
+            faults=[none] * (self.certified is None) + [thin] * (self.sampled >= MAX_SAMPLED_RATE),
             tables=[
                 Table(
                     columns=("joint", "certified", "found", "computed torque, found", "unit"),
@@ -321,7 +316,7 @@ def certify(
     instance_of("law", law, Robust, "a taut.laws.Robust")
     rows, trials = _along(arm, reference, duration, INSTANTS), whole_number("trials", trials, minimum=2)
     arms, k = UncertainArm(arm, law), float(law.k)
-    x = _of_some_width(arms.bounds(rows))
+    x = arms.bounds(rows)
     start = float(x.c.max() * (x.rho.max(axis=0) @ arms.phi)) / (8.0 * k)
     level = arms.level_set(_along(arm, reference, duration, LEVEL_INSTANTS), start)
     layer = k * x.M + np.einsum("ki,ij->kij", x.rho / arms.phi, np.eye(arm.n))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from scipy.linalg import null_space
+from scipy.linalg import block_diag, null_space
 
 from taut.analysis.identification.regression import ArmRegression, Unknown
 from taut.arm.description import Arm
@@ -94,8 +94,8 @@ def excitation(
     for size in SPREADS:  # by costs alone, which jump where the speed at a sample changes its sign
         points = np.vstack([best, best + size * rng.standard_normal((RANDOM, search.size))])
         best = points[[int(np.argmin(search.costs(points)))]]
-    cosines, sines = dense.within_torques(*dense.coefficients(best))
-    return Fourier(q0=arm.home, cosines=cosines[0], sines=sines[0], frequency=frequency, duration=duration)
+    cosines, sines = np.split(dense.within_torques(dense.coefficients(best))[0], 2)
+    return Fourier(q0=arm.home, cosines=cosines, sines=sines, frequency=frequency, duration=duration)
 
 
 def _per_joint(arm: Arm, name: str, given: ArrayLike, unit: str) -> Float64Array:
@@ -122,10 +122,11 @@ class _Search:
         self._regression, self._limits, arm = regression, limits, regression.arm
         order = np.arange(1, harmonics + 1)
         omega = 2.0 * np.pi * frequency * order
-        self._bases = null_space(order[np.newaxis] ** 2.0), null_space(order[np.newaxis] * 1.0)
+        self._basis = block_diag(null_space(order[np.newaxis] ** 2.0), null_space(order[np.newaxis] * 1.0))
         t = np.arange(samples * harmonics) / (samples * harmonics * frequency)
         c, s = np.cos(np.outer(t, omega)), np.sin(np.outer(t, omega))
-        self._parts = ((c - 1.0, s), (-s * omega, c * omega), (-c * omega**2, -s * omega**2))
+        parts = (c - 1.0, s), (-s * omega, c * omega), (-c * omega**2, -s * omega**2)
+        self._parts = [np.hstack(part) for part in parts]  # (samples, 2 h) each: of positions, speeds, accelerations
         self.size = 2 * (harmonics - 1) * arm.n
         self._x, rest = regression.K @ regression.nominal, np.zeros((1, arm.n))
         Y, known = regression.at(arm.home[np.newaxis], rest, rest)
@@ -140,32 +141,31 @@ class _Search:
                     joint=joint,
                 )
 
-    def coefficients(self, points: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """(k, h, n) each: cosines and sines within the limits."""
-        parts = points.reshape(len(points), 2, -1, self._regression.arm.n)
-        cosines, sines = (basis @ parts[:, i] for i, basis in enumerate(self._bases))
-        q, v, a = (C @ cosines + S @ sines for C, S in self._parts)
+    def coefficients(self, points: Float64Array) -> Float64Array:
+        """(k, 2 h, n) cosines and sines within the limits."""
+        found = self._basis @ points.reshape(len(points), -1, self._regression.arm.n)
+        q, v, a = (part @ found for part in self._parts)
         sizes = (q.max(axis=1), -q.min(axis=1), np.abs(v).max(axis=1), np.abs(a).max(axis=1))
         used = np.max([size / limit for size, limit in zip(sizes, self._limits, strict=True)], axis=0)[:, np.newaxis]
-        return cosines / used, sines / used
+        return np.asarray(found / used)
 
-    def _regressors(self, cosines: Float64Array, sines: Float64Array) -> tuple[Float64Array, Float64Array]:
+    def _regressors(self, coefficients: Float64Array) -> tuple[Float64Array, Float64Array]:
         """(k, samples, n, b) columns, and (k, samples, n) torques beyond those at home over their limit."""
-        q, v, a = (C @ cosines + S @ sines for C, S in self._parts)
+        q, v, a = (part @ coefficients for part in self._parts)
         flat = (x.reshape(-1, x.shape[2]) for x in (self._regression.arm.home + q, v, a))
         Y, known = self._regression.at(*flat)
         used = np.abs(known + Y @ self._x - self._weight) / self._torque
         return Y.reshape(*q.shape, -1), used.reshape(q.shape)
 
-    def within_torques(self, cosines: Float64Array, sines: Float64Array) -> tuple[Float64Array, Float64Array]:
+    def within_torques(self, coefficients: Float64Array) -> Float64Array:
         """Coefficients of one motion, made smaller where the torques need it."""
-        while (used := float(self._regressors(cosines, sines)[1].max())) > 1.0:
-            cosines, sines = cosines / max(used, SMALLER), sines / max(used, SMALLER)
-        return cosines, sines
+        while (used := float(self._regressors(coefficients)[1].max())) > 1.0:
+            coefficients = coefficients / max(used, SMALLER)
+        return coefficients
 
     def costs(self, points: Float64Array) -> Float64Array:
         """(k,) logarithm of the condition number, and torques beyond their limit."""
-        Y, used = self._regressors(*self.coefficients(points))
+        Y, used = self._regressors(self.coefficients(points))
         W = Y.reshape(len(points), -1, Y.shape[-1])
         unit = W / np.linalg.norm(W, axis=1, keepdims=True)
         sizes = np.linalg.eigvalsh(np.swapaxes(unit, 1, 2) @ unit)

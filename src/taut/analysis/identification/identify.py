@@ -119,30 +119,28 @@ class Identification(Result):
 
     def content(self) -> Content:
         """Estimates with intervals, what is uncertain or not identifiable, and the torques."""
-        payload, summary = self.arm.payload, []
-        if "payload" in {name.partition(".")[0] for name in self.estimates}:
-            com = ", ".join(f"{x:.4g}" for x in payload.com)
-            summary.append(f"payload {payload.mass:.4g} kg, centre of mass ({com}) m")
-        away = f"the estimate is of no possible body; the nearest is {self.distance:.2g} standard deviations away"
-        wrong = f"{away}: the torques are not those of this arm alone (does the plant add gravity itself?)"
-        if not self.physical and self.distance < IMPOSSIBLE:
-            summary.append(f"{away}, and the arm has it")
+        summary = []
+        if "payload.m" in self.estimates:
+            com = ", ".join(f"{x:.4g}" for x in self.arm.payload.com)
+            summary.append(f"payload {self.arm.payload.mass:.4g} kg, centre of mass ({com}) m")
+        faults, away = [], f"{self.distance:.2g} standard deviations away"
+        if self.distance >= IMPOSSIBLE:
+            faults = [f"the nearest possible body is {away}: does the plant add gravity itself, is it another arm?"]
+        elif not self.physical:
+            summary.append(f"the arm has the nearest possible body, {away}; the estimate itself is of none")
         summary += [f"{text}: {', '.join(names)}" for name, text in REMARKS.items() if (names := getattr(self, name))]
         rows = [(name, each.value, CONFIDENCE * each.std, each.unit) for name, each in self.estimates.items()]
-        residual = zip(self.arm.joint_names, *(part.tolist() for part in self.residual), strict=True)
+        residual = list(zip(self.arm.joint_names, *(part.tolist() for part in self.residual), strict=True))
+        heads = ("joint", "before [N m | N]", "after [N m | N]")
         tables = [
             Table(title="estimates", columns=("parameter", "value", "+- (95 %)", "unit"), rows=rows),
             Table(title="base parameters", columns=("name", "stands for"), rows=list(self.combinations.items())),
-            Table(
-                title="torque not explained, RMS",
-                columns=("joint", "before [N m | N]", "after [N m | N]"),
-                rows=list(residual),
-            ),
+            Table(title="torque not explained, RMS", columns=heads, rows=residual),
         ]
         return Content(
             title=f"identification from {len(self.t)} samples",
             summary=summary,
-            faults=[wrong] if self.distance >= IMPOSSIBLE else [],
+            faults=faults,
             tables=[table for table in tables if table.rows],
             notes=[f"condition number {self.condition:.3g}; correlation of successive residuals {self.lag:.2g}"],
             figures={"torques": partial(_figure, self)},

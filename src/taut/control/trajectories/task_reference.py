@@ -79,7 +79,20 @@ class TaskMotion(Sample):
 
     @classmethod
     def between(cls, times: Float64Array, knots: Float64Array, rows: Rows) -> dict[str, Float64Array]:
-        return between(times, knots, rows)
+        """At rest before the first knot and after the last.
+
+        Between them position and rotation vector are quintics with the given velocities and accelerations at both
+        ends: slerp where both rotate at the mean rate. Twist and acceleration are the rates of that motion.
+        """
+        if len(knots) == 1:
+            zero = np.zeros((len(times), 6))
+            places = np.zeros(len(times), dtype=np.intp)
+            return {"p": rows["p"][places], "R": rows["R"][places], "twist": zero, "acceleration": zero.copy()}
+        i = np.clip(np.searchsorted(knots, times, side="right") - 1, 0, len(knots) - 2)
+        h = knots[i + 1] - knots[i]
+        y = np.array(quintic_between(np.clip((times - knots[i]) / h, 0.0, 1.0), h, *piece_ends(rows)[:, :, i]))
+        y[1:, (times < knots[0]) | (times > knots[-1])] = 0.0
+        return tool_motion(rows["R"][i], y)
 
     @classmethod
     def at_rest(cls, x: Snapshot, tool: str | None) -> TaskMotion:
@@ -98,30 +111,12 @@ Offset = tuple[Float64Array, Float64Array, Float64Array]
 """A vector and its two rates, a row for each time."""
 
 
-def between(times: Float64Array, knots: Float64Array, rows: Rows) -> dict[str, Float64Array]:
-    """Each field at many times, from rows at the knots; at rest before the first and after the last.
-
-    Between knots position and rotation vector are quintics with the given velocities and accelerations at both ends:
-    slerp where both rotate at the mean rate. Twist and acceleration are the rates of that motion.
-    """
-    if len(knots) == 1:
-        zero = np.zeros((len(times), 6))
-        places = np.zeros(len(times), dtype=np.intp)
-        return {"p": rows["p"][places], "R": rows["R"][places], "twist": zero, "acceleration": zero.copy()}
-    i = np.clip(np.searchsorted(knots, times, side="right") - 1, 0, len(knots) - 2)
-    h = (knots[i + 1] - knots[i])[:, np.newaxis]
-    x = np.clip((times - knots[i]) / h[:, 0], 0.0, 1.0)
-    linear = [tuple(part[i + end] for part in linear_rates(rows)) for end in (0, 1)]
-    p, v, a = quintic_between(x, h, *linear)  # type: ignore[arg-type]  # tuples of three
-    ends = pieces(knots, rows)
-    r = quintic_between(x, h, *[tuple(part[i] for part in end) for end in ends])  # type: ignore[arg-type]
-    R = rows["R"][i] @ exp_rows(r[0])
+def tool_motion(R: Float64Array, y: Float64Array) -> dict[str, Float64Array]:
+    """The fields at positions and rotation vectors from R, with their rates: y (3, k, 6)."""
+    (p, v, a), r = y[:, :, :3], y[:, :, 3:]
+    R = R @ exp_rows(r[0])
     omega, alpha = (rotated_rows(R, part) for part in to_body_rates(*r))
-    out = {"p": p, "R": R, "twist": np.hstack([v, omega]), "acceleration": np.hstack([a, alpha])}
-    outside = (times < knots[0]) | (times > knots[-1])
-    for name in ("twist", "acceleration"):
-        out[name][outside] = 0.0
-    return out
+    return {"p": p, "R": R, "twist": np.hstack([v, omega]), "acceleration": np.hstack([a, alpha])}
 
 
 def quintic_between(x: Float64Array, h: Float64Array | float, start: Offset, end: Offset) -> Offset:
@@ -143,13 +138,14 @@ def linear_rates(rows: Rows) -> Offset:
     return rows["p"], rows["twist"][:, :3], rows["acceleration"][:, :3]
 
 
-def pieces(knots: Float64Array, rows: Rows) -> tuple[Offset, Offset]:
-    """The rotation vector from each knot's orientation and its rates: at the knot, and at the next one."""
+def piece_ends(rows: Rows) -> Float64Array:
+    """(2, 3, k, 6) position and rotation vector from each knot with their rates: at the knot, and at the next one."""
     R = rows["R"]
     omega, alpha = (_rotated_back(R, rows[name][:, 3:]) for name in ("twist", "acceleration"))
     reach = log_rows(R[:-1].transpose(0, 2, 1) @ R[1:])
-    start = np.zeros((len(knots) - 1, 3)), omega[:-1], alpha[:-1]
-    return start, (reach, *from_body_rates(reach, omega[1:], alpha[1:]))
+    turns = (np.zeros_like(reach), omega[:-1], alpha[:-1]), (reach, *from_body_rates(reach, omega[1:], alpha[1:]))
+    p = np.array(linear_rates(rows))
+    return np.concatenate([[p[:, :-1], p[:, 1:]], turns], axis=-1)
 
 
 def differences(times: Float64Array, p: Float64Array, R: Float64Array) -> tuple[Float64Array, Float64Array]:

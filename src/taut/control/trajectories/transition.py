@@ -10,15 +10,9 @@ from taut.base.errors import RangeError, ShapeError
 from taut.base.fields import Field, Part
 from taut.base.types import Float64Array
 from taut.control.trajectories.reference import JointMotion, Sample, stacked
-from taut.control.trajectories.task_reference import (
-    TaskMotion,
-    linear_rates,
-    pieces,
-    quintic_between,
-    rotated_rows,
-)
+from taut.control.trajectories.task_reference import TaskMotion, piece_ends, quintic_between, tool_motion
 from taut.control.trajectories.timing import GRID, MAX_OF_MOTION, Motion
-from taut.maths.spatial import exp_rows, to_body_rates
+from taut.maths.spatial import to_body_rates
 
 DURATIONS: Final = np.geomspace(1e-2, 1e3, 250)  # durations that are tried, over the time scale of the motion
 SPARSE: Final = 50  # one instant of the grid in so many is looked at first
@@ -93,10 +87,7 @@ class Transition(Motion[Sample]):
         if isinstance(self.start, JointMotion):
             return JointMotion.of(dict(zip("qva", y, strict=True)))
         assert isinstance(self.start, TaskMotion)
-        (p, v, a), r = y[:, :, :3], y[:, :, 3:]
-        R = self.start.R @ exp_rows(r[0])
-        omega, alpha = (rotated_rows(R, part) for part in to_body_rates(*r))
-        return TaskMotion.of({"p": p, "R": R, "twist": np.hstack([v, omega]), "acceleration": np.hstack([a, alpha])})
+        return TaskMotion.of(tool_motion(self.start.R, y))
 
     def _ends(self) -> Float64Array:
         """(2, 3, groups, size) value, rate and acceleration of the coordinates at start and goal.
@@ -106,9 +97,7 @@ class Transition(Motion[Sample]):
         both: Any = stacked([self.start, self.goal])
         if isinstance(both, JointMotion):
             return np.stack([both.q, both.v, both.a], axis=1)[..., np.newaxis]
-        rows = both.stated()
-        turns = [[part[0] for part in end] for end in pieces(np.array([0.0, 1.0]), rows)]
-        return np.stack([np.stack(linear_rates(rows), axis=1), turns], axis=2)
+        return piece_ends(both.stated()).reshape(2, 3, 2, 3)
 
     def _shortest(self, start: Float64Array, goal: Float64Array) -> tuple[list[float], list[Float64Array]]:
         """Knots, and the states at these: it goes to the goal at once, or after its acceleration has faded."""
