@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from taut.control.tasks.phase import Lasting as Lasting
     from taut.control.tasks.phase import collision as collision
     from taut.control.tasks.phase import contact as contact
+    from taut.control.tasks.phase import energy as energy
     from taut.control.tasks.phase import lasting as lasting
     from taut.control.tasks.phase import moved as moved
     from taut.control.tasks.phase import no_contact as no_contact

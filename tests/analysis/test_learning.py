@@ -282,22 +282,130 @@ def test_with_a_filter_the_input_comes_nearer_to_its_limit_by_the_factor(seed: i
     assert (apart[1:20] <= (factor * 1.001 + 1e-9) * apart[:19]).all()
 
 
-def test_a_push_that_changes_from_trial_to_trial_is_the_floor() -> None:
-    """More trials do not help against it, less learning in each does."""
+def pushes(trial: int) -> list[taut.Event]:
+    rng = np.random.default_rng(trial)
+    return [taut.Event.push(t=t, peak=[*rng.normal(0.0, 2.0, 2), 0.0]) for t in (0.2, 0.5, 0.8, 1.1, 1.4, 1.7)]
+
+
+def pushed(by: taut.analysis.LearningLaw, anyway: bool = True) -> Learning:
     arm = without_friction("planar2")
     plant = taut.RigidPlant(arm.with_payload(0.5), environment=taut.environments.Push(duration=0.2))
+    ref = there_and_back(arm, AMPLITUDES["planar2"])
+    return learn(computed_torque(arm), plant, ref, by=by, duration=2.0, trials=20, events=pushes, anyway=anyway)
 
-    def pushes(trial: int) -> list[taut.Event]:
-        rng = np.random.default_rng(trial)
-        return [taut.Event.push(t=t, peak=[*rng.normal(0.0, 2.0, 2), 0.0]) for t in (0.2, 0.5, 0.8, 1.1, 1.4, 1.7)]
 
-    ref, ends = there_and_back(arm, AMPLITUDES["planar2"]), {}
+def test_a_push_that_changes_from_trial_to_trial_is_the_floor() -> None:
+    """More trials do not help against it, less learning in each does. Learning says so, and goes on when asked."""
+    ends = {}
     for gain in (1.0, 0.3):
-        by = PDLearning(Lp=100.0 * gain, Ld=20.0 * gain, cutoff=10.0)
-        rms = learn(computed_torque(arm), plant, ref, by=by, duration=2.0, trials=20, events=pushes).rms
+        found = pushed(PDLearning(Lp=100.0 * gain, Ld=20.0 * gain, cutoff=10.0))
+        assert len(found.faults) == 1
+        rms = found.rms
         ends[gain] = np.mean(rms[12:])
         assert 0.5 < np.mean(rms[16:]) / np.mean(rms[12:16]) < 2.0
     assert ends[0.3] < 0.9 * ends[1.0]
+    ended = pushed(PD, anyway=False)
+    assert len(ended.rms) < 20
+    assert "a push that does not repeat" in ended.faults[0]
+
+
+QUINTIC = {"by": NormOptimal(), "duration": 1.2, "trials": 8}  # planar2, 1 kg that the law does not know
+
+
+def raised(arm: taut.Arm) -> taut.trajectories.Quintic:
+    """+0.5 rad of all joints in 1 s."""
+    return taut.trajectories.Quintic(q0=arm.home, q1=arm.home + 0.5, duration=1.0)
+
+
+@pytest.mark.parametrize(
+    ("law", "limits", "trials"),
+    [
+        (taut.laws.Adaptive(lam=10.0, k=10.0, gamma=5.0), None, 2),
+        (taut.laws.Robust(lam=10.0, k=10.0, phi=0.2, uncertainty=taut.laws.Uncertainty(payload=(0.0, 1.0))), None, 3),
+        (taut.laws.ComputedTorque(kp=100.0, kd=20.0), taut.Limits(tau=5.0), 2),
+        (taut.laws.ComputedTorque(kp=100.0, kd=20.0), None, 8),
+    ],
+    ids=["adaptive", "robust", "limited", "computed torque"],
+)
+def test_learning_ends_where_the_loop_is_not_the_linear_one(
+    law: Any, limits: taut.Limits | None, trials: int
+) -> None:
+    """Though the test passes: the first two diverge in 8 trials, the third does not learn, the last one does."""
+    arm = taut.load_arm("planar2")
+    ctrl = taut.compile(law, arm, limits=limits)
+    found = learn(ctrl, taut.RigidPlant(arm.with_payload(1.0)), raised(arm), **QUINTIC)
+    assert all(test.ok for test in found.tests)
+    assert len(found.rms) == len(found.limited) == trials
+    assert found.limited[0] == pytest.approx(0.0 if limits is None else 1.2)
+    assert ("cut the torque for up to 1.2 s" in str(found)) == (limits is not None)
+    if trials == 8:
+        assert not found.faults
+        assert found.rms[-1] < 1e-3 * found.rms[0]
+    else:
+        assert f"the error of trial {trials} must change" in found.faults[0]
+        assert found.promise == "nothing is promised: the trials went otherwise"
+
+
+@pytest.mark.long
+def test_friction_at_a_light_wrist_is_refused_or_ends_learning_and_rotors_mend_it() -> None:
+    """xarm7 has 2 N m s/rad and 1 N m at a joint of 1e-4 kg m^2, as its URDF has no rotors."""
+    arm = taut.load_arm("xarm7")
+    more = {"by": NormOptimal(), "duration": 1.2, "trials": 6}
+    plant = taut.RigidPlant(arm.with_payload(1.0))
+    with pytest.raises(taut.errors.RangeError, match="rotor_inertia of light joints") as caught:
+        learn(computed_torque(arm), plant, raised(arm), **more)
+    assert caught.value.value == pytest.approx(3.56, abs=0.01)
+    found = learn(computed_torque(arm.with_friction(taut.Friction())), plant, raised(arm), **more)
+    assert len(found.rms) == 2
+    assert "most in 'joint5'" in found.faults[0]
+    real = arm.with_joints(rotor_inertia=0.1)
+    mended = learn(computed_torque(real), taut.RigidPlant(real.with_payload(1.0)), raised(real), **more)
+    assert not mended.faults
+    assert 1e3 * np.array(mended.rms)[[0, 5]] == pytest.approx([353.0, 0.489], rel=0.01)
+
+
+@pytest.mark.long
+def test_the_other_figures_of_the_page() -> None:
+    """P-type learning with a low Q-filter, payloads, pushes and friction at light joints, of docs/learning.md."""
+    panda = without_friction("panda")
+    true = panda.with_friction(taut.Friction(viscous=0.05, coulomb=0.1)).with_payload(0.5)
+    place = panda.home + AMPLITUDES["panda"]
+    above = 0.5 * (panda.home + place) + [0.0, -0.2, 0.0, 0.2, 0.0, 0.0, 0.0]
+    points = [panda.home, above, place, above, panda.home]
+    motion, known = taut.trajectories.Spline(times=[0.0, 0.5, 1.0, 1.5, 2.0], points=points), computed_torque(panda)
+    slow = PDLearning(Lp=100.0, cutoff=1.0)
+    found = learn(known, taut.RigidPlant(true), motion, by=slow, duration=2.0, trials=20)
+    assert found.factor == pytest.approx(0.535, abs=1e-3)
+    assert found.best == 4
+    assert 1e3 * np.array(found.rms)[[4, 8, 19]] == pytest.approx([35.6, 42.7, 41.7], abs=0.05)
+
+    arm, ends = without_friction("planar2"), []
+    ref = there_and_back(arm, AMPLITUDES["planar2"])
+    for payload in (0.5, 1.0, 2.0, 4.0):
+        true = arm.with_payload(payload)
+        more = {"by": NormOptimal(), "duration": 2.0, "trials": 8, "arms": [true], "anyway": True}
+        found = learn(computed_torque(arm), taut.RigidPlant(true), ref, **more)
+        ends.append((found.factor, 1e3 * found.rms[0], 1e3 * found.rms[7]))
+    assert np.array(ends) == pytest.approx(
+        np.array([(0.9999, 146.3, 0.0102), (0.9999, 298.0, 0.53), (1.09, 614.0, 26.5), (1.27, 1113.0, 743.0)]),
+        rel=0.03,
+    )
+
+    laws = (PD, PDLearning(Lp=20.0, Ld=4.0, cutoff=10.0), NormOptimal(), NormOptimal(change=1e-4))
+    means = [1e3 * np.mean(pushed(by).rms[12:]) for by in laws]
+    assert means == pytest.approx([30.2, 20.1, 27.2, 21.8], abs=0.1)
+
+    plant = taut.RigidPlant(arm.with_payload(1.0))
+    adaptive = taut.compile(taut.laws.Adaptive(lam=10.0, k=10.0, gamma=5.0), taut.load_arm("planar2"))
+    found = learn(adaptive, plant, raised(arm), anyway=True, **QUINTIC)
+    assert 1e3 * np.array(found.rms)[:4] == pytest.approx([13.0, 19.2, 39.5, 60.3], rel=0.01)
+    assert "trial 8 ended early" in found.faults[1]
+
+    rough = panda.with_friction(taut.Friction(viscous=0.05, coulomb=0.3)).with_payload(0.5)
+    viscous = computed_torque(panda.with_friction(taut.Friction(viscous=0.05)))
+    for ctrl, end in ((known, 5.36), (viscous, 3.23)):
+        found = learn(ctrl, taut.RigidPlant(rough), motion, by=NormOptimal(), duration=2.0, trials=10)
+        assert 1e3 * np.array(found.rms)[[0, 9]] == pytest.approx([370.0, end], rel=0.01)
 
 
 def test_it_learns_from_what_the_sensors_show() -> None:
@@ -410,6 +518,8 @@ REF = taut.JointMotion(q=ARM.home)
         ({"by": 1.0}, "by must be a learning law"),
         ({"by": PDLearning(Lp=100.0, cutoff=500.0)}, "cutoff must be below half the rate, 500 Hz; got 500"),
         ({"by": PDLearning(Lp=[1.0, 2.0, 3.0])}, "by.Lp must be"),
+        ({"by": PDLearning(Lp=1e6)}, "set a cutoff of the Q-filter"),
+        ({"by": PDLearning(Lp=1e6, cutoff=400.0)}, "lower the cutoff of the Q-filter"),
         ({"trials": 0}, "trials"),
         ({"duration": 0.0}, "duration"),
         ({"plant": None}, "plant"),

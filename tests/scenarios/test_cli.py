@@ -180,7 +180,7 @@ class TestValuesOfAScenario:
         [
             ("law.kpp=4", "law.kpp", "did you mean 'law.kp'"),
             ("run.duraton=4", "[run]", "did you mean 'duration'?"),
-            ("plant.payloads.mass=1", "[plant]", "did you mean 'payload'?"),
+            ("plant.payloads.mass=1", "[plant]", "did you mean 'payload' or 'link_payloads'?"),
             ("title.x=1", "title", ""),
             ("plant.sensors.position.noise=-1", "[plant.sensors.position]", "noise"),
             ("law.kp", "--set", "NAME=VALUE"),

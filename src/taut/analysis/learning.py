@@ -35,6 +35,8 @@ SAME_START: Final = 1e-3  # [rad | m, per second] within which all trials start 
 NO_LEAD: Final = 1e-9  # [-] of the largest Markov parameter: the input has not reached the joints yet
 SAME_RESPONSE: Final = 1e-6  # [-] of the largest response: two models are the same
 NOT_ABOVE_ONE: Final = 1e-9  # [-] rounding of a norm that is one
+MAX_MISS: Final = 0.9  # [-] of the predicted change of the error: nearly all of it, the loop is another one
+JUDGED: Final = 0.1  # [-] of the error of trial 1: a smaller change may be noise or stick-slip
 MAX_DROOP: Final = 3.0  # [rad | m] of an arm whose weight the law does not know, which the learned input lifts
 
 
@@ -164,6 +166,7 @@ class Learning(Result):
     reference: Learned  # with the input of the best trial, `reference.u` [rad/s^2 | m/s^2]: for later runs and trials
     lead: int  # ticks between an input and its first effect on the joints
     errors_fall: bool  # whether a passed test promises that no error is larger than the one before (Q = 1)
+    limited: tuple[float, ...]  # [s] of each trial, in which limits cut the torque: the modelled loop has none
     unit: str  # of the error
     faults: tuple[str, ...]  # why the trials ended early, or the test that failed
 
@@ -180,8 +183,9 @@ class Learning(Result):
     @property
     def promise(self) -> str:
         """What the convergence test promises, in words."""
-        if not all(test.ok for test in self.tests):
-            return "nothing is promised: the convergence test failed"
+        if self.faults:
+            passed = all(test.ok for test in self.tests)
+            return "nothing is promised: the " + ("trials went otherwise" if passed else "convergence test failed")
         if self.errors_fall:
             return "for the modelled loop no trial is worse than the one before (Q = 1)"
         return (
@@ -193,14 +197,16 @@ class Learning(Result):
         """The promise, the errors, the tests."""
         end = f"RMS error from {self.rms[0]:.4g} to {self.rms[self.best]:.4g} {self.unit} in trial {self.best + 1}"
         rows = [(test.model, test.factor, test.long_trial, test.frequency, test.ok) for test in self.tests]
+        cut = f"limits, which the modelled loop lacks, cut the torque for up to {max(self.limited):.4g} s of a trial"
+        trials = [(k, *both) for k, both in enumerate(zip(self.rms, self.limited, strict=True), 1)]
         columns = ("model", "over the trial [-]", "long trials [-]", "largest at [Hz]", "converges")
         return Content(
             title=f"iterative learning control by {self.law!r}: {count_of(len(self.rms), 'trial')}",
-            summary=(self.promise, end),
+            summary=(self.promise, end, *([cut] if any(self.limited) else [])),
             faults=self.faults,
             tables=[
                 Table(title="convergence test: sigma_max of Q (1 - L G)", columns=columns, rows=rows),
-                Table(title="trials", columns=("trial", f"RMS error [{self.unit}]"), rows=[*enumerate(self.rms, 1)]),
+                Table(title="trials", columns=("trial", f"RMS error [{self.unit}]", "limits acted [s]"), rows=trials),
             ],
             notes=[f"an input reaches the joints after {count_of(self.lead, 'tick')}"],
             figures={"RMS error by trial": self.plot},
@@ -259,7 +265,7 @@ def learn(
         seed: Of the noise in the first trial; each trial has another.
         events: Of each trial, or a function of the number of the trial, from 0 on, for what changes.
         arms: Further arms that the plant may have, such as with a payload: the test is made for each.
-        anyway: Run even if the convergence test fails.
+        anyway: Run even if the convergence test fails, or the error changes otherwise than that loop predicts.
 
     Raises:
         RangeError: The convergence test fails.
@@ -292,9 +298,10 @@ def learn(
     Q, K = by.filtered(models[0].G, side.rate)
     of_errors = by.is_one and not K.symbol[:, :, n:].any()  # which then fall themselves
     tests = tuple(model.test(Q, K, of_errors=of_errors, rate=side.rate) for model in models)
-    faults = _failure(tests, anyway)
+    faults = _failure(tests, by, anyway)
     lead, u = models[0].lead, np.zeros((ticks, n))
-    first, references, rms = None, [], []
+    first, references, rms, limited = None, [], [], []
+    errors, predicted = [], np.zeros((ticks, n))  # as sensors show them, of each trial; the next change
     for trial in range(trials):
         reference = Learned(motion=ref, u=u, period=side.dt)
         happens = events(trial) if callable(events) else events
@@ -306,9 +313,14 @@ def learn(
         _require_same_start(first, done, trial)
         references.append(reference)
         rms.append(float(np.sqrt(np.mean(np.sum(short_way(motion.q - done.q, done.continuous) ** 2, axis=1)))))
-        e = short_way(motion.q - done.extra.get("sensed.q", done.q), done.continuous)
-        both = np.hstack([e, motion.v - done.extra.get("sensed.v", done.v)])
-        u = np.vstack([Q.act(u[: ticks - lead]) + K.act(both[lead:]), np.zeros((lead, n))])
+        limited.append(float(np.nan_to_num(done.metrics.overall("saturation_time"))))
+        errors.append(short_way(motion.q - done.extra.get("sensed.q", done.q), done.continuous))
+        faults += [] if faults else _otherwise(errors, predicted, side.arm.joint_names)
+        if faults and not anyway:
+            break
+        both = np.hstack([errors[-1], motion.v - done.extra.get("sensed.v", done.v)])
+        u, before = np.vstack([Q.act(u[: ticks - lead]) + K.act(both[lead:]), np.zeros((lead, n))]), u
+        predicted[lead:] = models[0].G.act((before - u)[: ticks - lead])
     if not rms:
         raise UsageError(f"{faults[-1]}; learning needs a law that follows its reference without it", name="ctrl")
     return Learning(
@@ -318,6 +330,7 @@ def learn(
         reference=references[int(np.argmin(rms))],
         lead=lead,
         errors_fall=of_errors or (by.is_one and all(model.decoupled for model in models)),
+        limited=tuple(limited),
         unit=" | ".join(dict.fromkeys(side.arm.units)),
         faults=tuple(faults),
     )
@@ -411,7 +424,7 @@ def unused_acceleration(title: str) -> UsageError:
     )
 
 
-def _failure(tests: Sequence[Convergence], anyway: bool) -> list[str]:
+def _failure(tests: Sequence[Convergence], by: LearningLaw, anyway: bool) -> list[str]:
     """The sentence on the test that fails most, if any; RangeError unless learning goes on anyway."""
     worst = max(tests, key=lambda test: test.factor)
     if worst.ok:
@@ -419,9 +432,25 @@ def _failure(tests: Sequence[Convergence], anyway: bool) -> list[str]:
     text = f"the convergence test must give at most 1; got {worst.factor:.4g} ({worst.model}; largest at "
     text += f"{worst.frequency:.3g} Hz)"
     if not anyway:
-        hint = "lower the cutoff of the Q-filter, change the gains, or learn with anyway=True"
-        raise RangeError(f"{text}; {hint}", name="by", value=worst.factor, rule="at most 1")
+        hint = f"{'set a' if by.cutoff is None else 'lower the'} cutoff of the Q-filter, change the gains"
+        if tests[0].ok:
+            hint = f"{tests[0].model} passes; change the law or the model (masses, rotor_inertia of light joints)"
+        raise RangeError(f"{text}; {hint}, or set anyway=True", name="by", value=worst.factor, rule="at most 1")
     return [text]
+
+
+def _otherwise(errors: Sequence[Float64Array], predicted: Float64Array, joints: Sequence[str]) -> list[str]:
+    """The sentence on a last trial that the linear loop does not predict, if it does not."""
+    missed = np.linalg.norm(errors[-1] - errors[max(len(errors) - 2, 0)] - predicted, axis=0)
+    size, miss = np.linalg.norm(predicted), np.linalg.norm(missed)
+    if size <= JUDGED * np.linalg.norm(errors[0]) or miss <= MAX_MISS * size:
+        return []
+    return [
+        f"the error of trial {len(errors)} must change within {100 * MAX_MISS:g} % of what the linear loop predicts"
+        f"; {100 * miss / size:.0f} % is missed, most in '{joints[int(np.argmax(missed))]}': a law that adapts or is "
+        "not linear over this error, a limit, friction on a light joint, a push that does not repeat; change the law "
+        "or the model, or go on with anyway=True"
+    ]
 
 
 def _require_same_start(first: Run, done: Run, trial: int) -> None:

@@ -49,6 +49,7 @@ class Law(Remembers):
     ignores_reference: ClassVar[bool] = False  # such a law adds to, and is held by, laws of every kind of sample
     needs_contact: ClassVar[bool] = False  # a phase of such a law never starts without contact
     uses_memory: ClassVar[bool] = False
+    optional_memory: ClassVar[tuple[str, ...]] = ()  # has a start, but is kept only by what returns it
 
     def __init_subclass__(cls, *, abstract: bool = False) -> None:
         base = cls.__mro__[1]
@@ -207,7 +208,9 @@ def call(law: Law | Task, x: Snapshot, ref: Sample, memory: LawMemory, dt: Any) 
                 name=name,
             )
     missing = [
-        name for name in memory if name not in after and not (isinstance(memory[name], Mapping) and not memory[name])
+        name
+        for name, value in memory.items()
+        if name not in after and name not in law.optional_memory and not (isinstance(value, Mapping) and not value)
     ]
     if missing:
         raise UsageError(

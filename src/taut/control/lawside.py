@@ -261,6 +261,8 @@ class LawSide:
     def recorded(self) -> dict[str, str]:
         """Paths of the memory that a run keeps, as it is after each tick, by its column: law.ik_error."""
         of_task = {} if self.task is None else {"phase": "law.phase", "phase_ended": "law.ended"}
+        if "law.energy" in self.probe.shapes and self.task is not None:
+            of_task["energy"] = "law.energy"
         kept = (f"{path}.{name}" for path, law in self.laws for name in law.recorded)
         return of_task | {path: path for path in kept if path in self.probe.shapes}
 

@@ -278,17 +278,14 @@ class _Balance:
         return found
 
     def _table(self, k: int, omegas: Float64Array, sizes: Float64Array) -> Complex:
-        function = self.functions[k]
-        return np.array([[self._harmonic(function, w, a, exact=False) for a in sizes] for w in omegas])
+        return np.array([[self._harmonic(self.functions[k], w, a, exact=False) for a in sizes] for w in omegas])
 
     def _interpolated(self, k: int, omegas: Float64Array, sizes: Float64Array) -> Any:
         """A describing function by logarithms of frequency and amplitude; most do not depend on the frequency."""
         coarse = np.geomspace(omegas[0], omegas[-1], COARSE_FREQUENCIES)
         table = self._table(k, coarse[[0, -1]], sizes)
-        if np.allclose(table[0], table[1], rtol=ALIKE):
-            coarse = coarse[[0, -1]]
-        else:
-            table = self._table(k, coarse, sizes)
+        alike = np.allclose(table[0], table[1], rtol=ALIKE)
+        coarse, table = (coarse[[0, -1]], table) if alike else (coarse, self._table(k, coarse, sizes))
         return RegularGridInterpolator((np.log(coarse), np.log(sizes)), table, bounds_error=False, fill_value=None)
 
     def solved(self, start: Complex, *, exact: bool) -> Complex | None:

@@ -33,6 +33,7 @@ from taut.trace import math as tm
 NEVER: Final = 1e-24  # keeps a root from zero, where it has no slope
 GENTLE: Final = 2.0  # [-] times the threshold of contact: force with which a surface that was lost is sought
 BRAKING: Final = 0.02  # [s] in which motion against a surface that was lost is braked
+OF_SPRINGS: Final = ("P", "D", "bound", "reach")  # terms of the springs and the damping of an impedance
 PAID: Final = ("K", "D")  # gains whose change the tank pays for
 OfPose = Callable[[Any], Any]
 
@@ -52,10 +53,16 @@ class EnergyTank(Wrapper):
     """Energy tank: changes of K and D of a law bring in no more energy than is stored for them.
 
     Law:          K_now' = K_now + s (K - K_now) dt / settle, with s <= 1 such that the energy E of the tank pays
-                  E' = E - (U(K_now') - U(K_now)) + max(dissipation, 0) dt, within [0, capacity]; it starts full
-    Closed loop:  that of the law with K_now; passive while K and D change
+                  E' = E + R - (U(K_now') - U(K_now)), within [0, capacity]; it starts full
+                  R = U[k-1] - U[k] - tau[k-1] (q[k] - q[k-1]) of the last tick: what its springs lost and its held
+                    torque of springs and damping, tau, did not give to the arm; within [0, max(dissipation, 0) dt]
+    Closed loop:  that of the law with K_now; with coriolis="keep" and a reference at rest
+                    H + U + E <= H_0 + U_0 + E_0 + int F_ext v, H the arm's energy, whatever K does
+                  exact in a sampled loop while R >= 0 in each tick, that is while damping makes up for the hold
 
-    What damping takes from the arm fills the tank, up to `capacity`. In a run the energy is the column `law.energy`.
+    What damping took from the arm fills the tank, up to `capacity`. In a run the energy is the column `law.energy`.
+    Of a law with an apparent inertia D the damping counts as it is at the tick, and the bound is approximate.
+    Limits that cut the torque are not in it.
 
     Args:
         law: A law with gains K or D that states `energy` and `dissipation`, such as `taut.laws.Impedance`.
@@ -78,6 +85,7 @@ class EnergyTank(Wrapper):
     stiffness: Plain[OfPose | None] = Plain(Callable, optional=True)  # type: ignore[arg-type]  # an abstract class
     energy = Memory(unit="J", record=True)
     now = Memory(doc="the gains that act, by name")
+    last = Memory(doc="of the tick before: torque of springs and damping, q, energy of the springs, dissipation")
 
     def check(self) -> None:
         super().check()
@@ -93,21 +101,37 @@ class EnergyTank(Wrapper):
         return None if self.stiffness is not None else super().apparent_impedance(x)
 
     def start(self, x: Snapshot, ref: Any) -> Mapping[str, Any]:  # noqa: ARG002
-        return {"energy": self.capacity.as_array(), "now": self._wanted(x)}
+        last = {"torque": tm.zeros(x.n), "q": tm.array(x.q), "stored": 0.0, "dissipated": 0.0}
+        return {"energy": self.capacity.as_array(), "now": self._wanted(x), "last": last}
 
     def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
         before = memory["now"]
         fraction = dt / tm.maximum(self.settle.as_array(), dt)
         step = {name: (gain - before[name]) * fraction for name, gain in self._wanted(x).items()}
         cost = self.law.bound(step).energy(x, ref)  # energy is linear in the gains
-        short = cost > memory.energy
-        paid = tm.where(short, memory.energy / tm.where(short, cost, 1.0), 1.0)
+        stored = self.law.bound(before).energy(x, ref)
+        energy = memory.energy + self._returned(x, memory["last"], stored)
+        short = cost > energy
+        paid = tm.where(short, energy / tm.where(short, cost, 1.0), 1.0)
         now = {name: before[name] + paid * change for name, change in step.items()}
         law = self.law.bound(now)
         command, after = self.inner(law, x, ref, memory, dt)
-        gained = tm.maximum(law.dissipation(x, ref), 0.0) * dt
-        energy = tm.clip(memory.energy - paid * cost + gained, 0.0, self.capacity.as_array())
-        return command, {**after, "energy": energy, "now": now}
+        parts = command.terms.parts
+        last = {
+            "torque": sum((parts[name] for name in OF_SPRINGS if name in parts), start=tm.zeros(x.n)),
+            "q": tm.array(x.q),
+            "stored": stored + paid * cost,
+            "dissipated": tm.maximum(law.dissipation(x, ref), 0.0) * dt,
+        }
+        energy = tm.clip(energy - paid * cost, 0.0, self.capacity.as_array())
+        return command, {**after, "energy": energy, "now": now, "last": last}
+
+    def _returned(self, x: Snapshot, last: Any, stored: Any) -> Any:
+        """What the law kept of the arm's and the springs' energy in the last tick."""
+        if "D" in self._gains():
+            return last["dissipated"]
+        given = last["torque"] @ -x.difference(last["q"])
+        return tm.clip(last["stored"] - stored - given, 0.0, last["dissipated"])
 
     def _gains(self) -> dict[str, Any]:
         """The gains whose change the tank pays for."""

@@ -25,12 +25,13 @@ from taut.trace.scalar import Condition
 
 STOP: Final = "stop"
 CONTACT: Final = 1.0  # [N] a force that counts as contact, for laws that never start without
-OWN_WORDS: Final = (STOP, "phase", "next", "ticks", "ended", "begin", "lasted")  # of the memory of a task
+# of the memory of a task
+OWN_WORDS: Final = (STOP, "phase", "next", "ticks", "ended", "begin", "lasted", "energy", "seen")
 PhaseReference: TypeAlias = Reference | Callable[[Snapshot], Reference] | None
 
 
 class GuardView:
-    """The arm and the phase at one instant, for a guard: all quantities of the snapshot, and four of the phase.
+    """The arm and the phase at one instant, for a guard: all quantities of the snapshot, and five of the phase.
 
     Args:
         x: The snapshot.
@@ -38,16 +39,25 @@ class GuardView:
         ref: The sample that the law of the phase follows.
         begin: The arm where it was when the phase began, at rest.
         tool: The frame that the law of the phase controls; None for the arm's tool.
+        energy: A function that gives x.energy, accounted for where it is called.
     """
 
-    __slots__ = ("_x", "begin", "elapsed", "ref", "tool")
+    __slots__ = ("_energy", "_x", "begin", "elapsed", "ref", "tool")
 
-    def __init__(self, x: Snapshot, *, elapsed: Any, ref: Any, begin: Snapshot, tool: str | None) -> None:
+    def __init__(
+        self, x: Snapshot, *, elapsed: Any, ref: Any, begin: Snapshot, tool: str | None, energy: Callable[[], Any]
+    ) -> None:
         self._x = x
+        self._energy = energy
         self.elapsed = elapsed
         self.ref = ref
         self.begin = begin
         self.tool = tool
+
+    @property
+    def energy(self) -> Any:
+        """Work of the controller's torque since the phase began, less what lifted the arm's weight [J]."""
+        return self._energy()
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
@@ -113,6 +123,33 @@ def collision(x: Seen, threshold: ArrayLike) -> Any:
             name="threshold",
         )
     return reduce(tm.maximum, tm.abs(x.tau_ext) - bound) > 0.0
+
+
+def energy(x: GuardView, bound: float) -> Any:
+    """Guard: whether the controller has given more energy than a bound to the arm and to what the arm touches.
+
+    Law:          x.energy = sum tau[k] (q[k+1] - q[k]) - (U(q) - U(q_begin)) > bound, with U of the weights: exact
+                  for a torque that is held, after limits, whatever the velocity does within a tick
+
+    A law of springs and dampers about a reference at rest never gives more than the springs stored when the phase
+    began, where damping makes up for the hold. What a moving reference asks for is given as well. The torque is the
+    commanded one at the measured positions: energy that drives and sensors add by their delay is not seen.
+
+    Args:
+        x: The snapshot of a guard, in a task of torques.
+        bound: [J], such as the largest x.energy of a run without trouble, which a task with this guard records as
+            `run.extra["energy"]`.
+
+    Example:
+        >>> import taut
+        >>> law = taut.laws.GravityPID(kp=10.0, kd=1.0)
+        >>> task = [taut.Phase(law, unless=lambda x: energy(x, 2.0))]
+
+    References:
+        Hannaford and Ryu, Time-domain passivity control of haptic interfaces, IEEE Transactions on Robotics and
+        Automation 18 (2002): the passivity observer.
+    """
+    return x.energy > finite_scalar("bound", bound, unit="J", minimum=0.0)
 
 
 def reached(

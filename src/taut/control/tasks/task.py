@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Final, Self, TypeVar
 import numpy as np
 
 from taut.base.errors import (
+    MatchError,
     NumericalError,
     RangeError,
     ShapeError,
@@ -92,6 +93,7 @@ class Task(Declared):
     laws: Plain[Mapping[str, Law]] = Plain()
 
     uses_memory: ClassVar[bool] = True
+    optional_memory: ClassVar[tuple[str, ...]] = ("energy", "seen")  # of guards that ask for the energy
     ignores_reference: ClassVar[bool] = False
 
     @classmethod
@@ -185,6 +187,7 @@ class Task(Declared):
         """Memory at the first tick: zeros for the laws, which start with their phases and may not be finite at x."""
         counters = sum(isinstance(guard, Lasting) for p in self.phases.values() for guard in (p.unless, p.until))
         out: dict[str, Any] = {"phase": 0.0, "next": 0.0, "ticks": 0.0, "ended": 0.0, "begin": tm.array(x.q)}
+        out |= {"energy": 0.0, "seen": tm.array(x.q)}
         out |= {"lasted": np.zeros(counters)} if counters else {}
         for name, law in self.laws.items():
             own = self.sample_of(name, ref)
@@ -216,7 +219,8 @@ class Task(Declared):
 
             commands[name], new = _beside_singular(called, x, idle=_known_false(acting[name]))
             after[name] = _chosen(acting[name], new, old)
-        return _selected(commands, acting, x.n), {**after, **self._moved_on(x, ref, memory, here, refused, dt)}
+        command = _selected(commands, acting, x.n)
+        return command, {**after, **self._moved_on(x, ref, memory, here, refused, dt, command.kind)}
 
     def _refused(self, x: Snapshot, here: list[Any], fresh: Any) -> Any:
         """Whether a phase begins that needs contact, and has none."""
@@ -228,7 +232,7 @@ class Task(Declared):
         return refused
 
     def _moved_on(
-        self, x: Snapshot, ref: Sample, memory: MemoryView, here: list[Any], refused: Any, dt: Any
+        self, x: Snapshot, ref: Sample, memory: MemoryView, here: list[Any], refused: Any, dt: Any, kind: str
     ) -> dict[str, Any]:
         """The memory of which phase acts, after this tick."""
         fresh = memory.ticks < 0.5
@@ -236,6 +240,20 @@ class Task(Declared):
         where_begun = x.at(begin, np.zeros(x.n))
         following, ended = memory.next, 0.0 * memory.ticks
         counts: list[Any] = []
+        account: dict[str, Any] = {}
+
+        def energy() -> Any:
+            """Work of the last torque more than in the tick before, without that on the weight."""
+            if kind != Torque.kind:
+                rule = "x.energy is of torques, and this task gives"
+                raise MatchError(
+                    f"{rule} {kind} commands; leave its guard out, or use laws of torques", name="energy"
+                )
+            if not account:
+                moved = -x.difference(memory.seen)
+                tau = x.tau_applied - x.at(x.q - 0.5 * moved, np.zeros(x.n)).g
+                account.update(energy=tm.where(fresh, 0.0, memory.energy + tau @ moved), seen=tm.array(x.q))
+            return account["energy"]
 
         def holds(guard: Guard | None, seen: GuardView, who: str, acts: Any) -> Any:
             """Whether a guard holds; one that has to last counts the ticks."""
@@ -255,6 +273,7 @@ class Task(Declared):
                 ref=self.sample_of(name, ref),
                 begin=where_begun,
                 tool=self.laws[name].controlled_frame,
+                energy=energy,
             )
             late = np.bool_(False)
             if phase.timeout is not None:
@@ -270,7 +289,15 @@ class Task(Declared):
                 ended = tm.where(goes, float(code), ended)
         ticks = tm.where(ended > 0.5, 0.0, memory.ticks + 1.0)
         counted = {"lasted": tm.array(counts)} if counts else {}
-        return {"phase": memory.next, "next": following, "ticks": ticks, "ended": ended, "begin": begin, **counted}
+        return {
+            "phase": memory.next,
+            "next": following,
+            "ticks": ticks,
+            "ended": ended,
+            "begin": begin,
+            **counted,
+            **account,
+        }
 
     def _target(self, i: int, target: str | int | None) -> int:
         """The number of the phase that follows."""
