@@ -80,8 +80,8 @@ class PayloadEstimate(Result):
             notes=[
                 f"a direction counts as excited above {EXCITED:g} of the largest eigenvalue; h is mass times "
                 "centre of mass, I about the tool's origin, both of the whole body that carries the tool",
-                "the law keeps that whole body possible; the payload is its difference to the model's body, and may be "
-                "impossible (a negative mass or inertia) where the motion did not excite it",
+                "the law keeps that whole body possible; the payload is its difference to the model's body, and "
+                "may be impossible (a negative mass or inertia) where the motion did not excite it",
             ],
         )
 
