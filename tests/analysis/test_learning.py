@@ -320,7 +320,7 @@ def raised(arm: taut.Arm) -> taut.trajectories.Quintic:
 @pytest.mark.parametrize(
     ("law", "limits", "trials"),
     [
-        (taut.laws.Adaptive(lam=10.0, k=10.0, gamma=5.0), None, 2),
+        (taut.laws.Adaptive(lam=10.0, k=10.0, gamma=5.0, max_payload=1.0), None, 2),
         (taut.laws.Robust(lam=10.0, k=10.0, phi=0.2, uncertainty=taut.laws.Uncertainty(payload=(0.0, 1.0))), None, 3),
         (taut.laws.ComputedTorque(kp=100.0, kd=20.0), taut.Limits(tau=5.0), 2),
         (taut.laws.ComputedTorque(kp=100.0, kd=20.0), None, 8),
@@ -396,7 +396,9 @@ def test_the_other_figures_of_the_page() -> None:
     assert means == pytest.approx([30.2, 20.1, 27.2, 21.8], abs=0.1)
 
     plant = taut.RigidPlant(arm.with_payload(1.0))
-    adaptive = taut.compile(taut.laws.Adaptive(lam=10.0, k=10.0, gamma=5.0), taut.load_arm("planar2"))
+    adaptive = taut.compile(
+        taut.laws.Adaptive(lam=10.0, k=10.0, gamma=5.0, max_payload=1.0), taut.load_arm("planar2")
+    )
     found = learn(adaptive, plant, raised(arm), anyway=True, **QUINTIC)
     assert 1e3 * np.array(found.rms)[:4] == pytest.approx([13.0, 19.2, 39.5, 60.3], rel=0.01)
     assert "trial 8 ended early" in found.faults[1]
