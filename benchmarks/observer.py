@@ -16,6 +16,7 @@ import taut
 from taut.base.plot_style import DASHED, INK, SMALL, WIDTH, colour, prepared
 from taut.sensors import MomentumObserver
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "control"))
 from test_observer import CT, TABLE, OnElbow, along_R, frictionless, heavier, observed, reactions, tau_ext, wall
 

@@ -68,8 +68,11 @@ def bar(record_property: Callable[[str, object], None]) -> Bar:
     return lambda name, figure: record_property(BAR + name, figure)
 
 
+@pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
+        if "share" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.bars)
         if not WHOLE and item.get_closest_marker("long"):
             item.add_marker(pytest.mark.skip(reason="make bars runs it"))
 

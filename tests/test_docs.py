@@ -116,3 +116,23 @@ def test_what_took_the_place_of_a_renamed_name_is_there() -> None:
         for name in path.split("."):
             assert name in {*dir(thing), *getattr(thing, "__dataclass_fields__", {})}, path
             thing = getattr(thing, name, None)
+
+
+START_EACH = """
+import runpy, sys
+for name in sys.argv[1:]:
+    path = list(sys.path)
+    runpy.run_path(name)
+    sys.path[:] = path
+    for key, module in list(sys.modules.items()):
+        if "/tests/" in str(getattr(module, "__file__", "")):
+            del sys.modules[key]
+"""
+
+
+def test_benchmarks_that_import_from_tests_start() -> None:
+    """As a user starts them, without the folders that pytest adds; none leaves a path or a module to the next."""
+    files = sorted((REPOSITORY / "benchmarks").glob("*.py"))
+    names = [str(file) for file in files if '"tests"' in file.read_text(encoding="utf-8")]
+    assert len(names) >= 5
+    subprocess.run([sys.executable, "-c", START_EACH, *names], check=True, cwd=REPOSITORY / "benchmarks", timeout=100)

@@ -204,11 +204,12 @@ def _check_adds(side: LawSide, plant: AnyPlant) -> None:
                 "it; compile with adds=plant.adds",
                 name=what,
             )
-        who = "the observer counts on it too" if what in observed else "the controller's limits count on it too"
-        who = f"the law {side.title} adds it too" if what in used else who
+        why = f", and the controller's {'observer assumes' if what in observed else 'limits assume'} that it does not"
+        why = f" and the law {side.title} adds it too" if what in used else why
+        law = " use a law that does not add it," if what in used else ""
         raise MatchError(
-            f"plant '{plant.name}' adds {what} itself and {who}; compile with adds=plant.adds, use a law that does "
-            "not add it, or a plant with adds=()",
+            f"plant '{plant.name}' adds {what} itself{why}; compile with adds=plant.adds,{law} or a plant with "
+            "adds=()",
             name=what,
         )
     if left_out.gravity and added.gravity and "gravity" in used and not _same(left_out.load, added.load):

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from refusals import refused
+from refusals import refused, warned
 
 import taut
 from taut.analysis.identification.regression import ArmRegression, possible_bodies
@@ -362,6 +362,30 @@ def test_too_little_excitation_is_refused_in_one_sentence() -> None:
     with refused(taut.errors.NumericalError) as seen:
         little([0.01, 0.01], 0.2, ["payload"])
     assert seen.value.value > 100.0
+    with warned(RuntimeWarning):
+        little([0.1, 0.1], 0.2, ["payload"])
+
+
+def test_a_joint_that_sticks_is_told_from_a_motion_that_leaves_it_out() -> None:
+    arm, motion = arm_of("planar2"), motion_of("planar2")
+    plant = taut.RigidPlant(arm.with_friction(taut.Friction(coulomb=[0.1, 30.0])))
+    ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm)
+    with refused(taut.errors.NumericalError) as caught:
+        taut.analysis.identify(taut.run(ctrl, plant, motion, duration=5.0), arm)
+    assert caught.value.joint == "joint2"
+
+
+@pytest.mark.parametrize("name", ["ur10", pytest.param("xarm7", marks=pytest.mark.long)])
+def test_a_law_that_is_stiff_about_light_wrists_moves_them(name: str) -> None:
+    """Of 5e-4 and 1e-4 kg m^2, against 0.4 N m; as docs/identification.md says."""
+    arm = taut.load_arm(name)
+    light = np.arange(arm.n) > 2
+    law = taut.laws.ComputedTorque(kp=np.where(light, 4e4, 2500.0), kd=np.where(light, 400.0, 100.0))
+    motion = taut.analysis.excitation(arm, duration=10.0)
+    plant = taut.RigidPlant(loaded(arm, mass=1.0))
+    found = taut.analysis.identify(taut.run(taut.compile(law, arm), plant, motion, duration=10.0), arm)
+    assert found.arm.payload.mass == pytest.approx(1.0, abs=1e-4)
+    assert found.arm.coulomb == pytest.approx(0.4, abs=1e-3)
 
 
 def test_records_that_do_not_fit_are_refused() -> None:
@@ -418,7 +442,11 @@ def test_the_result_prints_its_numbers_and_draws_its_torques() -> None:
     low, high = found.estimates["payload.m"].interval
     assert low < 2.0 < high
     assert "payload 2 kg" in str(found)
-    assert {row["parameter"] for row in found.json()["tables"]["estimates"]} == set(found.estimates)
+    rows = found.json()["tables"]["estimates"]
+    assert {row["parameter"]: row["value"] for row in rows} == {n: e.value for n, e in found.estimates.items()}
+    texts = [line.split() for line in str(found).splitlines() if line.startswith(("payload.", "joint"))]
+    for name, value, interval, *_ in texts[: len(rows)]:
+        assert float(value) == pytest.approx(found.estimates[name].value, abs=0.05 * float(interval)), name
     assert len(found.plot().axes) == 2
     with refused(taut.errors.UnknownNameError):
         found.estimates["payload.mas"]

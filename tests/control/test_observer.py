@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from refusals import refused
+from refusals import refused, warned
 
 import taut
 from taut import laws
@@ -532,6 +532,8 @@ def test_what_an_observer_cannot_know_is_refused_in_a_sentence() -> None:
     with refused(taut.errors.MatchError):
         taut.compile(CT + laws.DisturbanceRejection(), arm).needs  # noqa: B018
     with refused(taut.errors.UsageError):
+        taut.Sensing(observer=50.0)  # type: ignore[arg-type]
+    with refused(taut.errors.UsageError):
         taut.Sensing(observer=MomentumObserver(bandwidth=50.0, F_ext="force"), wrist=taut.sensors.Wrist(mass=1.0))
     no_torque = taut.sensors.Sensors(torque=None)
     ctrl = taut.compile(CT, arm, sensing=observed(torque="measured"))
@@ -553,8 +555,16 @@ def test_thresholds_are_of_runs_in_free_space_and_positive() -> None:
     )
     with refused(taut.errors.UsageError):
         taut.analysis.collision_threshold(hit)
-    free = taut.analysis.collision_threshold(hit.between(0.0, 0.34))
+    with warned(RuntimeWarning):  # of an exact model
+        free = taut.analysis.collision_threshold(hit.between(0.0, 0.34))
     assert free == pytest.approx(1.5 * np.abs(tau_ext(hit)[:341]).max(axis=0))
+    ur10 = frictionless("ur10")
+    doubtful = taut.RigidPlant(ur10.with_payload(0.5, com=[0.0, 0.0, 0.0]))  # on the axis of its last joint
+    wave = Sine(center=ur10.home, amplitude=0.3, frequency=0.5)
+    run = taut.run(taut.compile(CT, ur10, sensing=observed()), doubtful, wave, duration=0.5)
+    with warned(RuntimeWarning) as told:
+        taut.analysis.collision_threshold(run)
+    assert [name in str(told[0].message) for name in ur10.joint_names] == [False] * 5 + [True]
     for threshold in (0.0, [1.0, -1.0], [1.0] * 3):
         task = [taut.Phase(CT, ref, unless=lambda x, bound=threshold: taut.guards.collision(x, bound))]
         with refused(taut.errors.TautError):

@@ -22,6 +22,18 @@ if TYPE_CHECKING:
 Cell = str | float | int | bool | None
 
 
+class Uncertain(float):
+    """A number known to +- an interval: a table shows its digits down to the second one of that, at most 12."""
+
+    digits: int
+
+    def __new__(cls, value: float, interval: float) -> Uncertain:
+        number = float.__new__(cls, value)
+        first, last = (math.floor(math.log10(max(abs(x), 1e-300))) for x in (value, interval))
+        number.digits = min(max(2 + first - last, 1), 12)
+        return number
+
+
 @dataclass(frozen=True, kw_only=True)
 class Table:
     """Numbers and words in rows.
@@ -128,6 +140,8 @@ def cell_text(cell: Cell) -> str:
         return "-"
     if isinstance(cell, bool | np.bool_):
         return "yes" if cell else "no"
+    if isinstance(cell, Uncertain):
+        return f"{cell:#.{cell.digits}g}".rstrip(".")
     return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 import numpy as np
 
 from taut.arm.description import Arm
-from taut.base.checks import entry_names, instance_of
+from taut.base.checks import entry_names
 from taut.base.errors import RangeError, UsageError
 from taut.base.fields import Choice, Declared, Field, Part, Plain
 from taut.base.paths import subtree
@@ -394,7 +394,8 @@ class Sensing(Declared):
         if self.observer is not None:
             from taut.control.observer import MomentumObserver
 
-            instance_of("observer", self.observer, MomentumObserver, "a taut.sensors.MomentumObserver")
+            if not isinstance(self.observer, MomentumObserver):
+                self.refuse("observer", f"must be a taut.sensors.MomentumObserver; got {self.observer!r}")
         if "F_ext" in self.estimates and (self.wrist is not None or self.F_ext is not None):
             given = "wrist" if self.wrist is not None else "F_ext"
             self.refuse(

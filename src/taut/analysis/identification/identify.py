@@ -16,7 +16,7 @@ from taut.base.checks import instance_of, positive_scalar
 from taut.base.errors import NumericalError, UsageError, quoted_list
 from taut.base.paths import Named
 from taut.base.plot_style import DASHED, SMALL, WIDTH, colour, prepared
-from taut.base.result import Content, Result, Table
+from taut.base.result import Content, Result, Table, Uncertain
 from taut.base.types import Float64Array
 from taut.control.trajectories.reference import JointMotion
 from taut.controller import Controller
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 CONFIDENCE: Final = 1.96  # standard deviations of an interval of 95 %
 EXACT: Final = 1e-2  # standard deviations between the estimate and a possible body, by the search for it
 IMPOSSIBLE: Final = 10.0  # the same of what no noise explains; test_torques_without_gravity_are_pointed_out
+STICKS: Final = 10.0  # the reference moves a joint by so many times its motion
 REMARKS: Final = {
     "uncertain": "uncertain by more than 20 %",
     "without_slow_motion": "static friction is not identifiable, for want of slow reversals, of",
@@ -129,7 +130,10 @@ class Identification(Result):
         elif not self.physical:
             summary.append(f"the arm has the nearest possible body, {away}; the estimate itself is of none")
         summary += [f"{text}: {', '.join(names)}" for name, text in REMARKS.items() if (names := getattr(self, name))]
-        rows = [(name, each.value, CONFIDENCE * each.std, each.unit) for name, each in self.estimates.items()]
+        rows = [
+            (name, Uncertain(each.value, half := CONFIDENCE * each.std), Uncertain(half, half), each.unit)
+            for name, each in self.estimates.items()
+        ]
         residual = list(zip(self.arm.joint_names, *(part.tolist() for part in self.residual), strict=True))
         heads = ("joint", "before [N m | N]", "after [N m | N]")
         tables = [
@@ -196,7 +200,7 @@ def identify(
     if not isinstance(given, Sequence) or not given or not all(isinstance(run, Run) for run in given):
         raise UsageError(f"runs must be a run of taut.run, or a list of some; got {runs!r}", name="runs")
     samples = [Samples(run, regression) for run in given]
-    _require_motion(samples, regression)
+    _require_motion(given, samples, regression)
     names, units = ([words[j] for j in regression.base] for words in (regression.names, regression.units))
     plain = Fit(samples, names)
     condition = plain.condition()
@@ -232,17 +236,20 @@ def identify(
     )
 
 
-def _require_motion(samples: Sequence[Samples], regression: ArmRegression) -> None:
+def _require_motion(runs: Sequence[Run], samples: Sequence[Samples], regression: ArmRegression) -> None:
     """Refuse a record in which a joint rests whose friction or rotor is asked for, or in which all rest."""
     rests = ~np.any([part.moves for part in samples], axis=0)
     if rests.all() or (rests.any() and {"friction", "rotors"} & set(regression.what)):
-        names = [name for name, rest in zip(regression.arm.joint_names, rests, strict=True) if rest]
-        raise NumericalError(
-            f"too little excitation: {quoted_list(names)} did not move beyond the noise of the positions; record a "
-            "motion of taut.analysis.excitation(arm), or leave a part out of what",
-            name="runs",
-            joint=names[0],
-        )
+        arm, pairs = regression.arm, ((getattr(run.reference, "q", run.q), run.q) for run in runs)
+        planned, moved = np.max([[np.ptp(q, axis=0) for q in pair] for pair in pairs], axis=0)
+        why = "did not move beyond the noise of the positions; record a motion of taut.analysis.excitation(arm), or "
+        why += "leave a part out of what"
+        if (sticks := rests & (planned > STICKS * moved)).any():
+            rests, spans = sticks, ", ".join(f"{planned[i]:.3g} {arm.units[i]}" for i in np.flatnonzero(sticks))
+            why = f"sticks while the reference moves by {spans}: the law gives less than dry friction holds; use a "
+            why += "larger kp of this joint, or FrictionCompensation with a guess of its friction in the law's arm"
+        names = [arm.joint_names[i] for i in np.flatnonzero(rests)]
+        raise NumericalError(f"too little excitation: {quoted_list(names)} {why}", name="runs", joint=names[0])
 
 
 def _uncertain(estimates: Mapping[str, Estimate]) -> tuple[str, ...]:

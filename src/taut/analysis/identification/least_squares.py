@@ -201,7 +201,10 @@ class Fit:
                 name="runs",
                 value=condition,
             )
-        warn(f"the condition number of the identification is {condition:.3g}; the motion hardly excites {weakest}")
+        warn(
+            f"the condition number of the identification is {condition:.3g}; the motion hardly excites {weakest}; "
+            "record a larger one, made for the same what by taut.analysis.excitation(arm, what=...), or several runs"
+        )
         return condition
 
     def slow_friction(self) -> tuple[dict[int, tuple[float, float]], list[int]]:

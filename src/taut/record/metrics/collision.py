@@ -7,10 +7,11 @@ from typing import Final
 import numpy as np
 
 from taut.base.checks import instance_of, read_only
-from taut.base.errors import UsageError
+from taut.base.errors import UsageError, quoted_list, warn
 from taut.base.types import Float64Array
 from taut.record.run import Run
 
+LOW_THRESHOLD: Final = 1e-3  # of a joint's torque limit: below it are those of rounding and of the integrator
 MARGIN_OF_THRESHOLD: Final = 1.5  # [-] of the largest estimate without contact: what other runs of the motion may add
 TAU_EXT: Final = "sensed.tau_ext"
 
@@ -20,10 +21,13 @@ def collision_threshold(run: Run) -> Float64Array:
 
     Of a run of the same motion, at the same speed and bandwidth, in which nothing touched the arm: on the real arm,
     or in simulation with a plant that differs from the model as the arm may. An exact model gives thresholds of
-    rounding and of the integrator, which any real arm exceeds.
+    rounding and of the integrator, which any real arm exceeds; so does a joint in which the plant differs little.
 
     Args:
         run: A run whose sensing has a `taut.sensors.MomentumObserver`.
+
+    Warns:
+        RuntimeWarning: Thresholds below a thousandth of the torque limits (without one: of the largest torque).
 
     Raises:
         UsageError: A run without an observer, or with contact.
@@ -55,4 +59,14 @@ def collision_threshold(run: Run) -> Float64Array:
             "take a run of it in free space",
             name="run",
         )
-    return read_only(MARGIN_OF_THRESHOLD * np.abs(run.extra[TAU_EXT]).max(axis=0))
+    threshold = MARGIN_OF_THRESHOLD * np.abs(run.extra[TAU_EXT]).max(axis=0)
+    limits, largest = run.info.limits.get("effort", {}), float(np.abs(run.tau).max())
+    bounds = [LOW_THRESHOLD * limits.get(joint, largest) for joint in run.joint_names]
+    low = [run.joint_names[i] for i in np.flatnonzero(threshold < bounds)]
+    if low:
+        warn(
+            f"thresholds of {quoted_list(low)} are below {LOW_THRESHOLD:g} of the torque limits: the run shows next "
+            "to no external torque there, so that any trips them; take a plant that differs from the model in these "
+            "joints too, as by friction, noise or a payload off the axis, or set them yourself"
+        )
+    return read_only(threshold)
