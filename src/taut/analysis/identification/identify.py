@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -55,7 +55,8 @@ class Estimate:
         return self.value - CONFIDENCE * self.std, self.value + CONFIDENCE * self.std
 
 
-class Verdict(NamedTuple):
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Verdict:
     """Whether an identified model is good enough for a law."""
 
     ok: bool  # no joint's bound exceeds what is allowed
