@@ -66,7 +66,7 @@ class PayloadEstimate(Result):
         names = ["mass [kg]", *(f"com {axis} [m]" for axis in "xyz")]
         names += [f"{name} [kg m^2]" for name in rg.PARAMETERS[4:]]
         values = map(float, (self.mass, *self.com, *self.inertia))
-        rows = [(*row, "yes" if ok else "no") for *row, ok in zip(names, values, self.excited, strict=True)]
+        rows = [(name, x, "yes" if ok else "no") for name, x, ok in zip(names, values, self.excited, strict=True)]
         found = f"the motion excited {self.rank} of 10 directions of the parameters"
         if self.directions:
             found += "; not excited, and so not learned: " + "; ".join(self.directions)
