@@ -26,7 +26,7 @@ from taut.codegen.llvm import LIBM
 from taut.trace import graph
 
 LEVEL: Final = 2  # of LLVM's code generator; 3 gives nothing, 1 is no faster to compile
-QUICK: Final = 0  # a fifth of the time to compile, three times that to run
+QUICK: Final = 0  # a fifth of the time to compile and less, three times that to run
 PATIENCE: Final = 50_000  # calls of code until it was worth compiling well
 LIBRARIES: Final = 64  # of one linker, which takes a millisecond to make
 _LOCK: Final = threading.Lock()
