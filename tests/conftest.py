@@ -77,6 +77,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.skip(reason="make bars runs it"))
 
 
+def pytest_collection_finish() -> None:
+    """Tests and modules stay: the collector need not look at them again."""
+    gc.collect()
+    gc.freeze()
+
+
 def pytest_runtest_setup(item: pytest.Item) -> None:
     refusals.current = refusals.name_of(item)
 

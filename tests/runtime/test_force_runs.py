@@ -109,7 +109,13 @@ def test_when_contact_is_lost_the_tool_is_no_faster_than_the_bound_and_the_run_s
     assert out.metrics.contact_lost_time == pytest.approx(1.949)
 
 
-EVERY = ("panda", "fr3", "ur3", "ur5", "ur10", "kinova", "z1", "xarm7")
+EVERY = [
+    "panda",
+    "ur10",
+    "kinova",
+    "xarm7",
+    *(pytest.param(n, marks=pytest.mark.long) for n in ("fr3", "ur3", "ur5", "z1")),
+]
 DAMPER = np.array([40.0] * 3 + [2.0] * 3)
 
 

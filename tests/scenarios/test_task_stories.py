@@ -24,6 +24,12 @@ from taut.scenarios.scenario import Scenario, Trial, built_in_scenarios, load_sc
 
 WHOLE = bool(os.environ.get("TAUT_BARS"))  # `make bars`
 ENDS = ("ur10_led", "ur10_led_drives")  # stories of many frequencies
+LONG = (
+    "panda_erases",
+    "panda_writes",
+    "panda_writes_round",
+    "panda_polishes",
+)  # next to panda_presses and wheel_tool
 PAGE = Path(__file__).parents[2] / "docs" / "stories.md"
 
 
@@ -53,8 +59,12 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return run
 
 
+def marks(name: str) -> list[pytest.MarkDecorator]:
+    return [pytest.mark.xdist_group(name), *([pytest.mark.long] if name in LONG else [])]
+
+
 @pytest.mark.bars
-@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.xdist_group(name)) for name in STORIES])
+@pytest.mark.parametrize("name", [pytest.param(name, marks=marks(name)) for name in STORIES])
 def test_a_story_reaches_its_pass_figures(name: str, told: Any) -> None:
     result = told(name)
     assert result.missed == []
