@@ -98,6 +98,12 @@ SCENARIOS = {  # all other runs have no finding, nor has panda_geared's payload 
     ("backlash_cycle", "no backlash", "low gain"): ("steady-state error", "P"),  # its friction is behind a spring
     ("cabinet_door", "", "hybrid"): ("wrong surface", "constraint"),
     ("feedforward_error", "", "feedback"): ("gravity not compensated", "P"),  # PID alone lags under the weight
+    ("flexible_joints", "exact", "fast torque loop"): (
+        "torque jump at the start",
+        "torque_loop",
+    ),  # it starts at once
+    ("flexible_joints", "0.1 kg more", "fast torque loop"): ("torque jump at the start", "torque_loop"),
+    ("flexible_joints", "0.1 kg more", "linearisation"): ("effort limit exceeded", "command"),
     ("friction_overcompensated", "30 % too much", "at meas"): ("stick-slip", "friction"),
     ("gain_bounds", "resolution", "modest gains"): ("chatter", "D"),  # 980 N m/s of 10 N m
     ("gain_bounds", "resolution", "large gains"): ("chatter", "D"),
@@ -111,6 +117,10 @@ SCENARIOS = {  # all other runs have no finding, nor has panda_geared's payload 
     ("panda_payload", "", "PD + gravity"): ("wrong payload", "gravity"),
     ("panda_payload", "", "feedforward + PD"): ("wrong payload", "nonlinear"),
     ("panda_payload", "", "computed torque"): ("wrong payload", "nonlinear"),
+    ("panda_robust", "2 kg", "computed torque"): ("wrong payload", "nonlinear"),
+    ("panda_robust", "2 kg", "robust"): ("wrong payload", "nonlinear"),
+    ("panda_springs", "computed torque, rotors", "task"): ("effort limit exceeded", "command"),  # without limits
+    ("panda_springs", "springs, stiff", "task"): ("effort limit exceeded", "command"),
     ("so101_servo", "", "PD"): ("gravity not compensated", "P"),
     ("so101_servo", "", "PD + f meas"): ("gravity not compensated", "P"),
     ("so101_servo", "", "PD + f ref"): ("gravity not compensated", "P"),
@@ -119,6 +129,9 @@ SCENARIOS = {  # all other runs have no finding, nor has panda_geared's payload 
     ("wrong_board", "nothing is done", "hybrid"): ("wrong surface", "constraint"),
     ("wrong_board", "low gains", "hybrid"): ("wrong surface", "constraint"),
     ("wrong_board", "compliant tool", "hybrid"): ("wrong surface", "constraint"),
+    ("z1_mit_motors", "torques at 100 Hz", "soft"): ("stiction", "friction"),
+    ("z1_mit_motors", "torques at 100 Hz", "stiff"): ("oscillation", "D"),
+    ("z1_mit_motors", "in the motors at 5 kHz", "soft"): ("stiction", "friction"),
 }
 QUICK = ("gain_bounds", "ur10_velocity")
 

@@ -287,7 +287,7 @@ def certify(
     Over the set of arms c, M^-1 and rho are exact, and over velocities rho is bounded: its parts are affine in s.
     Over position errors up to S_i / lam_i the corners are taken, at instants of the reference: an estimate.
     Simulations start on the reference: of arms at corners of the set, between them, and where a search leads that
-    changes one unknown at a time. A disturbance is constant in them.
+    changes one unknown at a time; of computed torque, the same. A disturbance is constant in them.
 
     Args:
         law: The robust law.
@@ -322,20 +322,16 @@ def certify(
     layer = k * x.M + np.einsum("ki,ij->kij", x.rho / arms.phi, np.eye(arm.n))
     search = Search(law, arm, reference, duration, rate)
     cases = search.cases(trials, seed)
-    errors = {case: search.error(search.robust, case) for case in cases}
-    worst = max(cases, key=lambda case: float(errors[case].max()))
-    for i, at in enumerate(worst):  # a search from the worst, each unknown in turn at the other end of its interval
-        other = (*worst[:i], -1.0 if at > 0.0 else 1.0, *worst[i + 1 :])
-        errors[other] = search.error(search.robust, other)
-        worst = max(worst, other, key=lambda case: float(errors[case].max()))
+    errors, worst = search.errors(search.robust, cases)
+    usual, _ = search.errors(search.usual, cases)
     names = [name for name, _, _ in search.unknowns]
     return Certificate(
         joints=arm.joint_names,
         units=arm.units,
         certified=None if level is None else level / arms.lam,
         on_reference=np.sqrt(2.0 * start * x.mobility) / arms.lam,
-        found=np.max(list(errors.values()), axis=0),
-        computed_torque=np.max([search.error(search.usual, case) for case in cases], axis=0),
+        found=np.max(errors, axis=0),
+        computed_torque=np.max(usual, axis=0),
         worst={name: [at for at, one in zip(worst, names, strict=True) if one == name] for name in names},
         runs=len(errors),
         alpha=float(max(_largest(x.M, x.light).max() - 1.0, 1.0 - 1.0 / x.c.max())),
@@ -380,6 +376,16 @@ class Search:
         drawn[:2] = [[1.0], [-1.0]]
         drawn[BETWEEN - 1 :: BETWEEN] = rng.uniform(-1.0, 1.0, (trials // BETWEEN, size))
         return [tuple(case) for case in drawn.tolist()]
+
+    def errors(self, loop: Loop, cases: list[Case]) -> tuple[list[Float64Array], Case]:
+        """Of the cases and of a search from the worst, each unknown in turn at the other end; and the worst case."""
+        found = {case: self.error(loop, case) for case in cases}
+        worst = max(cases, key=lambda case: float(found[case].max()))
+        for i, at in enumerate(worst):
+            other = (*worst[:i], -1.0 if at > 0.0 else 1.0, *worst[i + 1 :])
+            found[other] = self.error(loop, other)
+            worst = max(worst, other, key=lambda case: float(found[case].max()))
+        return list(found.values()), worst
 
     def error(self, loop: Loop, case: Case) -> Float64Array:
         """(n,) largest error of a run from a start on the reference [rad | m]; infinite where it diverged."""
