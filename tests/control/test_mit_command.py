@@ -80,6 +80,7 @@ def test_the_five_numbers_give_the_torque_of_the_law_in_the_tick(engine):
     assert mit.kind == "mit"
 
 
+@pytest.mark.long
 def test_both_plants_and_all_engines_move_alike():
     arm = taut.load_arm("z1")
     law = ViaMit(law=GravityPID(kp=40.0, kd=1.5))

@@ -17,7 +17,7 @@ from taut.maths.constraints.multipliers import Constrained, force_projector
 from taut.trace.linalg import factor_spd
 
 NEAR = 0.1
-ARMS = ["panda", "xarm7", pytest.param("ur10", marks=pytest.mark.long)]
+ARMS = ["xarm7", *(pytest.param(name, marks=pytest.mark.long) for name in ("panda", "ur10"))]
 CENTER, U = np.array([0.3, -0.2, 0.1]), np.array([0.48, 0.6, 0.64])
 T0 = Pose([0.5, 0.1, 0.4], rpy=[0.4, 2.6, -0.3])
 

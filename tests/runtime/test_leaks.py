@@ -102,7 +102,7 @@ def grows(step: Callable[[], object], times: int) -> tuple[int, int]:
 def test_runs_in_one_process_hold_a_constant_memory(bar: Callable[[str, object], None]) -> None:
     """Each once left two maps, of which a process has 65,530."""
     ctrl, plant = taut.compile(LAW, ARM), taut.RigidPlant(ARM)
-    runs = 100_000 if WHOLE else 300
+    runs = 100_000 if WHOLE else 150
     more_maps, more_memory = grows(lambda: taut.run(ctrl, plant, duration=0.002), runs)
     bar(
         "row 19: short runs in one process, more memory maps, more memory [kB]", f"{runs}, {more_maps}, {more_memory}"

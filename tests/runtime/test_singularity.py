@@ -84,7 +84,7 @@ def test_before_a_singularity_nothing_differs_from_the_plain_law(share: Callable
 
 
 @pytest.mark.bars
-@pytest.mark.parametrize("name", ["panda", "xarm7"])
+@pytest.mark.parametrize("name", ["panda", pytest.param("xarm7", marks=pytest.mark.long)])
 def test_arms_of_seven_joints_go_through_within_their_limits_and_come_back(
     name: str, share: Callable[[int], int], bar: Callable[[str, object], None]
 ) -> None:

@@ -29,7 +29,8 @@ LONG = (
     "panda_writes",
     "panda_writes_round",
     "panda_polishes",
-)  # next to panda_presses and wheel_tool
+    "ur10_led",
+)  # next to panda_presses, wheel_tool and ur10_led_drives
 PAGE = Path(__file__).parents[2] / "docs" / "stories.md"
 
 
@@ -184,6 +185,7 @@ def changed(tmp_path: Path, name: str, *changes: tuple[str, str]) -> ScenarioRes
     return run_scenario(without_files(load_scenario(str(file))), tmp_path, say=lambda text: None)
 
 
+@pytest.mark.long
 def test_a_policy_of_another_seed_is_followed_as_well(tmp_path: Path) -> None:
     assert changed(tmp_path, "policy_10hz", ("seed = 1", "seed = 11"), ("duration = 5.0", "duration = 2.0")).ok
 
@@ -191,6 +193,7 @@ def test_a_policy_of_another_seed_is_followed_as_well(tmp_path: Path) -> None:
 SHORT = (("duration = 3.5", "duration = 1.3"), ("t = 1.5", "t = 0.8"), ("t = 2.5", "t = 1.0"))
 
 
+@pytest.mark.long
 def test_another_arm_gives_way_as_well(tmp_path: Path) -> None:
     assert changed(tmp_path, "panda_pushed", ('model = "panda"', 'model = "xarm7"'), *SHORT).ok
 
@@ -243,6 +246,7 @@ def test_policies_are_refused_in_words(old: str, tmp_path: Path) -> None:
 # -------------------------------------------------------------------- contact
 
 
+@pytest.mark.long
 @pytest.mark.xdist_group("panda_erases")
 def test_the_phases_of_a_story_tell_what_is_their_own(told: Any) -> None:
     """What the law of another phase remembered, such as an estimate, is not what this one took for true."""
@@ -254,6 +258,7 @@ def test_the_phases_of_a_story_tell_what_is_their_own(told: Any) -> None:
     assert np.isnan(run.phase("approach").metrics.normal_error)
 
 
+@pytest.mark.long
 @pytest.mark.xdist_group("panda_writes")
 def test_what_sticks_is_held_by_friction_within_its_cone(told: Any) -> None:
     stuck = told("panda_writes").runs[Trial("", "task")].phase("stick")
@@ -263,6 +268,7 @@ def test_what_sticks_is_held_by_friction_within_its_cone(told: Any) -> None:
     assert np.linalg.norm(stuck.task.twist[-1, :3]) < 1e-3
 
 
+@pytest.mark.long
 @pytest.mark.xdist_group("panda_writes_round")
 def test_a_round_surface_is_written_on_at_its_speed(told: Any) -> None:
     wrote = told("panda_writes_round").runs[Trial("", "task")].phase("write")
@@ -271,6 +277,7 @@ def test_a_round_surface_is_written_on_at_its_speed(told: Any) -> None:
     assert np.ptp(wrote.task.p[:, 2]) > 0.08
 
 
+@pytest.mark.long
 @pytest.mark.xdist_group("panda_polishes")
 def test_a_surface_that_is_polished_goes_to_and_fro(told: Any) -> None:
     polished = told("panda_polishes").runs[Trial("", "task")].phase("polish").between(0.7, 4.1)

@@ -49,6 +49,7 @@ def pressed(tip: taut.environments.SpringTip | None) -> tuple[taut.Run, np.ndarr
     return taut.run(taut.compile(law, arm), plant, ref, duration=1.5), n
 
 
+@pytest.mark.long
 def test_a_spring_tip_takes_the_impact_and_gives_way_by_the_force_over_its_stiffness() -> None:
     stiff, n = pressed(None)
     soft, _ = pressed(taut.environments.SpringTip(stiffness=1000.0))
