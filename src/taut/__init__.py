@@ -60,6 +60,7 @@ if TYPE_CHECKING:
     from taut.control.trajectories.task_reference import TaskMotion as TaskMotion
     from taut.controller.compile import compile as compile
     from taut.controller.controller import Controller as Controller
+    from taut.controller.export_c import export_c as export_c
     from taut.linear.joint_loop import error_dynamics as error_dynamics
     from taut.linear.linear_system import LinearSystem as LinearSystem
     from taut.linear.linearise import linearise as linearise

@@ -31,6 +31,7 @@ COMMANDS: Final[tuple[Command, ...]] = (
     analysis.COMPARE,
     run.REPORT,
     run.SCENARIOS,
+    run.EXPORT,
     models.ARMS,
     models.LAWS,
     models.CHECK,

@@ -1,4 +1,4 @@
-"""The commands that run scenarios and read recorded runs: run, scenarios, doctor, report."""
+"""The commands of scenarios and of recorded runs: run, scenarios, export, doctor, report."""
 
 from __future__ import annotations
 
@@ -84,6 +84,44 @@ SCENARIOS: Final = Command(
     help="List the built-in scenarios, or print the file of one.",
     run=_scenarios,
     arguments={"name": {"nargs": "?", "metavar": "NAME", "help": "print the file of this one"}},
+)
+
+
+def _export(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
+    from taut.controller.export_c import export_c
+    from taut.scenarios.scenario import load_scenario
+
+    name = arguments.law
+    own = {name: load_law(name, arguments.gain)} if name is not None and ":" in name else None
+    scenario = load_scenario(arguments.scenario, own)
+    laws = scenario.laws
+    if name is None and len(laws) == 1:
+        name = next(iter(laws))
+    if name not in laws:
+        got = "none was named" if name is None else f"got '{name}'"
+        raise UsageError(
+            f"scenario '{scenario.name}' has the laws {', '.join(map(repr, laws))}; {got}; give --law NAME"
+        )
+    ctrl = scenario.experiment.controller(laws[name])
+    files = [str(file) for file in export_c(ctrl, arguments.out, prefix=arguments.prefix, real=arguments.real)]
+    text = "\n".join(
+        [*files, f"{ctrl.operations} operations a tick; compare it with Python: make -C {arguments.out} test"]
+    )
+    return Answer(text=text, data={"scenario": scenario.name, "law": name, "files": files[:-1]})
+
+
+EXPORT: Final = Command(
+    name="export",
+    help="Write a law of a scenario as C99 for firmware, with a self-test.",
+    run=_export,
+    arguments={
+        "scenario": {"metavar": "SCENARIO", "help": "a name that `taut scenarios` lists, or a path"},
+        "--law": {"metavar": "NAME", "help": "one of its laws, or a law of your own: FILE.py:CLASS"},
+        "--gain": GAIN,
+        "--out": {"type": Path, "default": Path("firmware"), "metavar": "DIR", "help": "(default: firmware)"},
+        "--prefix": {"default": "ctrl", "help": "what files, types and functions begin with (default: ctrl)"},
+        "--real": {"choices": ("double", "float"), "default": "double", "help": "type of numbers (default: double)"},
+    },
 )
 
 

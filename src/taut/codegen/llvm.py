@@ -6,7 +6,7 @@ import itertools
 import math
 import struct
 from collections import Counter
-from collections.abc import Sequence, Set
+from collections.abc import Sequence
 from typing import Final
 
 from taut.codegen.program import Program
@@ -51,9 +51,9 @@ _FIRST: Final = {Op.MIN: "olt", Op.MAX: "ogt"}
 # Sine and cosine from + - * floor: Cody and Waite reduction by pi/2 in three parts, then fdlibm's kernels.
 # 1 ulp of the result for |x| < 1e6, 1 ulp of x beyond, NaN beyond 2^50, where a double has lost the angle. Faster
 # than libm, the same everywhere, and in lanes.
-_FARTHEST: Final = 2.0**50
-_PI_HALF: Final = (1.57079632673412561417, 6.07710050630396597660e-11, 2.02226624879595063154e-21)
-_SIN: Final = (
+FARTHEST: Final = 2.0**50
+PI_HALF: Final = (1.57079632673412561417, 6.07710050630396597660e-11, 2.02226624879595063154e-21)
+SIN: Final = (
     -1.66666666666666324348e-01,
     8.33333333332248946124e-03,
     -1.98412698298579493134e-04,
@@ -61,7 +61,7 @@ _SIN: Final = (
     -2.50507602534068634195e-08,
     1.58969099521155010221e-10,
 )
-_COS: Final = (
+COS: Final = (
     4.16666666666666019037e-02,
     -1.38888888888741095749e-03,
     2.48015872894767294178e-05,
@@ -114,16 +114,16 @@ def _sincos() -> str:
         " %k = call double @llvm.floor.f64(double %shifted)",
     ]
     before = "%x"
-    for i, part in enumerate(_PI_HALF):
+    for i, part in enumerate(PI_HALF):
         lines += _multiplied(f"%r{i}", "%k", number(part), before, less=True)
         before = f"%r{i}"
     lines += [
         " %far = call double @llvm.fabs.f64(double %x)",
-        f" %near = fcmp olt double %far, {number(_FARTHEST)}",
+        f" %near = fcmp olt double %far, {number(FARTHEST)}",
         f" %r = select i1 %near, double %r2, double {number(math.nan)}",
         " %z = fmul double %r, %r",
     ]
-    for name, table in (("s", _SIN), ("c", _COS)):
+    for name, table in (("s", SIN), ("c", COS)):
         lines += _polynomial(f"%{name}a", "%z", table)
     lines += [
         " %rz = fmul double %r, %z",
@@ -240,6 +240,30 @@ def _never_negative(program: Program) -> set[int]:
     return found
 
 
+def products_in_sums(program: Program) -> dict[int, int]:
+    """Sums with the product that is computed together with each: one that nothing else needs."""
+    graph, positive = program.graph, _never_negative(program)
+
+    def decides(i: int) -> bool:
+        if graph.ops[i] == Op.SQRT:  # a length does not
+            return graph.a[i] not in positive
+        # nor does a comparison that only detects infinity, which rounding does not cause in practice
+        return graph.ops[i] in _DECIDING and not (graph.ops[i] == Op.LE and graph.value[graph.b[i]] == LARGEST)
+
+    exact = frozenset(graph.live(x for i in program.live if decides(i) for x in graph.operands(i)))
+    uses = Counter((*program.output_nodes, *program.memory_nodes))
+    for i in program.live:
+        uses.update(graph.operands(i))
+    out: dict[int, int] = {}
+    for i in program.live:
+        if graph.ops[i] in (Op.ADD, Op.SUB) and i not in exact:
+            for x in (graph.a[i], graph.b[i]):
+                if graph.ops[x] == Op.MUL and uses[x] == 1:
+                    out[i] = x
+                    break
+    return out
+
+
 class _Body:
     """The straight-line code of one program."""
 
@@ -248,36 +272,7 @@ class _Body:
         self._graph = program.graph
         self._out: list[str] = []
         self._paired: set[int] = set()  # arguments whose sine and cosine stand already
-        positive = _never_negative(program)
-        deciding = (
-            i
-            for i in program.live
-            if self._graph.ops[i] in _DECIDING and not (self._is_length(i, positive) or self._is_finiteness(i))
-        )
-        self._exact = frozenset(self._graph.live(x for i in deciding for x in self._graph.operands(i)))
-        self._within = self._fused()
-
-    def _fused(self) -> dict[int, int]:
-        """Sums with the product that is computed together with each: one that nothing else needs."""
-        graph, program = self._graph, self._program
-        uses = Counter((*program.output_nodes, *program.memory_nodes))
-        for i in program.live:
-            uses.update(graph.operands(i))
-        out: dict[int, int] = {}
-        for i in program.live:
-            if graph.ops[i] in (Op.ADD, Op.SUB) and i not in self._exact:
-                for x in (graph.a[i], graph.b[i]):
-                    if graph.ops[x] == Op.MUL and uses[x] == 1:
-                        out[i] = x
-                        break
-        return out
-
-    def _is_length(self, i: int, positive: Set[int]) -> bool:
-        return self._graph.ops[i] == Op.SQRT and self._graph.a[i] in positive
-
-    def _is_finiteness(self, i: int) -> bool:
-        """True for a comparison that only detects infinity, which rounding does not cause in practice."""
-        return self._graph.ops[i] == Op.LE and self._graph.value[self._graph.b[i]] == LARGEST
+        self._within = products_in_sums(program)
 
     def lines(self) -> list[str]:
         products = set(self._within.values())
