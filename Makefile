@@ -1,6 +1,7 @@
 # make demo   set up, run the main job, print what it made and where
 # make test   set up, run lint, types and tests
 # make bars   the long counts;  make bench  figures against Pinocchio and MuJoCo;  make docs  the site
+# make firmware   exported C: time here, instructions on a Cortex-M7 in QEMU
 # make scorecard   the rows of docs/reliability.md and how many hold
 # make fuzz   10,000 mutants of every kind of file that is read: N=100 takes fewer
 
@@ -9,7 +10,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: demo test bars fuzz scorecard bench docs clean
+.PHONY: demo test bars fuzz scorecard bench firmware docs clean
 
 demo: $(VENV)/demo.stamp
 	$(BIN)/taut run panda_payload --out out/demo
@@ -32,6 +33,9 @@ scorecard: $(VENV)/test.stamp
 
 bench: $(VENV)/test.stamp
 	cd benchmarks && ../$(BIN)/python run.py
+
+firmware: $(VENV)/test.stamp
+	cd benchmarks && ../$(BIN)/python c_export.py
 
 docs: $(VENV)/test.stamp
 	$(BIN)/sphinx-build -q -W --keep-going -b html docs site

@@ -151,9 +151,9 @@ def test_the_core_declares_what_it_imports() -> None:
 
 
 LIMITS = {  # the house as it is; a change that needs more says why in the commit that raises a number
-    "lines": (55_900, house.lines),
-    "lines of code": (37_950, house.code_lines),
-    "modules": (254, lambda: len(house.modules())),
+    "lines": (56_650, house.lines),
+    "lines of code": (38_500, house.code_lines),
+    "modules": (256, lambda: len(house.modules())),
     "modules in one folder": (16, house.largest_folder),
     "modules with one importer": (30, lambda: len(house.slices())),
     "names in taut": (75, lambda: len(taut.__all__)),

@@ -60,6 +60,26 @@ def test_every_listing_prints_text_and_json(command: list[str], capsys: pytest.C
     assert json.loads(capsys.readouterr().out)
 
 
+def test_export_writes_the_law_that_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "firmware"
+    assert main(["export", "one_joint_pid", "--out", str(out)]) == 2
+    assert "has the laws 'PD', 'PID'; none was named; give --law NAME" in capsys.readouterr().err
+    assert not out.exists()
+    assert main(["export", "one_joint_pid", "--law", "PID", "--out", str(out), "--real", "float", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["files"] == [
+        str(out / name) for name in ("ctrl.h", "ctrl.c", "ctrl_test.c", "Makefile", "CMakeLists.txt")
+    ]
+    assert "float ki;  /* law.ki [N m/(rad s) | N/(m s)] */" in (out / "ctrl.h").read_text(encoding="utf-8")
+    (tmp_path / "own.py").write_text(LAW, encoding="utf-8")
+    assert (
+        main(
+            ["export", "one_joint_pid", "--law", f"{tmp_path / 'own.py'}:Spring", "--gain", "k=2", "--out", str(out)]
+        )
+        == 0
+    )
+
+
 def test_the_laws_are_listed_with_equation_closed_loop_and_needs(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["laws", "--json"]) == 0
     rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)}
@@ -338,7 +358,7 @@ def test_every_command_that_prints_a_result_takes_json() -> None:
     actions = [action for action in _parser()._actions if isinstance(action.choices, dict)]
     commands = actions[0].choices
     assert set(commands) == {
-        "run", "scenarios", "arms", "laws", "check", "doctor", "design", "compare", "report", "bench", "book",
+        "run", "scenarios", "export", "arms", "laws", "check", "doctor", "design", "compare", "report", "bench", "book",
     }  # fmt: skip
     assert all("--json" in command._option_string_actions for command in commands.values())
 

@@ -104,10 +104,8 @@ def _export(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
         )
     ctrl = scenario.experiment.controller(laws[name])
     files = [str(file) for file in export_c(ctrl, arguments.out, prefix=arguments.prefix, real=arguments.real)]
-    text = "\n".join(
-        [*files, f"{ctrl.operations} operations a tick; compare it with Python: make -C {arguments.out} test"]
-    )
-    return Answer(text=text, data={"scenario": scenario.name, "law": name, "files": files[:-1]})
+    cost = f"{ctrl.operations} operations a tick; to compare it with Python: make -C {arguments.out} test"
+    return Answer(text="\n".join([*files, cost]), data={"scenario": scenario.name, "law": name, "files": files})
 
 
 EXPORT: Final = Command(
