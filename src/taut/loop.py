@@ -16,6 +16,8 @@ from taut.base.checks import finite_array, instance_of, positive_scalar, read_on
 from taut.base.errors import MatchError, RangeError, ShapeError, UsageError, count_of
 from taut.base.paths import Parameters, subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
+from taut.control.combine import SideBySide, all_laws
+from taut.control.laws.other_topics.variable_stiffness import VariableStiffness
 from taut.control.lawside import LawSide
 from taut.control.trajectories.reference import Hold, Reference, as_reference
 from taut.maths.dynamics import pose
@@ -140,6 +142,7 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
     check_force_feedback(side, plant)
     _check_weight(side, plant)
     _check_adds(side, plant)
+    _check_springs(side, plant)
 
 
 def require_no_reference(side: LawSide, ref: object) -> None:
@@ -218,6 +221,18 @@ def _check_adds(side: LawSide, plant: AnyPlant) -> None:
             "compile with adds=plant.adds",
             name="gravity",
         )
+
+
+def _check_springs(side: LawSide, plant: AnyPlant) -> None:
+    """MatchError for a law that assumes other antagonistic springs than the drives have."""
+    for path, law in all_laws(side.law, "law"):
+        if isinstance(law, SideBySide):  # each part has the springs of some joints alone
+            return
+        for name, ours in law.springs.parameters().items() if isinstance(law, VariableStiffness) else ():
+            theirs = plant.parameters.get(f"actuation.motor.springs.{name}", ours)
+            if not np.allclose(ours, theirs, atol=0.0):
+                both = f"is {ours.tolist()}, and the drives of plant '{plant.name}' have {theirs.tolist()}"
+                raise MatchError(f"{path}.springs.{name} {both}; give both the same springs", name="springs")
 
 
 def _same(a: Payload | None, b: Payload | None) -> bool:

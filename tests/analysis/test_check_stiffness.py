@@ -221,3 +221,20 @@ def test_redundant_arms_are_passive_in_a_band_without_damping_of_the_null_space(
     assert check.passive
     law = taut.laws.Impedance(K=K, B=0.2 * K / 200.0, coriolis="keep", null=None)
     assert not taut.analysis.check_stiffness(taut.compile(law, arm, rate=200.0), band=20.0).passive
+
+
+@pytest.mark.parametrize("kd", [0.05, 0.5, 2.0])
+def test_without_physical_damping_the_limit_is_twice_the_sampled_damping_a_period(kd: float) -> None:
+    """K = 2 kd / T of a mass, however little the damping is: a slow growth is none of rounding."""
+    ctrl = taut.compile(taut.laws.Stiffness(K=(2000.0, 30.0), kd=kd), taut.load_arm("gantry3"))
+    check = check_stiffness(ctrl, damping=0.0)
+    assert check.limit == pytest.approx(2.0 * kd * 1000.0 / 2000.0, rel=2e-3)
+    assert check.stable == (kd == 2.0)
+
+
+@pytest.mark.parametrize("name", ["gantry3", "ur5"])
+def test_a_spring_without_any_damping_is_unstable_at_any_stiffness(name: str) -> None:
+    ctrl = taut.compile(taut.laws.Stiffness(K=(20.0, 1.0), kd=0.0), taut.load_arm(name))
+    check = check_stiffness(ctrl, damping=0.0)
+    assert not check.stable
+    assert check.limit < 1e-3

@@ -532,6 +532,11 @@ def test_what_cannot_be_learned_is_refused_in_one_sentence(change: dict[str, Any
     assert words in str(caught.value)
 
 
+def test_gains_of_zero_learn_nothing() -> None:
+    with refused(taut.errors.RangeError):
+        PDLearning(Lp=[0.0, 0.0], cutoff=10.0)
+
+
 def test_a_trial_that_diverges_ends_the_learning_with_its_reason() -> None:
     found = learn(
         CT, taut.RigidPlant(ARM.with_payload(0.5)), there_and_back(ARM, AMPLITUDES["planar2"]),

@@ -91,6 +91,9 @@ def test_a_panda_with_2_kg_has_the_errors_of_the_table(gamma: float, wanted: lis
     found = taut.analysis.payload_estimate(run.between(2.0, 12.0))
     assert found.mass == pytest.approx(2.0, rel=0.02)
     np.testing.assert_allclose(found.com, [0.0, 0.0, 0.05], atol=0.02)
+    before = taut.analysis.payload_estimate(run.between(2.0, 9.5))  # the last quarter begins there
+    assert found.moving[0] == pytest.approx(found.mass - before.mass, abs=1e-5)
+    np.testing.assert_allclose(found.moving[1:4], found.com - before.com, atol=1e-5)
 
 
 def test_a_ur5_within_its_torque_limits() -> None:

@@ -557,6 +557,16 @@ class TestMessages:
         assert "joint '" in found.direction
         assert sum(found.joints.values()) == pytest.approx(1.0, abs=0.01)
 
+    def test_its_spring_is_no_gain_to_lower(self) -> None:
+        """The spring's stiffness is what the joint has: a wrong one would hide the growth, and spoil the motion."""
+        for rotor, stiffness, omega, gains in ((0.6, 4000.0, 30.0, []), (0.2, 2000.0, 600.0, ["law.omega"])):
+            arm = taut.load_arm("one_joint" if gains else "ur10").with_joints(rotor_inertia=rotor)
+            plant = elastic(arm, stiffness, D=1.0, substeps=4)
+            ctrl = taut.compile(linearising(omega, stiffness), arm)
+            found = taut.analysis.judge(taut.Loop(ctrl, plant, duration=1.0))
+            assert not found.stable
+            assert list(found.largest) == gains
+
     def test_the_desired_motor_holds_gravity(self) -> None:
         x = taut.snapshot(PLANAR2, PLANAR2.home)
         ref = SmoothMotion.at_rest(x, None)

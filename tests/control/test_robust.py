@@ -95,12 +95,22 @@ def test_the_bound_of_bodies_is_attained_by_an_arm_of_the_set() -> None:
 
 
 def test_with_an_exact_model_the_loop_is_the_nominal_one() -> None:
-    """No interval, no robust torque: e_ddot + (k + lam) e_dot + k lam e = 0, poles at -k and -lam."""
+    """Hardly an interval, hardly a robust torque: e_ddot + (k + lam) e_dot + k lam e = 0, poles at -k and -lam."""
     arm = taut.load_arm("planar2").with_friction(taut.Friction())
-    law = taut.laws.Robust(lam=6.0, k=15.0, phi=0.1, uncertainty=taut.laws.Uncertainty())
+    law = taut.laws.Robust(lam=6.0, k=15.0, phi=0.1, uncertainty=taut.laws.Uncertainty(disturbance=1e-9))
     loop = taut.Loop(taut.compile(law, arm), taut.RigidPlant(arm), taut.JointMotion(q=arm.home), duration=1.0)
     rates = np.sort(np.log(taut.linearise(loop).poles.real) / 1e-3)
     assert rates == pytest.approx([-15.0, -15.0, -6.0, -6.0], rel=0.02)
+
+
+def test_intervals_without_width_are_refused_when_the_law_is_compiled() -> None:
+    bare = taut.load_arm("planar2").with_friction(taut.Friction())
+    known = taut.laws.Uncertainty(viscous=(0.1, 0.1))
+    for unknown in (taut.laws.Uncertainty(), known):
+        with refused(taut.errors.RangeError):
+            taut.compile(taut.laws.Robust(lam=10.0, k=10.0, phi=0.1, uncertainty=unknown), bare)
+    dry = bare.with_friction(taut.Friction(coulomb=0.1))  # friction at the desired velocity errs while a joint sticks
+    taut.compile(taut.laws.Robust(lam=10.0, k=10.0, phi=0.1, uncertainty=taut.laws.Uncertainty()), dry)
 
 
 def test_a_plant_that_adds_gravity_is_given_what_is_missing() -> None:

@@ -321,6 +321,24 @@ class TestBeyondTheSprings:
         c = reached / 160.0
         assert np.abs(run.extra["drives.equilibrium"] - run.q).max() < 1.3 * c
 
+    def test_more_stiffness_than_the_springs_have_is_that_of_the_springs(self) -> None:
+        """Fed back through the lag of the motors, the rest of it made a sustained oscillation of 0.9 rad."""
+        stiff = AntagonisticSprings(a=160.0, c_min=0.25, c_max=0.75)  # 160 to 480 N m/rad
+        weight = float(taut.snapshot(ONE, [0.3]).g[0])
+        where = plant(damping=0.1, preset=40.0, bandwidth=100.0, substeps=2)
+        ctrl = taut.compile(Raw(q=0.3, kp=400.0, tau=weight), ONE)
+        run = taut.run(ctrl, where, taut.JointMotion(q=[0.3]), duration=4.0, q0=[0.3])
+        assert run.info.stability.stable
+        assert np.abs(run.q - 0.3).max() < 0.02
+        assert run.extra["drives.equilibrium"][-1, 0] == pytest.approx(0.3 + weight / 120.0, abs=1e-6)
+        with refused(taut.errors.MatchError):
+            taut.run(taut.compile(law(400.0, stiff), ONE), where, taut.JointMotion(q=[0.3]), duration=1.0, q0=[0.3])
+        with refused(taut.errors.MatchError):
+            mujoco = taut.MujocoPlant(ONE, takes="mit", actuation=where.actuation)
+            taut.run(
+                taut.compile([taut.Phase(law(200.0, stiff), taut.JointMotion(q=[0.3]))], ONE), mujoco, duration=1.0
+            )
+
     def test_what_is_beyond_is_one_sentence(self) -> None:
         errors = taut.errors
         with refused(errors.RangeError):

@@ -221,6 +221,7 @@ class TestRefusals:
             {"EI": -1.0},
             {"hub_inertia": float("nan")},
             {"zeta": -0.1},
+            {"zeta": 2.0},
             {"modes": 4},
             {"density": "a"},
         ],

@@ -105,7 +105,7 @@ def set_point_condition(law: MotorSidePD, arm: Arm, *, at: ArrayLike | None = No
     lower, upper = (np.where(np.isfinite(end), end, np.sign(end) * FULL_TURN) for end in (arm.lower, arm.upper))
     sampled = np.random.default_rng(0).uniform(lower, upper, (POSES, arm.n))
     alpha = float(np.linalg.norm(over_rows(steepness, q=arm.n)(q=sampled)["slope"], 2, axis=(1, 2)).max())
-    K, kp = law.stiffness.as_array(), np.diag(x.M) * law.kp.as_array()
+    K, kp = law.stiffness, np.diag(x.M) * law.kp.as_array()
     series = np.broadcast_to(K * kp / (K + kp), (arm.n,))
     return SetPointCondition(joints=arm.joint_names, alpha=alpha, series=read_only(series))
 

@@ -96,6 +96,10 @@ class PDLearning(LearningLaw):
     Lp: Field = Field(unit="1/s^2", shape="n", minimum=0.0, run_time=False)
     Ld: Field = Field(0.0, unit="1/s", shape="n", minimum=0.0, run_time=False)
 
+    def check(self) -> None:
+        if not np.any(self.Lp) and not np.any(self.Ld):
+            self.refuse("", "needs Lp or Ld above zero; without them nothing is learned", RangeError)
+
     def maps(self, G: Lifted) -> tuple[Lifted, Lifted]:
         one = np.eye(G.symbol.shape[2])
         return Lifted.constant(one, G.samples), Lifted.constant(np.hstack([one * self.Lp, one * self.Ld]), G.samples)

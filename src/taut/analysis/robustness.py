@@ -121,10 +121,6 @@ class UncertainArm:
         # friction errs most at an end: towards v_des the error falls, and beyond v_des it grows with v - v_des
         ends = (friction_and_error(*self.friction, v_ref + s, rows.v, self.law.width) for s in (-np.asarray(S), S))
         rho += np.maximum(*(error for _, error in ends)) + self.law.uncertainty.disturbance
-        if not rho.any():
-            raise RangeError(
-                "uncertainty must have an interval of some width; nothing in it is unknown", name="links"
-            )
         return Bounds(M=x["M"], light=x["light"], rho=rho)
 
     def level_set(self, rows: JointMotion, V: float) -> Float64Array | None:

@@ -26,7 +26,7 @@ from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
 from taut.controller import Controller
 from taut.linear.joint_loop import VelocityKind, joint_matrix, pid
-from taut.linear.judgement import directions, largest_factor, without_dry_friction
+from taut.linear.judgement import directions, largest_factor, uncertain_eigenvalues, without_dry_friction
 from taut.linear.linear_system import LinearSystem, names
 from taut.linear.linearise import observed_states
 from taut.linear.period import Period
@@ -42,7 +42,6 @@ LawOf = Callable[[float], LinearSystem]
 
 STIFFNESS: Final = ("K", "kp")  # names of stiffness gains
 OF_JOINTS: Final = "viscous friction of the joints"
-NO_GROWTH: Final = 1e-2  # [1/s] a growth that rounding of central differences may show: a factor e in 100 s
 GRID_POINTS: Final = 256  # frequencies of a grid, for each period of delay
 LOWEST: Final = 1e-4  # [rad] omega T: below it the condition has reached its limit for slow motion
 ZOOMS: Final = 3  # each is 64 times finer
@@ -64,7 +63,7 @@ class StiffnessCheck(Result):
         band: Highest frequency [Hz] of motions of which passivity is asked; None for every passive environment.
         joints: n names.
         J: (6, n) Jacobian of the tool in world axes; None without an arm.
-        growth: [1/s] up to which growth counts as rounding.
+        differenced: The law is linear by central differences, whose rounding counts as no growth.
         tolerance: Relative, of the limits.
         source: The physical damping in words.
     """
@@ -77,7 +76,7 @@ class StiffnessCheck(Result):
     band: float | None
     joints: tuple[str, ...]
     J: Float64Array | None = None
-    growth: float = 0.0
+    differenced: bool = False
     tolerance: float = 1e-8
     source: str = "physical damping"
 
@@ -192,7 +191,10 @@ class StiffnessCheck(Result):
         return self._plant.feedback(law)
 
     def _is_stable(self, system: LinearSystem) -> bool:
-        return system.stable or (self.growth > 0.0 and system.decay_rate > -self.growth)
+        if not self.differenced:
+            return system.stable
+        z, slack = uncertain_eigenvalues(system.A)
+        return bool((np.abs(z) <= 1.0 + slack).all())
 
     def _margin(self, law: LinearSystem) -> float:
         return passivity_margin(law, self.damping, delay=self.delay, band=self.band)
@@ -411,7 +413,7 @@ def check_stiffness(
         M=np.asarray(x.M, dtype=np.float64), damping=np.diag(np.broadcast_to(friction, (arm.n,))),
         gravity=gravity * (not compensates and not ctrl.side.adds.gravity), law_of=law_of,
         delay=finite_scalar("delay", delay, unit="s", minimum=0.0), band=_checked_band(band, ctrl.rate),
-        joints=arm.joint_names, J=np.asarray(x.J(), dtype=np.float64), growth=NO_GROWTH, tolerance=1e-3,
+        joints=arm.joint_names, J=np.asarray(x.J(), dtype=np.float64), differenced=True, tolerance=1e-3,
         source=OF_JOINTS,
     )  # fmt: skip
 

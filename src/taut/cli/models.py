@@ -37,7 +37,6 @@ ARMS: Final = Command(name="arms", help="List the arms that taut knows by name."
 def _laws(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
     from taut import laws
     from taut.control.combine import law_classes
-    from taut.control.gains import Gain
     from taut.controller.explain import statements, summary
 
     rows = [
@@ -46,7 +45,7 @@ def _laws(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
             "summary": summary(cls),
             "law": statements(cls, "Law"),
             "closed_loop": statements(cls, "Closed loop"),
-            "gains": {gain: field.unit for gain, field in cls.declared.items() if isinstance(field, Gain)},
+            "gains": {gain: field.unit for gain, field in cls.declared.items() if field.run_time},
             "reference": _reference_of(cls),
         }
         for name, cls in law_classes(laws).items()

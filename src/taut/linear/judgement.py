@@ -22,6 +22,7 @@ from taut.base.errors import RangeError, TautError, UsageError
 from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.combine import all_laws
+from taut.control.gains import Gain
 from taut.control.laws.joint import FrictionCompensation
 from taut.control.laws.other_topics.adaptive import Adaptive
 from taut.control.lawside import LawSide
@@ -383,13 +384,10 @@ def largest_factor(holds: Callable[[float], bool], tolerance: float, max_factor:
 
 
 def _gains(side: LawSide, values: Changes) -> dict[str, Any]:
-    """Gains by path: parameters of the law that are 0 or more, so no points, axes or bounds; that of an observer."""
-    of_law = {path: value for path, value in values.items() if path.startswith("law.") and np.any(value)}
-    found = {
-        path: value
-        for path, value in of_law.items()
-        if getattr(side.law.find(path[len("law.") :])[1], "minimum", 0.0) == 0.0
-    }
+    """Gains by path: those of the law that are 0 or more, so no points, axes or data of the arm; an observer's."""
+    of_law = (path for path, value in values.items() if path.startswith("law.") and np.any(value))
+    fields = {path: side.law.find(path[len("law.") :])[1] for path in of_law}
+    found = {path: values[path] for path, field in fields.items() if isinstance(field, Gain) and field.minimum == 0.0}
     return found | ({OBSERVER: values[OBSERVER]} if OBSERVER in values else {})
 
 

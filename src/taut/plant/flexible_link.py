@@ -47,7 +47,7 @@ class FlexibleLink:
         density: rho, its mass per length [kg/m].
         hub_inertia: Of hub and rotor [kg m^2].
         tip_mass: m, a point mass at the tool [kg].
-        zeta: Damping ratio of each mode of the clamped beam [-].
+        zeta: Damping ratio of each mode of the clamped beam, at most 1 [-].
         modes: 1 to 3. More of them move the zeros: one is a model of the effect, not of a beam.
         substeps: Steps of the integrator in one control period.
 
@@ -88,8 +88,8 @@ class FlexibleLink:
     def __post_init__(self) -> None:
         for name, unit in (UNITS | MAY_BE_ZERO).items():
             value = finite_scalar(name, getattr(self, name), unit=unit)
-            lowest = 0.0 if name in MAY_BE_ZERO else 1.0 / LARGEST
-            require_range(name, np.asarray(value), unit=unit, minimum=lowest, maximum=LARGEST)
+            lowest, highest = 0.0 if name in MAY_BE_ZERO else 1.0 / LARGEST, 1.0 if name == "zeta" else LARGEST
+            require_range(name, np.asarray(value), unit=unit, minimum=lowest, maximum=highest)
             object.__setattr__(self, name, value)
         whole_number("modes", self.modes, minimum=1, maximum=len(ROOTS))
         whole_number("substeps", self.substeps, minimum=1, maximum=MAX_SUBSTEPS)

@@ -24,7 +24,7 @@ class VariableStiffnessActuator(MotorModel):
                   tau = springs(c, mu - q) + damping (mu_dot - v), see `taut.drives.AntagonisticSprings`
                   of a `taut.laws.MitCommand` they make c = kp / (4 a), within [c_min, c_max], and
                   mu = q + clip(asked, -+4 a c^2) / (4 a c), with asked = kp (q_des - q) + kd (v_des - v) + tau: kp is
-                  a stiffness of steel; q_des, tau and kd move the equilibrium
+                  a stiffness of steel, up to 4 a c_max, also in `asked`; q_des, tau and kd move the equilibrium
                   each motor follows its position and the rate v_des as a critically damped second-order lag of the
                   drives' bandwidth, at no more than `speed`; the spring's torque is fed forward in its loop, so that
                   neither it nor the rotor shows
@@ -96,7 +96,9 @@ class VariableStiffnessActuator(MotorModel):
         c = springs.pretension(kp)
         k = 4.0 * springs.a * c
         most = k * c
-        q, target = before["motors.q"], _motors(x.q + tm.clip(x.tau, -most, most) / k, c)
+        # Stiffness beyond the springs would feed the joint's position back through the lag of the motors.
+        asked = x.tau - (1.0 - high / tm.maximum(kp, high)) * (x.tau - held[3] * (held[1] - x.v) - held[4])
+        q, target = before["motors.q"], _motors(x.q + tm.clip(asked, -most, most) / k, c)
         if x.bandwidth is None:
             after, rate = target, (target - q) / x.dt
         else:
@@ -106,7 +108,7 @@ class VariableStiffnessActuator(MotorModel):
             speed = x.p["speed"]
             after, rate = q + tm.clip(after - q, -speed * x.dt, speed * x.dt), tm.clip(rate, -speed, speed)
         c, mu, moved = 0.5 * (q[0] - q[1]), 0.5 * (q[0] + q[1]), 0.5 * (after[0] + after[1])
-        beyond = (kp < low * (1.0 - ROUNDING)) | (kp > high * (1.0 + ROUNDING)) | (tm.abs(x.tau) > most)
+        beyond = (kp < low * (1.0 - ROUNDING)) | (kp > high * (1.0 + ROUNDING)) | (tm.abs(asked) > most)
         memory = {
             "motors.q": after,
             "motors.v": rate,

@@ -41,6 +41,7 @@ class PayloadEstimate(Result):
     mass: float  # [kg]
     com: Float64Array  # (3,) [m]; NaN where the mass is not positive
     inertia: Float64Array  # (6,) [kg m^2] xx, yy, zz, xy, xz, yz
+    moving: Float64Array  # (10,) change of mass, com and inertia in the last quarter of the run
     body: Float64Array  # (10,) parameters of the whole body, as `PARAMETERS`
     excited: NDArray[np.bool_]  # (10,) of mass, com and inertia: no direction that was not excited has a part of it
     eigenvalues: Float64Array  # (10,) [N^2 m^2], the largest first
@@ -66,20 +67,24 @@ class PayloadEstimate(Result):
         names = ["mass [kg]", *(f"com {axis} [m]" for axis in "xyz")]
         names += [f"{name} [kg m^2]" for name in rg.PARAMETERS[4:]]
         values = map(float, (self.mass, *self.com, *self.inertia))
-        rows = [(name, x, "yes" if ok else "no") for name, x, ok in zip(names, values, self.excited, strict=True)]
+        excited = ("yes" if known else "no" for known in self.excited)
         found = f"the motion excited {self.rank} of 10 directions of the parameters"
         if self.directions:
-            found += "; not excited, and so not learned: " + "; ".join(self.directions)
+            found += "; not excited, and so never learned: " + "; ".join(self.directions)
         return Content(
             title="payload by the estimate at the end of the run, in the tool frame",
             summary=[found],
             tables=[
-                Table(columns=("quantity", "estimate", "excited"), rows=rows),
+                Table(
+                    columns=("quantity", "estimate", "changed in the last quarter by", "excited"),
+                    rows=list(zip(names, values, map(float, self.moving), excited, strict=True)),
+                ),
                 Table(title="excitation", columns=("eigenvalue [N^2 m^2]",), rows=[(x,) for x in self.eigenvalues]),
             ],
             notes=[
                 f"a direction counts as excited above {EXCITED:g} of the largest eigenvalue; h is mass times "
-                "centre of mass, I about the tool's origin, both of the whole body that carries the tool",
+                "centre of mass, I about the tool's origin, both of the whole body that carries the tool; what is "
+                "excited weakly is learned slowly: an estimate that still changes is not there yet",
                 "the law keeps that whole body possible; the payload is its difference to the model's body, and "
                 "may be impossible (a negative mass or inertia) where the motion did not excite it",
             ],
@@ -119,9 +124,11 @@ def payload_estimate(run: Run) -> PayloadEstimate:
         )
     model, regression = model_of(arm), ArmRegression(arm, ("payload",))
     k, R, p = model.placement(None)
-    to_tool, estimate = np.linalg.inv(rg.moved(R, p)), run.extra[columns[0]][-1].reshape(-1, 10)
-    body = to_tool @ estimate[0 if len(estimate) == 1 else k]
-    load = PayloadValues.of_body(rg.body_of(body - to_tool @ rg.parameters_of(model.links[k])))
+    to_tool, estimates = np.linalg.inv(rg.moved(R, p)), run.extra[columns[0]].reshape(len(run), -1, 10)
+    bodies = estimates[:, 0 if estimates.shape[1] == 1 else k] @ to_tool.T
+    body, own = bodies[-1], to_tool @ rg.parameters_of(model.links[k])
+    load, before = (PayloadValues.of_body(rg.body_of(x - own)) for x in (body, bodies[3 * len(run) // 4]))
+    now, then = (np.array([x.mass, *x.com, *x.inertia]) for x in (load, before))
     Q, a = metric(body), getattr(run.reference, "a", np.zeros_like(run.q))
     Y = regression.columns(run.q, run.v, a)[0].reshape(-1, 10)
     root, sizes = np.linalg.cholesky(Q), np.sqrt(np.diag(Q))
@@ -136,6 +143,7 @@ def payload_estimate(run: Run) -> PayloadEstimate:
         com=load.com,
         inertia=load.inertia,
         body=body,
+        moving=now - then,
         excited=known,
         eigenvalues=values[::-1].copy(),
         not_excited=directions * sizes,

@@ -4,9 +4,10 @@
     Motors:  B a_motor + tau_J = tau
 
 B is the rotor inertia of the controller's arm, which rigid laws count as part of M; these laws take it from there,
-and use the model of the links alone. So it is stated once and counted once. K is a gain of each law, `stiffness`: the
-arm has none (a plant's spring is its `taut.drives.Transmission`), and so it may be wrong, change and be swept like
-any gain. Only `FullStateFeedback` needs D; the others leave it out of their model.
+and use the model of the links alone. So it is stated once and counted once. K is a parameter of each law,
+`stiffness`: the arm has none (a plant's spring is its `taut.drives.Transmission`), and so it may be wrong, change and
+be swept like any gain. It is a Field and no Gain, for it is a datum of the joint: the judgement of a loop never
+proposes a lower one. Only `FullStateFeedback` needs D; the others leave it out of their model.
 
 q_motor and v_motor are measured on the motor's side of the spring, in joint units; tau_J is the joint torque sensor.
 """
@@ -25,7 +26,7 @@ from taut.base.types import Array, ArrayLike, Vector
 from taut.control.closed_loop import ClosedLoop
 from taut.control.combine import Wrapper
 from taut.control.command import Command, Terms, Torque
-from taut.control.gains import Gain, GainValue, MemoryView, require_at_most
+from taut.control.gains import Gain, MemoryView, require_at_most
 from taut.control.law import Law
 from taut.control.trajectories.reference import SmoothMotion
 from taut.maths.model import model_of
@@ -57,10 +58,9 @@ def spring_torque(links: Snapshot, q: Vector, v: Vector, a: Vector, j: Any, s: A
     return tau(now), rate(now), tm.jacobian(rate, now)[:, 0]
 
 
-def desired_motor(x: Snapshot, ref: Any, stiffness: GainValue) -> tuple[Vector, Vector, Vector]:
+def desired_motor(x: Snapshot, ref: Any, K: Any) -> tuple[Vector, Vector, Vector]:
     """q_des + tau_J / K of the motors, its rate, and tau_J + B a_motor, with which the links follow a reference."""
     tau, rate, second = spring_torque(with_rotors(x, 0.0), ref.q, ref.v, ref.a, ref.j, ref.s)
-    K = stiffness.as_array()
     return ref.q + tau / K, ref.v + rate / K, tau + x.arm.rotor_inertia * (ref.a + second / K)
 
 
@@ -121,7 +121,7 @@ class MotorSidePD(Law):
     """
 
     reference = SmoothMotion
-    stiffness: Gain = Gain(unit=SPRING, accepts=("scalar",), above=0.0)
+    stiffness: Field = Field(unit=SPRING, shape="n", above=0.0)
     kp: Gain = Gain(unit="1/s^2", accepts=("scalar",))
     kd: Gain = Gain(unit="1/s", accepts=("scalar",))
 
@@ -192,7 +192,7 @@ class FastTorqueLoop(Wrapper):
         Kokotovic, Khalil and O'Reilly, Singular Perturbation Methods in Control (1986), section 1.3.
     """
 
-    stiffness: Gain = Gain(unit=SPRING, accepts=("scalar",), above=0.0)
+    stiffness: Field = Field(unit=SPRING, shape="n", above=0.0)
     bandwidth: Gain = Gain(unit="rad/s", accepts=("scalar",), above=0.0)
 
     def check_rate(self, rate: float) -> None:
@@ -206,9 +206,9 @@ class FastTorqueLoop(Wrapper):
         return Wrapper.closed_loop(self, with_rotors(x, 0.0))
 
     def command(self, x: Snapshot, ref: Any, memory: MemoryView, dt: float) -> tuple[Command, dict[str, Any]]:
-        links, K, w = with_rotors(x, 0.0), self.stiffness.as_array(), self.bandwidth.as_array()
+        links, K, w = with_rotors(x, 0.0), self.stiffness, self.bandwidth.as_array()
         tau, after = self.inner_torque(links, ref, memory, dt)
-        B, tau_J, rate = x.arm.rotor_inertia, x.tau_meas, self.stiffness @ (x.v_motor - x.v)
+        B, tau_J, rate = x.arm.rotor_inertia, x.tau_meas, self.stiffness * (x.v_motor - x.v)
         moved = tau_J + B * (links.forward_dynamics(tau_J) - (w * w * tau_J + 2.0 * w * rate) / K)
         return Torque((B * w * w / K) * tau + Terms(torque_loop=moved)), after
 
@@ -283,7 +283,7 @@ class FullStateFeedback(Law):
     """
 
     reference = SmoothMotion
-    stiffness: Gain = Gain(unit=SPRING, shape="scalar", above=0.0)
+    stiffness: Field = Field(unit=SPRING, above=0.0)
     feedback: Gain = Gain(unit="N m/rad, N m s/rad", shape=4, accepts=(), minimum=-np.inf)
 
     @classmethod
@@ -387,7 +387,7 @@ class FlexibleJointLinearisation(Law):
     """
 
     reference = SmoothMotion
-    stiffness: Gain = Gain(unit=SPRING, accepts=("scalar",), above=0.0)
+    stiffness: Field = Field(unit=SPRING, shape="n", above=0.0)
     omega: Gain = Gain(unit="rad/s", accepts=("scalar",), above=0.0)
 
     def check_state(self, x: Snapshot, rate: float) -> None:  # noqa: ARG002
@@ -396,10 +396,10 @@ class FlexibleJointLinearisation(Law):
 
     def command(self, x: Snapshot, ref: SmoothMotion) -> Command:
         links, none, B = with_rotors(x, 0.0), tm.zeros(x.n), x.arm.rotor_inertia
-        K, w = self.stiffness.as_array(), self.omega.as_array()
+        K, w = self.stiffness, self.omega.as_array()
         a = links.forward_dynamics(x.tau_meas)
         _, without_jerk, _ = spring_torque(links, x.q, x.v, a, none, none)
-        j = tm.solve_spd(links.M_factors, self.stiffness @ (x.v_motor - x.v) - without_jerk)
+        j = tm.solve_spd(links.M_factors, self.stiffness * (x.v_motor - x.v) - without_jerk)
         _, _, without_snap = spring_torque(links, x.q, x.v, a, j, none)
         snap = Terms(
             feedforward=ref.s + 4.0 * w * (ref.j - j) + 6.0 * w**2 * (ref.a - a),

@@ -83,7 +83,7 @@ class Uncertainty(Declared):
                 self.refuse(name, f"must be (smallest, largest); got {got}", RangeError)
 
     def check_arm(self, model: Model) -> None:
-        """Refuse an arm that these intervals are not for: other joints, or links that are no rigid bodies."""
+        """Refuse intervals without width, and an arm they are not for: other joints, links that are no bodies."""
         own = model.arm.payload
         if own.mass + self.payload[0] < 0.0:
             raise RangeError(
@@ -104,6 +104,9 @@ class Uncertainty(Declared):
                     "be negative; mend the model, or narrow the intervals",
                     name="links",
                 )
+        b, c = self.friction(model.arm.friction)  # known dry friction is an error too: a joint sticks at any of it
+        if not (self.unknown(model) or np.any(self.disturbance) or np.any(np.ptp(b, axis=0)) or np.any(c)):
+            self.refuse("uncertainty", "must have an interval of some width; nothing in it is unknown", RangeError)
 
     def nominal(self, arm: Arm) -> Arm:
         """The arm with payload and friction in the middle of their intervals."""
@@ -214,7 +217,7 @@ class Robust(Law):
         uncertainty: The intervals.
 
     Raises:
-        ShapeError, MatchError: An uncertainty that does not fit the arm, when it is compiled.
+        RangeError, ShapeError, MatchError: An uncertainty without width or for another arm, when it is compiled.
 
     Example:
         >>> import taut
