@@ -306,23 +306,13 @@ class Drivetrain:
         return dry, dry
 
     def _accelerations(
-        self,
-        M: Matrix,
-        tau: Vector,
-        load: Vector,
-        law: tuple[Vector, Vector],
-        v: Vector,
-        free: Any,
-        rotor: Any,
-        b: Vector,
-        p: Values,
-        dt: Any,
-    ) -> Vector:
+        self, M: Matrix, tau: Vector, load: Vector, law: tuple[Vector, Vector], v: Vector, free: Any, rotor: Any,
+        b: Vector, p: Values, dt: Any,
+    ) -> Vector:  # fmt: skip
         """(n,) of the rotors in a step: M a = load - b v - dry + passed (tau - rotor a); none reverses.
 
-        passed is the efficiency where the motor drives and its inverse where the load does. A joint at rest begins to
-        move where it is free and its torques overcome its friction. For one joint the second solution is the right
-        one; of coupled joints the next one corrects it.
+        passed is the efficiency where the motor drives and its inverse where the load does. A free joint at rest
+        moves where torques overcome its friction. One joint takes two solutions, coupled ones a third.
         """
         assert self.transmission is not None
         n, rotor = self.arm.n, _per_joint(rotor, self.arm.n)
@@ -337,11 +327,9 @@ class Drivetrain:
             moves = tm.abs(sign)
             dry = sign * law[0] if law[0] is law[1] else tm.where(sign < 0.0, -law[1], sign * law[0])
             passed = tm.where(sign * (tau - rotor * a) > 0.0, p["efficiency"], 1.0 / p["efficiency"])
-            alone = passed * rotor + dt * b + (1.0 - moves)
-            rhs = moves * (load - b * v - dry + passed * tau)
-            a = tm.solve_spd(np.outer(moves, moves) * links + tm.eye(n) * alone, rhs)
-        out: Vector = tm.where(sign * (v + dt * a) > 0.0, a, -v / dt)
-        return out
+            left = np.outer(moves, moves) * links + tm.eye(n) * (passed * rotor + dt * b + (1.0 - moves))
+            a = tm.solve_spd(left, moves * (load - b * v - dry + passed * tau))
+        return tm.where(sign * (v + dt * a) > 0.0, a, -v / dt)  # type: ignore[no-any-return]
 
     def spring(self, q: Vector, v: Vector, memory: Values, parameters: Values) -> Vector:
         """(n,) what springs and teeth put on the links; of rigid joints zero."""
