@@ -586,6 +586,14 @@ def test_what_is_not_a_run_is_refused() -> None:
         taut.doctor(heavy(), checks=[too_fast])  # type: ignore[list-item]
 
 
+@pytest.mark.parametrize(
+    "test", [lambda run: 5, lambda run: run.run.nope, lambda run: {}["limit"]], ids=["number", "attribute", "key"]
+)
+def test_a_check_that_gives_no_finding_is_refused_by_its_name(test: Any) -> None:
+    with refused(taut.errors.UsageError):
+        taut.doctor(heavy(), checks=[Check(name="mine", test=test, cause="x", remedy="y")])
+
+
 def test_a_diagnosis_is_text_data_and_figures() -> None:
     diagnosis = taut.doctor(heavy())
     diagnosis.plot().savefig(BytesIO(), format="png")

@@ -20,6 +20,7 @@ from fuzz_logs import chunk, record, with_chunks, write_log
 from refusals import refused
 
 import taut
+from taut.analysis import Check
 from taut.arm.catalogue import CATALOGUE, installed_package
 from taut.arm.report import check_model
 from taut.base.errors import printable
@@ -469,3 +470,31 @@ def test_without_file_descriptors_there_is_one_sentence(tmp_path: Path) -> None:
             os.close(descriptor)
         resource.setrlimit(resource.RLIMIT_NOFILE, old)
     assert ctrl.step([0.0, 0.0], [0.0, 0.0], taut.JointMotion(q=[0.0, 0.0])).shape == (2,)
+
+
+def test_an_exception_and_a_term_of_the_user_s_reach_no_terminal_unescaped(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    class Odd(taut.Law):
+        def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
+            return taut.Torque(**{HIDDEN: -x.v, "P": 0.0 * x.q})
+
+    class Broken(taut.PlantBase):
+        def reset(self, q: Any, v: Any, dt: float, seed: int) -> None:
+            self.now = q, v
+
+        def state(self) -> Any:
+            return self.now
+
+        def advance(self, command: Any) -> Any:
+            raise OSError(HIDDEN)
+
+    arm = taut.load_arm("planar2")
+    ctrl = taut.compile(Odd(), arm)
+    ctrl.explain()
+    run = taut.run(ctrl, Broken(arm), duration=0.1)
+    whole = taut.run(ctrl, taut.RigidPlant(arm), duration=0.2)
+    mine = Check(name="mine", test=lambda run: run.finding(HIDDEN, 0, 1.0, {}), cause="{term}", remedy="none")
+    shown = f"{capsys.readouterr().out}{run.outcome}{taut.doctor(run)}{taut.doctor(whole, checks=[mine])}"
+    assert shown.count(printable(HIDDEN)) >= 4
+    assert shown.replace("\n", "").isprintable()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable
 from typing import Any
 
@@ -14,6 +15,8 @@ import taut
 from taut import Constraint, Pose
 from taut import math as tm
 from taut.maths.constraints.multipliers import Constrained, force_projector
+from taut.maths.model import model_of
+from taut.maths.snapshot import Snapshot
 from taut.trace.linalg import factor_spd
 
 NEAR = 0.1
@@ -394,6 +397,39 @@ def test_a_wrong_constraint_is_one_sentence(case: str) -> None:
     make, error = WRONG[case]
     with refused(error):
         make()
+
+
+READY_MADE = {
+    "plane": Constraint.plane(point=U, normal=[0.0, 1.0, 1.0]),
+    "moving plane": Constraint.plane(point=U, normal=[0.0, 0.0, 1.0], face=[1.0, 0.0, 0.0], sway=[0.0, 0.0, 0.1]),
+    "point": Constraint.point(point=U),
+    "sphere": Constraint.sphere(center=U, radius=0.3, inside=True),
+    "cylinder": Constraint.cylinder(point=U, axis=[1.0, 0.0, 0.0], radius=0.3),
+    "line": Constraint.line(point=U, axis=[1.0, 0.0, 0.0]),
+    "hinge": Constraint.hinge(point=U, axis=[0.0, 0.0, 1.0], T=Pose([0.1, 0.2, 0.3])),
+    "knife edge": Constraint.knife_edge(sideways=[0.0, 1.0, 0.0]),
+    "grasp": Constraint.grasp("panda_link4", "panda_hand_tcp"),
+    "pin": Constraint.pin("panda_link4", "panda_hand_tcp"),
+    "two": Constraint.plane(point=U, normal=[0.0, 0.0, 1.0]) + Constraint.line(point=U, axis=[1.0, 0.0, 0.0]),
+}
+
+
+@pytest.mark.parametrize("name", READY_MADE)
+def test_a_ready_made_constraint_and_what_holds_it_are_pickled(name: str) -> None:
+    constraint, arm = READY_MADE[name], taut.load_arm("panda")
+    x = Snapshot(model_of(arm), q=arm.home, v=np.full(arm.n, 0.1), t=0.2)
+    contact = taut.RigidContact(constraint=constraint)
+    for twin in (pickle.loads(pickle.dumps(constraint)), pickle.loads(pickle.dumps(contact)).constraint):
+        rows, again = constraint.at(x), twin.at(x)
+        for part in ("phi", "A_q", "phi_t", "bias"):
+            np.testing.assert_array_equal(getattr(rows, part), getattr(again, part))
+
+
+@pytest.mark.parametrize("motion", [taut.laws.TaskComputedTorque, taut.laws.ComputedTorque])
+def test_a_law_that_holds_a_constraint_is_pickled(motion: Any) -> None:
+    law = taut.laws.HybridMotionForce(constraint=READY_MADE["plane"], motion=motion(kp=1.0, kd=1.0), kfp=0.3)
+    twin = pickle.loads(pickle.dumps(law))
+    assert (repr(twin), twin.reference) == (repr(law), law.reference)
 
 
 def test_a_number_is_no_constraint_to_add() -> None:

@@ -259,3 +259,42 @@ def test_a_plant_that_gives_something_else_is_refused_by_its_method(method: str,
     plant = type("Wrong", (Resting,), {method: lambda *_: gives})(arm)
     with refused(taut.errors.ShapeError):
         taut.run(taut.compile(taut.laws.PID(kp=1.0, kd=1.0), arm), plant, duration=0.01)
+
+
+@pytest.mark.parametrize(
+    ("method", "gives", "says"),
+    [
+        ("advance", None, "advance() must return the torques that acted with shape (2,); got none"),
+        ("advance", np.zeros(3), "advance() must return the torques that acted with shape (2,); got shape (3,)"),
+        ("advance", 0.0, "advance() must return the torques that acted with shape (2,); got shape ()"),
+        ("advance", np.array([0.0, np.nan]), "advance() must return finite torques that acted; got [ 0. nan]"),
+        ("measure", None, "measure() must return q with shape (2,); got none"),
+        ("measure", {"q": np.zeros(2), "v": 0.0}, "measure() must return v with shape (2,); got shape ()"),
+        ("measure", {"q": np.zeros(2), "v": np.full(2, np.nan)}, "v[0] (joint 'joint1') must be finite; got nan in"),
+    ],
+)
+def test_a_plant_that_fails_later_ends_the_run_and_keeps_what_was_before(method: str, gives: Any, says: str) -> None:
+    class Late(Resting):
+        def _late(self, method: str, usual: Any) -> Any:
+            self.calls = getattr(self, "calls", 0) + (method == at_fault)
+            return gives if method == at_fault and self.calls > 5 else usual
+
+        def advance(self, command: Any) -> Any:
+            return self._late("advance", command)
+
+        def measure(self) -> Any:
+            return self._late("measure", super().measure())
+
+    arm, at_fault = taut.load_arm("planar2"), method
+    run = taut.run(taut.compile(taut.laws.PID(kp=1.0, kd=1.0), arm), Late(arm), duration=0.05)
+    assert (run.outcome.ok, len(run), run.outcome.tick) == (False, 5, 4)
+    assert "tick 5" in str(run.outcome)
+    assert says in str(run.outcome)
+    assert np.isfinite(run.tau).all()
+
+
+def test_torques_that_are_no_numbers_are_refused_in_the_first_tick() -> None:
+    arm = taut.load_arm("planar2")
+    plant = type("Wrong", (Resting,), {"advance": lambda *_: np.full(2, np.nan)})(arm)
+    with refused(taut.errors.RangeError):
+        taut.run(taut.compile(taut.laws.PID(kp=1.0, kd=1.0), arm), plant, duration=0.01)

@@ -87,8 +87,22 @@ class TestEfficiency:
         law = taut.compile(taut.laws.PID(kp=1e-9), GEARED)
         plant = kind(GEARED, actuation=self.gears(efficiency))
         run = taut.run(law, plant, taut.JointMotion(q=[1e9 * tau]), duration=0.1, q0=[0.0], v0=[v0])
-        a = (run.v[-1, 0] - run.v[1, 0]) / (run.t[-1] - run.t[1])
-        assert a == pytest.approx(passed * tau / (0.5 + passed * 0.25), rel=1e-9)
+        a = np.diff(run.v[:, 0]) / np.diff(run.t)  # the first step, from rest, included
+        assert a == pytest.approx(np.full(len(a), passed * tau / (0.5 + passed * 0.25)), rel=1e-9)
+
+    @pytest.mark.parametrize("tau", [0.5, 0.0, -0.5])
+    @pytest.mark.parametrize("kind", [taut.RigidPlant, taut.MujocoPlant])
+    def test_a_load_that_sets_a_joint_at_rest_in_motion_drives_the_gear_at_once(self, kind: Any, tau: float) -> None:
+        """It falls: where tau - B a lifts, the load drives, and where it pulls too, the motor does."""
+        arm = HANGING.with_gears(ratio=50.0, motor_inertia=1e-4)
+        law = taut.compile(taut.laws.PID(kp=1e-9), arm)
+        run = taut.run(
+            law, kind(arm, actuation=self.gears(0.8)), taut.JointMotion(q=[1e9 * tau]), duration=0.002, q0=[0.0]
+        )
+        M = float(taut.snapshot(HANGING, [0.0]).M[0, 0])
+        passed = next(p for p in (0.8, 1.25) if (p < 1.0) == (tau - 0.25 * (p * tau - WEIGHT) / (M + p * 0.25) < 0.0))
+        expected = (passed * tau - WEIGHT) / (M + passed * 0.25)
+        assert run.v[1, 0] / 1e-3 == pytest.approx(expected, rel=1e-9)
 
     @pytest.mark.parametrize("kind", [taut.RigidPlant, taut.MujocoPlant])
     def test_a_load_that_accelerates_the_rotor_alone_loses_in_the_gear_too(self, kind: Any) -> None:

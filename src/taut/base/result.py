@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taut.base.errors import UsageError
+from taut.base.errors import UsageError, printable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -109,7 +109,7 @@ class Result(ABC):
     def __str__(self) -> str:
         content = self.content()
         parts = [content.title, *content.faults, *content.summary, *map(str, content.tables), *content.notes]
-        return "\n".join(part for part in parts if part)
+        return printable("\n".join(part for part in parts if part), lines=True)
 
     def json(self) -> dict[str, Any]:
         """The result as plain data, for `--json` and for programs."""

@@ -6,7 +6,7 @@ import inspect
 import re
 from typing import TYPE_CHECKING
 
-from taut.base.errors import count_of
+from taut.base.errors import count_of, printable
 from taut.control.combine import all_laws
 from taut.control.law import Law
 from taut.controller.parameters import short
@@ -39,7 +39,7 @@ def explanation(ctrl: Controller) -> str:
         lines.append(f"left out       {', '.join(side.adds.names)} (the plant adds them)")
     cost = f"{ctrl.operations} operations a tick" if ctrl.operations else "not traced"
     lines.append(f"engine         {ctrl.engine}, {cost}")
-    return "\n".join(lines)
+    return printable("\n".join(lines), lines=True)
 
 
 def summary(law: type[Law]) -> str:

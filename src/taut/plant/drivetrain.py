@@ -18,7 +18,7 @@ from taut.maths.friction import FrictionValues, dry_limit
 from taut.trace import math as tm
 
 Values = Mapping[str, Any]
-SIDES: Final = 2  # times that the side which drives each gear is looked up; a third one changes nothing on a Panda
+SIDES: Final = 3  # times that the side which drives each gear is looked up; a fourth one changes nothing on a Panda
 RESTS: Final = 1e-9  # [rad/s | m/s] of a joint that friction holds: in MuJoCo it is not exactly zero
 
 
@@ -290,10 +290,9 @@ class Drivetrain:
         reaching = tau
         if rotor is not None:
             b = _per_joint(0.0 if values.viscous is None else values.viscous, self.arm.n)
-            same = law[0] is law[1]
-            dry = tm.sign(v) * law[0] if same else tm.where(v > 0.0, law[0], tm.where(v < 0.0, -law[1], 0.0))
-            outside = load + contact - b * v - dry
-            reaching = tau - rotor * self._accelerations(M, tau, outside, v, rotor, b, p["efficiency"], dt)
+            # The force of a contact that has just closed is not known yet: what rests in contact is taken to stay.
+            free = 1.0 if "contact.on" not in memory else tm.where(memory["contact.on"].sum() > 0.0, 0.0, 1.0)
+            reaching = tau - rotor * self._accelerations(M, tau, load + contact, law, v, free, rotor, b, p, dt)
         forth, back = self.transmission.loss_limits(reaching, p)
         return FrictionLimits(law=law, low=law[0] + forth, high=law[1] + back)
 
@@ -307,29 +306,30 @@ class Drivetrain:
         return dry, dry
 
     def _accelerations(
-        self, M: Matrix, tau: Vector, load: Vector, v: Vector, rotor: Any, b: Vector, efficiency: Any, dt: Any
-    ) -> Vector:
-        """(n,) of the rotors in a step: M a = load + passed (tau - rotor a), joints at rest held; none reverses.
+        self, M: Matrix, tau: Vector, load: Vector, law: tuple[Vector, Vector], v: Vector, free: Any, rotor: Any,
+        b: Vector, p: Values, dt: Any,
+    ) -> Vector:  # fmt: skip
+        """(n,) of the rotors in a step: M a = load - b v - dry + passed (tau - rotor a); none reverses.
 
-        passed is the efficiency where the motor drives and its inverse where the load does. For one joint a solution
-        without losses shows which of them drives; for coupled joints the next one corrects it.
+        passed is the efficiency where the motor drives and its inverse where the load does. A free joint at rest
+        moves where torques overcome its friction. One joint takes two solutions, coupled ones a third.
         """
+        assert self.transmission is not None
         n, rotor = self.arm.n, _per_joint(rotor, self.arm.n)
-        moves = tm.where(tm.abs(v) > RESTS, 1.0, 0.0)
-        with_link = moves * np.array([float(i in self.rigid) for i in range(n)])
-        links = np.outer(with_link, with_link) * M
-
-        def solved(passed: Vector) -> Vector:
-            alone = passed * rotor + dt * b + (1.0 - moves)
-            out: Vector = tm.solve_spd(links + tm.eye(n) * alone, moves * (load + passed * tau))
-            return out
-
-        a = solved(tm.zeros(n) + 1.0)
+        rigid = np.array([float(i in self.rigid) for i in range(n)])
+        links = np.outer(rigid, rigid) * M
+        forth, back = self.transmission.loss_limits(tau, p)
+        a = sign = tm.zeros(n)
         for _ in range(SIDES):
-            driving = v * (tau - rotor * a) > 0.0
-            a = solved(tm.where(driving, efficiency, 1.0 / efficiency) + tm.zeros(n))
-        out: Vector = tm.where(v * (v + dt * a) > 0.0, a, -v / dt)
-        return out
+            net = tau + load - (links - links * np.eye(n)) @ a
+            begins = tm.where(net > law[0] + forth, 1.0, tm.where(net < -law[1] - back, -1.0, 0.0))
+            sign = tm.where(tm.abs(v) > RESTS, tm.sign(v), free * begins)
+            moves = tm.abs(sign)
+            dry = sign * law[0] if law[0] is law[1] else tm.where(sign < 0.0, -law[1], sign * law[0])
+            passed = tm.where(sign * (tau - rotor * a) > 0.0, p["efficiency"], 1.0 / p["efficiency"])
+            left = np.outer(moves, moves) * links + tm.eye(n) * (passed * rotor + dt * b + (1.0 - moves))
+            a = tm.solve_spd(left, moves * (load - b * v - dry + passed * tau))
+        return tm.where(sign * (v + dt * a) > 0.0, a, -v / dt)  # type: ignore[no-any-return]
 
     def spring(self, q: Vector, v: Vector, memory: Values, parameters: Values) -> Vector:
         """(n,) what springs and teeth put on the links; of rigid joints zero."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from taut.arm.description import BASE, Arm
 from taut.arm.rules import indefinite
+from taut.base.errors import printable
 from taut.base.types import Float64Array
 from taut.control.closed_loop import ApparentImpedance
 from taut.maths.model import Chain
@@ -99,7 +100,7 @@ class Outcome:
         return self.kind == "completed"
 
     def __str__(self) -> str:
-        return self.message
+        return printable(self.message, lines=True)  # an exception's words may be in it
 
     def json(self) -> dict[str, Any]:
         """As plain values."""

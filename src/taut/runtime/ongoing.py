@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from time import monotonic
 from typing import Any, Final, Protocol
 
@@ -298,8 +298,7 @@ class HostedRun(OngoingRun):
         out = tape.outputs
         out["q"][k], out["v"][k] = plant.state()
         measured = plant.measure()
-        if k == 0:
-            self._require("measure", measured, {path: view.shape for path, view in self._measured})
+        self._require("measure", measured, self._measured)
         self._reference(k, measured)
         for path, view in self._measured:
             view[...] = measured[path]
@@ -318,16 +317,16 @@ class HostedRun(OngoingRun):
             return Outcome(kind="diverged", message=f"{outcome.message}; {error}", tick=k - 1, joint=outcome.joint)
         for view, rows in self._given:
             rows[k] = view
-        acted = plant.advance(self._command)
-        if k == 0:
-            self._require(
-                "advance", {"the torques that acted": acted}, {"the torques that acted": out["tau"][k].shape}
-            )
-        out["tau"][k] = acted
+        acted, tau = plant.advance(self._command), out["tau"][k]
+        self._require("advance", {"the torques that acted": acted}, [("the torques that acted", tau)])
+        tau[...] = acted
         for name, value in plant.extra().items():
             out[name][k] = value
         trouble = plant.trouble()
         if trouble is None:
+            if not np.isfinite(tau).all():
+                method = f"plant '{plant.name}': advance()"
+                raise RangeError(f"{method} must return finite torques that acted; got {acted}", name="tau")
             return None
         words, joint = trouble
         who = None if joint is None else self._side.arm.joint_names[joint]
@@ -335,14 +334,14 @@ class HostedRun(OngoingRun):
         message = f"the simulation diverged{where}: {words}{self.tape.out_of_reach(k + 1)}"
         return Outcome(kind="diverged", message=message, tick=k, joint=who)
 
-    def _require(self, method: str, given: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:
-        """Refuse what a method of a plant of the user's gives in the first tick if it is not what a run needs."""
-        for name, shape in shapes.items():
+    def _require(self, method: str, given: Any, wanted: Sequence[tuple[str, Float64Array]]) -> None:
+        """Refuse what a method of a plant of the user's gives if it is not of the shapes that a run needs."""
+        for name, view in wanted:
             value = given.get(name) if isinstance(given, Mapping) else None
-            if value is None or np.shape(value) != shape:
+            if value is None or np.shape(value) != view.shape:
                 got = "none" if value is None else f"shape {np.shape(value)}"
                 who = f"plant '{self._plant.name}': {method}()"
-                raise ShapeError(f"{who} must return {name} with shape {shape}; got {got}", name=name)
+                raise ShapeError(f"{who} must return {name} with shape {view.shape}; got {got}", name=name)
 
     def _apply(self, values: Mapping[str, ArrayLike]) -> Float64Array | None:
         """New values of parameters; those of the controller before, where a blend takes up the change."""

@@ -17,6 +17,7 @@ from taut.arm.parts import short_way
 from taut.base.errors import UsageError
 from taut.base.plot_style import INK, WIDTH, colour, line, prepared
 from taut.base.types import Array, Float64Array
+from taut.codegen.program import failure
 from taut.control.limits import LIMIT_TERMS
 from taut.control.trajectories.force_reference import HybridMotion, TaskForce
 from taut.control.trajectories.task_reference import TaskMotion
@@ -167,9 +168,14 @@ class Check:
 
     def examine(self, run: ExaminedRun) -> Finding | None:
         """The finding of a run that has what the check needs, with its sentences; None where there is no fault."""
-        found = self.test(run)
+        try:
+            found = self.test(run)
+        except Exception as error:
+            raise self._refusal(f"it raises {failure(error)}") from error
         if found is None:
             return None
+        if not isinstance(found, Finding):
+            raise self._refusal(f"got {found!r}")
         values = {"joint": found.joint, "term": found.term, **found.evidence}
         remedy = self.remedy if isinstance(self.remedy, str) else self.remedy.get(found.term, self.remedy.get("", ""))
         try:
@@ -179,6 +185,9 @@ class Check:
                 f"check '{self.name}' names {missing}; its finding has {', '.join(values)}", name="cause"
             ) from missing
         return dataclasses.replace(found, name=self.name, cause=cause, remedy=remedy, follows=self.follows)
+
+    def _refusal(self, got: str) -> UsageError:
+        return UsageError(f"test of check '{self.name}' must return run.finding(...) or None; {got}", name="test")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

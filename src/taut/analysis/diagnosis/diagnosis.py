@@ -93,7 +93,6 @@ def doctor(run: Run, *, arm: Arm | None = None, checks: Sequence[Check] = CHECKS
         arm: The controller's arm; by default the run's own. Without one, checks that need a model are left out.
         checks: The checks to make; `[*taut.analysis.CHECKS, mine]` adds one of your own.
 
-
     Raises:
         UsageError: No run, no arm, no checks.
         MatchError: An arm with other joints.
@@ -211,6 +210,8 @@ def _longest_complete(run: Run, min_ticks: int) -> tuple[Run | None, list[str]]:
 
     A tick is missing where the time jumps by whole periods and the ticks' numbers do too; divergence is not meant.
     """
+    if not len(run):
+        return None, ["no tick was recorded"]
     problems = []
     known, starts = np.ones(len(run), dtype=bool), np.zeros(len(run), dtype=bool)
     skipped = np.maximum(np.round(np.diff(run.t) * run.rate) - 1.0, 0.0)

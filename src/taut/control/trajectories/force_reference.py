@@ -163,10 +163,12 @@ class HybridMotion(Sample):
 @cache
 def hybrid_kind(motion: type[Sample]) -> type[HybridMotion]:
     """The kind of sample that holds this kind of motion."""
-    return type("HybridMotion", (HybridMotion,), {"__slots__": tuple(motion.fields(0)), "kind": motion})
+    body = {"__slots__": tuple(motion.fields(0)), "__module__": __name__, "kind": motion}
+    return type("HybridMotion", (HybridMotion,), body)
 
 
 OF_TASK, OF_JOINTS = hybrid_kind(TaskMotion), hybrid_kind(JointMotion)  # so that logs find them
+OF_TASK.__qualname__, OF_JOINTS.__qualname__ = "OF_TASK", "OF_JOINTS"  # and pickles of a law
 
 
 class Pressing(Motion[HybridMotion]):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final, Self
 
 import numpy as np
@@ -201,7 +202,7 @@ class Constraint:
             frame: The frame; the arm's tool if left out.
         """
         side = unit_vector("sideways", sideways)
-        return cls.pfaffian(lambda T: tm.array([*(T.R @ side), 0.0, 0.0, 0.0]), frame=frame)
+        return cls.pfaffian(partial(_sideways, side), frame=frame)
 
     @classmethod
     def plane(
@@ -232,23 +233,12 @@ class Constraint:
         speed, half = float(n @ _three("velocity", velocity, "m/s")), 0.5 * float(n @ _three("sway", sway, "m"))
         omega = 2.0 * np.pi / positive_scalar("period", period, unit="s")
         flat = None if face is None else unit_vector("face", face)
-        e1, e2 = _across(n)
-
-        def displacement(t: Any) -> Any:
-            return speed * t + half * (1.0 - tm.cos(omega * t))
-
-        def phi(T: Pose, t: Any) -> Array:
-            rows = [n @ (T.p - p) - displacement(t)]
-            if flat is not None:
-                looks = -(T.R @ flat)
-                # The rates of these rows at phi = 0 are the two rotations that tilt the face.
-                rows += [-(e2 @ looks), e1 @ looks]
-            return tm.array(rows)
-
-        moves = bool(speed or half)
-        surface = Surface(kind="plane", point=p, axis=n, displacement=displacement if moves else None)
+        displacement = partial(_displacement, speed, half, omega) if speed or half else None
+        surface = Surface(kind="plane", point=p, axis=n, displacement=displacement)
         each = one_sided if face is None else (one_sided, False, False)
-        return cls.of([of_poses(phi if moves else lambda T: phi(T, 0.0), (frame,), each, surface=surface)])
+        at_rest: dict[str, Any] = {} if displacement else {"t": 0.0}
+        phi = partial(_on_plane, p, n, flat, displacement, **at_rest)
+        return cls.of([of_poses(phi, (frame,), each, surface=surface)])
 
     @classmethod
     def point(
@@ -272,7 +262,7 @@ class Constraint:
         c, n = _three("point", point, "m"), unit_vector("normal", normal)
         axes, surface = np.array([n, *_across(n)]), Surface(kind="plane", point=c, axis=n)
         sides = (one_sided, False, False)
-        return cls.of([of_poses(lambda T: tm.array(list(axes @ (T.p - c))), (frame,), sides, surface=surface)])
+        return cls.of([of_poses(partial(_apart, axes, Pose(c)), (frame,), sides, surface=surface)])
 
     @classmethod
     def sphere(
@@ -287,7 +277,7 @@ class Constraint:
         """The tool's origin on a sphere: outside of it, or in its hollow."""
         c, r = _three("center", center, "m"), positive_scalar("radius", radius, unit="m")
         sign, surface = -1.0 if inside else 1.0, Surface(kind="sphere", point=c, radius=r, inside=inside)
-        return cls.of([of_poses(lambda T: sign * (_size(T.p - c) - r), (frame,), one_sided, surface=surface)])
+        return cls.of([of_poses(partial(_from_axis, c, np.zeros(3), r, sign), (frame,), one_sided, surface=surface)])
 
     @classmethod
     def cylinder(
@@ -303,18 +293,13 @@ class Constraint:
         """The tool's origin on a cylinder about an axis through a point: outside of it, or in its hollow."""
         c, u, r = _three("point", point, "m"), unit_vector("axis", axis), positive_scalar("radius", radius, unit="m")
         sign, surface = -1.0 if inside else 1.0, Surface(kind="cylinder", point=c, axis=u, radius=r, inside=inside)
-
-        def phi(T: Pose) -> Any:
-            d = T.p - c
-            return sign * (_size(d - (u @ d) * u) - r)
-
-        return cls.of([of_poses(phi, (frame,), one_sided, surface=surface)])
+        return cls.of([of_poses(partial(_from_axis, c, u, r, sign), (frame,), one_sided, surface=surface)])
 
     @classmethod
     def line(cls, *, point: ArrayLike, axis: ArrayLike, frame: str | None = None) -> Self:
         """The tool's origin on a straight line through a point, along an axis, its rotation free: two rows."""
-        c, (e1, e2) = _three("point", point, "m"), _across(unit_vector("axis", axis))
-        return cls.of([of_poses(lambda T: tm.array([e1 @ (T.p - c), e2 @ (T.p - c)]), (frame,))])
+        c, axes = _three("point", point, "m"), np.array(_across(unit_vector("axis", axis)))
+        return cls.of([of_poses(partial(_apart, axes, Pose(c)), (frame,))])
 
     @classmethod
     def hinge(cls, *, point: ArrayLike, axis: ArrayLike, T: Pose, frame: str | None = None) -> Self:
@@ -327,15 +312,8 @@ class Constraint:
             frame: The frame; the arm's tool if left out.
         """
         instance_of("T", T, Pose, "a taut.Pose, one that the hinge allows")
-        c, u = _three("point", point, "m"), unit_vector("axis", axis)
-        own, (e1, e2) = T.inverse(), _across(u)
-        c_E, u_E = own.R @ c + own.p, own.R @ u
-
-        def phi(now: Pose) -> Array:
-            turned = now.R @ u_E
-            return tm.array([*(now.R @ c_E + now.p - c), e1 @ turned, e2 @ turned])
-
-        return cls.of([of_poses(phi, (frame,))])
+        c, u, own = _three("point", point, "m"), unit_vector("axis", axis), T.inverse()
+        return cls.of([of_poses(partial(_hinged, c, _across(u), own.R @ c + own.p, own.R @ u), (frame,))])
 
     @classmethod
     def grasp(cls, first: str, second: str, *, T: Pose | None = None) -> Self:
@@ -350,13 +328,7 @@ class Constraint:
             T: Pose of the second in the first; the two coincide if left out.
         """
         instance_of("T", T, Pose | None, "a taut.Pose, of the second frame in the first")
-        own = Pose() if T is None else T
-
-        def phi(a: Pose, b: Pose) -> Array:
-            seen = a.R.T @ b.R
-            return tm.array([*(a.R.T @ (b.p - a.p) - own.p), *rotation_log(seen @ own.R.T)])
-
-        return cls.of([of_poses(phi, (first, second))])
+        return cls.of([of_poses(partial(_grasped, Pose() if T is None else T), (first, second))])
 
     @classmethod
     def pin(
@@ -372,7 +344,7 @@ class Constraint:
         rows = finite_array("directions", directions)
         if rows.ndim != 2 or rows.shape[1] != 3:
             raise ShapeError(f"directions must be (k, 3); got shape {rows.shape}", name="directions")
-        return cls.of([of_poses(lambda a, b: tm.array(list(rows @ (b.p - a.p))), (first, second))])
+        return cls.of([of_poses(partial(_apart, rows), (first, second))])
 
     def __repr__(self) -> str:
         return f"Constraint({self.count} {'row' if self.count == 1 else 'rows'})"
@@ -382,8 +354,43 @@ def _three(name: str, value: ArrayLike, unit: str = "") -> Float64Array:
     return finite_array(name, value, shape=(3,), unit=unit)
 
 
-def _size(d: Array) -> Any:
-    return tm.sqrt(d @ d + MIN_SQUARE)
+# The functions of the ready-made constraints. Their data stand first, so that a partial of one can be pickled.
+
+
+def _sideways(side: Float64Array, T: Pose) -> Array:
+    return tm.array([*(T.R @ side), 0.0, 0.0, 0.0])
+
+
+def _displacement(speed: float, half: float, omega: float, t: Any) -> Any:
+    return speed * t + half * (1.0 - tm.cos(omega * t))
+
+
+def _on_plane(p: Float64Array, n: Float64Array, flat: Any, displacement: Any, T: Pose, t: Any) -> Array:
+    rows, (e1, e2) = [n @ (T.p - p) - (displacement(t) if displacement else 0.0)], _across(n)
+    if flat is not None:
+        looks = -(T.R @ flat)
+        # The rates of these rows at phi = 0 are the two rotations that tilt the face.
+        rows += [-(e2 @ looks), e1 @ looks]
+    return tm.array(rows)
+
+
+def _from_axis(c: Float64Array, u: Float64Array, r: float, sign: float, T: Pose) -> Any:
+    d = T.p - c
+    across = d - (u @ d) * u
+    return sign * (tm.sqrt(across @ across + MIN_SQUARE) - r)
+
+
+def _hinged(c: Float64Array, axes: Any, c_E: Float64Array, u_E: Float64Array, T: Pose) -> Array:
+    u = T.R @ u_E
+    return tm.array([*(T.R @ c_E + T.p - c), axes[0] @ u, axes[1] @ u])
+
+
+def _grasped(own: Pose, a: Pose, b: Pose) -> Array:
+    return tm.array([*(a.R.T @ (b.p - a.p) - own.p), *rotation_log(a.R.T @ b.R @ own.R.T)])
+
+
+def _apart(rows: Float64Array, a: Pose, b: Pose) -> Array:
+    return tm.array(list(rows @ (b.p - a.p)))
 
 
 def _across(u: Float64Array) -> tuple[Float64Array, Float64Array]:

@@ -17,9 +17,7 @@ from taut.trace import math as tm
 from taut.trace.linalg import LTDL, factor_spd
 from taut.trace.pose import Pose
 
-MIN_INDEPENDENT_PART: Final = (
-    1e-7  # of a row's square, what it has that later rows have not: below it, it is left out
-)
+MIN_INDEPENDENT_PART: Final = 1e-7  # of a row's square, what it has that later rows have not: below, it is left out
 MAX_ROWS: Final = 6  # of one function of poses
 NO_FORCE: Final = 1e-9  # of a gradient: below it that is rounding
 SOMEWHERE: Final = (  # where functions are tried
