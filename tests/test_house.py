@@ -151,8 +151,8 @@ def test_the_core_declares_what_it_imports() -> None:
 
 
 LIMITS = {  # the house as it is; a change that needs more says why in the commit that raises a number
-    "lines": (56_650, house.lines),
-    "lines of code": (38_500, house.code_lines),
+    "lines": (56_600, house.lines),
+    "lines of code": (38_520, house.code_lines),
     "modules": (256, lambda: len(house.modules())),
     "modules in one folder": (16, house.largest_folder),
     "modules with one importer": (30, lambda: len(house.slices())),
