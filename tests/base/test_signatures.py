@@ -119,3 +119,19 @@ def test_a_warning_is_at_the_line_that_called() -> None:
     with warned(RuntimeWarning) as caught:
         ARM.with_gears(100.0, motor_inertia=50.0)
     assert caught[0].filename == __file__
+
+
+@pytest.mark.parametrize("name", [name for name in PUBLIC if name.rpartition(".")[2][0].isupper()])
+def test_its_methods_refuse_them_too(name: str) -> None:
+    """Those that take any argument, inherited ones of taut among them."""
+    cls = operator.attrgetter(name)(taut)
+    for word in dir(cls):
+        method = inspect.getattr_static(cls, word)
+        function = getattr(method, "__func__", method)
+        ours = inspect.isfunction(function) and function.__name__ == word and function.__module__.startswith("taut.")
+        if word.startswith("_") or not ours:
+            continue
+        taken = [p for p in inspect.signature(function).parameters.values() if p.name not in ("self", "cls")]
+        if taken and all(p.kind is not p.VAR_KEYWORD for p in taken):
+            with pytest.raises(taut.errors.UsageError):
+                function(cls, no_such_argument=1.0)

@@ -101,8 +101,8 @@ def _check_class(cls: type) -> None:
         function = member.__func__ if kind is not None else member
         if not isinstance(function, FunctionType) or hasattr(function, _CHECKED):
             continue
-        by_name = function.__defaults__ or function.__code__.co_kwonlyargcount
-        if name == "__init__" or (by_name and not name.startswith("_")):
+        code = function.__code__
+        if name == "__init__" or (code.co_argcount + code.co_kwonlyargcount > 1 and not name.startswith("_")):
             setattr(cls, name, _refusing(function) if kind is None else kind(_refusing(function)))
 
 
