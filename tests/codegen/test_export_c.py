@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-import os
+import dataclasses
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -16,9 +16,9 @@ from refusals import refused
 import taut
 from taut.codegen.c import SINGLE, Struct
 from taut.codegen.program import Block
+from taut.scenarios.scenario import load_scenario
 
 L, TM = taut.laws, taut.math
-WHOLE = bool(os.environ.get("TAUT_BARS"))  # `make bars`
 CC = shutil.which("cc")
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
 compiled = pytest.mark.skipif(CC is None, reason="needs a C compiler: apt-get install gcc")
@@ -190,6 +190,29 @@ def test_words_of_c_and_digits_become_identifiers() -> None:
     text = "\n".join(struct.definition("t", "float", {"law.default": "N m"}))
     assert "float default_;  /* law.default [N m] */" in text
     assert "nothing" not in text
+
+
+def test_two_paths_of_one_name_in_c_are_refused() -> None:
+    with refused(taut.errors.UsageError):
+        Struct(Block.of({"law.a-b": (), "law.a_b": ()}))
+
+
+def test_names_of_a_model_do_not_end_a_comment(tmp_path: Path) -> None:
+    arm = dataclasses.replace(taut.load_arm("planar2"), name="*/ int evil; /*\nx")
+    taut.export_c(taut.compile(L.PID(kp=1.0), arm), tmp_path)
+    for name in ("ctrl.h", "ctrl.c", "ctrl_test.c"):
+        head = (tmp_path / name).read_text(encoding="utf-8").split("\n")[:4]
+        assert "\n".join(head).count("*/") == 1
+        assert "arm '* / int evil; /*\\nx'" in head[1]
+
+
+@compiled
+def test_two_arms_side_by_side(tmp_path: Path) -> None:
+    scenario = load_scenario("two_arms")
+    taut.export_c(scenario.experiment.controller(scenario.laws["both"]), tmp_path)
+    assert "double left_R[3][3];  /* ref.left_R [rotation: its" in (tmp_path / "ctrl.h").read_text(encoding="utf-8")
+    flags = f"CFLAGS=-O1 {' '.join(STRICT)}"
+    subprocess.run(["make", "-s", "test", flags], cwd=tmp_path, capture_output=True, check=True)
 
 
 def test_single_precision_keeps_what_is_tiny_and_what_is_large() -> None:

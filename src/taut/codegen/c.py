@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
+from taut.base.errors import UsageError, printable
 from taut.base.types import Float64Array
 from taut.codegen import llvm
 from taut.codegen.program import Block, Field, Program
@@ -17,8 +19,6 @@ from taut.trace.graph import Op
 
 Place = Callable[[str, int], str]
 """The C expression of a double in a block: `in->q[3]` for ("inputs", 4)."""
-
-
 _SINGLE: Final = np.finfo(np.float32)
 
 
@@ -174,6 +174,10 @@ class Struct:
     def __init__(self, block: Block) -> None:
         self._fields = [field for field in block.fields if field.size]
         self._members = {field.path: [member(part) for part in field.path.split(".")] for field in self._fields}
+        taken = Counter(map(tuple, self._members.values()))
+        if any(count > 1 for count in taken.values()):
+            names = [path for path, members in self._members.items() if taken[tuple(members)] > 1]
+            raise UsageError(f"{' and '.join(names)} are one name in C; give one of them another", name=names[0])
         self._at = {field.offset + k: (field, k) for field in self._fields for k in range(field.size)}
 
     def __bool__(self) -> bool:
@@ -202,7 +206,7 @@ class Struct:
             for member, node in tree.items():
                 if isinstance(node, Field):
                     shape = "".join(f"[{size}]" for size in node.shape)
-                    note = f"  /* {node.path} [{notes[node.path]}] */" if node.path in notes else ""
+                    note = f"  /* {comment(node.path)} [{notes[node.path]}] */" if node.path in notes else ""
                     yield f"{indent}{real} {member}{shape};{note}"
                 else:
                     yield from (f"{indent}struct {{", *members(node, indent + "    "), f"{indent}}} {member};")
@@ -229,6 +233,11 @@ class Struct:
             return "{" + ", ".join(texts) + "}"
 
         return members(self._tree()) if self else "{" + precision.number(0.0) + "}"
+
+
+def comment(text: str) -> str:
+    """A text from outside, such as a name in a model's file, which neither ends a comment nor hides in it."""
+    return printable(text).replace("*/", "* /")
 
 
 def member(part: str) -> str:

@@ -13,7 +13,7 @@ from taut.base import __version__
 from taut.base.checks import instance_of, one_of
 from taut.base.errors import FileError, UsageError
 from taut.base.types import Float64Array
-from taut.codegen.c import DOUBLE, SINGLE, Precision, Struct, body, member, prelude
+from taut.codegen.c import DOUBLE, SINGLE, Precision, Struct, body, comment, member, prelude
 from taut.codegen.program import Block, Program, trace
 from taut.control.lawside import HELD, KNOWN
 from taut.controller.controller import Controller
@@ -43,15 +43,15 @@ UNITS: Final = {
     "ref.R": "rotation: its columns are the tool's axes in the world",
     "ref.twist": "m/s, rad/s: linear first, world axes",
     "ref.acceleration": "m/s^2, rad/s^2",
-    "ref.F_app": "N, N m: of the arm on the environment",
+    "ref.F_app": "N, N m: of the arm on the environment at the tool, force first, world axes",
+    "ref.F_world": "N, N m: the same, the part in world axes",
+    "ref.F_tool": "N, N m: the part in the tool's axes",
+    "ref.press": "N: into the surface of the first row",
+    "ref.lam": "N, N m: multipliers of eq. 10.40 by row, in place of press",
+    "ref.given": "number of multipliers that are given",
     DT: "s: the period",
 }
-COMMANDS: Final = {
-    "torque": "N m | N",
-    "velocity": "rad/s | m/s",
-    "position": "rad | m",
-    "mit": "rows q, v, kp, kd, tau",
-}
+COMMANDS: Final = {"velocity": "v", "position": "q"}  # whose unit each has; that of torques otherwise
 
 
 def export_c(
@@ -100,6 +100,13 @@ def export_c(
     return Firmware(ctrl, prefix, DOUBLE if real == "double" else SINGLE).write(Path(folder))
 
 
+def _unit(path: str) -> str:
+    """Unit of an input; the samples of laws side by side have the part's name first, as in ref.left_p."""
+    own = (unit for name, unit in UNITS.items() if name[:4] == "ref." and path.endswith(f"_{name[4:]}"))
+    unit = UNITS.get(path) or next(own, "")
+    return f"{unit}, by joint" if "|" in unit else unit
+
+
 class Firmware:
     """The files of one exported controller."""
 
@@ -107,6 +114,7 @@ class Firmware:
         self.ctrl, self.prefix, self.precision = ctrl, prefix, precision
         self.tick, functions = ctrl.program, SideFunctions(ctrl.side, record=False)
         self.start = trace(functions.start, self.tick.inputs, self.tick.parameters, Block())
+        assert self.start.outputs.shapes == self.tick.memory.shapes
         self.values = self.tick.parameters.pack({**ctrl.parameters, DT: ctrl.dt})
         blocks = {name: getattr(self.tick, name) for name in ("inputs", "parameters", "memory", "outputs")}
         self.structs = {name: Struct(block) for name, block in blocks.items()}
@@ -133,18 +141,20 @@ class Firmware:
         side, version = self.ctrl.side, f"{MARK} {__version__}"
         return [
             f"/* {what}: {version}; make it anew rather than edit it.",
-            f" * {side.title} for arm '{side.arm.name}', {side.arm.n} joints, at {side.rate:g} Hz, in "
-            f"{self.precision.real}.",
+            f" * {comment(side.title)} for arm '{comment(side.arm.name)}', {side.arm.n} joints, at {side.rate:g} Hz, "
+            f"in {self.precision.real}.",
             " * SPDX-License-Identifier: Apache-2.0 (what taut wrote; a law of your own stays yours) */",
         ]
 
     def header(self) -> str:
         """Types, parameters, functions, and how to use them."""
         p, real, side = self.prefix, self.precision.real, self.ctrl.side
-        notes = {path: f"{unit}, by joint" if "|" in unit else unit for path, unit in UNITS.items()}
+        notes = {path: _unit(path) for path in (*self.tick.inputs.shapes, DT)}
         notes |= {path: unit for path, unit in side.units.items() if unit}
-        notes |= {"mit": COMMANDS["mit"], "command": COMMANDS["torque" if side.gives == "mit" else side.gives]}
-        joints = (f"{name} [{unit}]" for name, unit in zip(side.arm.joint_names, side.arm.units, strict=True))
+        notes |= {"mit": "rows q, v, kp, kd, tau", "command": UNITS[COMMANDS.get(side.gives, "tau_meas")]}
+        joints = (
+            f"{comment(name)} [{unit}]" for name, unit in zip(side.arm.joint_names, side.arm.units, strict=True)
+        )
         lines = [
             *self._head(f"{p}.h"),
             f"#ifndef {p.upper()}_H",
@@ -201,10 +211,6 @@ class Firmware:
         """The tick, the start, and the checks around them."""
         p, real, structs = self.prefix, self.precision.real, self.structs
         common = f"const {p}_inputs *inputs, const {p}_parameters *parameters"
-        zero = self.tick.inputs.zeros()
-        for view in self.tick.inputs.views(zero).values():
-            if view.shape == (3, 3):
-                view[...] = np.eye(3)
         lines = [
             *self._head(f"{p}.c"),
             f'#include "{p}.h"',
@@ -216,7 +222,7 @@ class Firmware:
             "#endif",
             "",
             prelude(self.precision, self.tick, self.start),
-            f"const {p}_inputs {p}_zero = {structs['inputs'].initial(zero, self.precision)};",
+            f"const {p}_inputs {p}_zero = {structs['inputs'].initial(self._zero(), self.precision)};",
             f"const {p}_parameters {p}_defaults = {structs['parameters'].initial(self.values, self.precision)};",
             "",
             f"static int finite_numbers(const {real} *x, size_t size)",
@@ -233,7 +239,7 @@ class Firmware:
         tick = f"static void tick({common}, const {p}_memory *memory, {p}_memory *next, {p}_outputs *outputs)"
         lines += self._function(tick, self.tick, {"new": ("next", "memory"), "outputs": ("outputs", "outputs")})
         begin = f"void {p}_start({common}, {p}_memory *memory)"
-        lines += self._function(begin, self._start_in_order(), {"outputs": ("memory", "memory")})
+        lines += self._function(begin, self.start, {"outputs": ("memory", "memory")})
         lines += [
             f"int {p}_step({common}, {p}_memory *memory, {p}_outputs *outputs)",
             "{",
@@ -273,10 +279,13 @@ class Firmware:
             ]
         return "\n".join([*lines, ""])
 
-    def _start_in_order(self) -> Program:
-        """The start, whose outputs are the memory."""
-        assert self.start.outputs.shapes == self.tick.memory.shapes
-        return self.start
+    def _zero(self) -> Float64Array:
+        """Inputs that are zero, but for rotations."""
+        zero = self.tick.inputs.zeros()
+        for view in self.tick.inputs.views(zero).values():
+            if view.shape == (3, 3):
+                view[...] = np.eye(3)
+        return zero
 
     def _ticks(self) -> tuple[list[Float64Array], list[Float64Array]]:
         """Inputs near home, and the first output of each tick, by the program on plain numbers."""
@@ -285,11 +294,10 @@ class Firmware:
         inputs, commands, memory = [], [], None
         size = self.tick.outputs.fields[0].size
         for k in range(TICKS):
-            row = self.tick.inputs.zeros()
+            row = self._zero()
             for path, view in self.tick.inputs.views(row).items():
-                middle = middles.get(path, np.zeros(view.shape))
-                turns = view.shape == (3, 3) or path in (KNOWN, HELD, "ref.given")
-                view[...] = middle + (0.0 if turns else 0.05) * rng.standard_normal(view.shape)
+                stays = view.shape == (3, 3) or path in (KNOWN, HELD) or path.endswith("given")
+                view[...] = middles.get(path, view) + (0.0 if stays else 0.05) * rng.standard_normal(view.shape)
             self.tick.inputs.views(row)["t"][...] = k * side.dt
             with np.errstate(all="ignore"):
                 if memory is None:
@@ -366,10 +374,7 @@ CFLAGS += -std=c99 -Wall -Wextra -Wpedantic -Wconversion
 test: {p}_test
 \t./{p}_test
 
-clean:
-\trm -f {p}.o {p}_test
-
-.PHONY: test clean
+.PHONY: test
 """
 
     def cmake(self) -> str:
