@@ -1,0 +1,94 @@
+"""RobotDriver: the interface between the real-time loop and a robot, and what a robot declares about itself."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from taut.base.errors import TautError
+from taut.base.types import Float64Array
+
+
+class DriverFault(TautError, RuntimeError):
+    """A robot or its connection that fails while the loop runs; it ends the motion and is latched.
+
+    Args:
+        message: One sentence: what the robot reported and how to go on.
+        code: `disconnected`, `silent`, `robot_error` (the robot stopped itself), `rejected` (a command that it did
+            not take) or `busy` (another client has it).
+    """
+
+    def __init__(self, message: str, *, code: str = "robot_error") -> None:
+        super().__init__(message, name=code)
+        self.code = code
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotInfo:
+    """Declaration of a robot, made by its driver when it is connected. Plain data."""
+
+    name: str  # in messages: "Franka at 172.16.0.2"
+    n: int  # number of joints
+    rate: float  # [Hz] of its states and commands
+    takes: Literal["torque", "velocity", "position", "mit"]
+    measures: tuple[str, ...] = ("v",)  # besides q: v, tau_meas, F_ext (in taut's sign), q_motor, v_motor
+    adds: tuple[str, ...] = ()  # gravity, coriolis, friction: what it adds to a torque command itself
+    paced_by: Literal["robot", "host"] = "host"  # "robot": its blocking read keeps the time
+    silence: float = 0.0  # [s] without commands after which it stops itself; 0 where it never does
+    joint_names: tuple[str, ...] = ()  # where it knows them
+    load: tuple[float, tuple[float, float, float]] | None = None  # mass [kg] and centre [m] that it compensates
+    facts: Mapping[str, Any] = field(default_factory=dict)  # further plain values, for bring-up and messages
+
+
+class RobotDriver(ABC):
+    """A robot on a wire. It lives in the loop's process, which imports it by module and class name.
+
+    The order of calls is open, then any number of (read)*, begin, (read, write)*, end, and at last close. Between
+    begin and end every period has one read and one write. Nothing is sent before begin. Any exception ends the
+    motion: the loop calls end, and reports a DriverFault as it is and everything else by its text.
+
+    Args:
+        address: What stands behind `scheme://`, such as "172.16.0.2" or "127.0.0.1:4000".
+        options: Further keyword arguments of a driver: plain values, given to `taut.connect(..., options={})`.
+    """
+
+    @abstractmethod
+    def open(self) -> RobotInfo:
+        """Connect and report what is there; nothing moves and no control begins."""
+
+    @abstractmethod
+    def read(self, measured: Mapping[str, Float64Array]) -> None:
+        """Write the newest state into the arrays q (n,) and each of `measures`, in place.
+
+        A robot that keeps time blocks until its next state; else the newest state that has arrived is taken, and one
+        that stays away longer than the driver allows is a DriverFault("silent").
+        """
+
+    @abstractmethod
+    def begin(self) -> None:
+        """Take control; the next read gives the state from which commands begin."""
+
+    @abstractmethod
+    def write(self, command: Float64Array) -> None:
+        """Send one command: (n,), or (5, n) rows q, v, kp, kd and tau for motors of the MIT type."""
+
+    @abstractmethod
+    def end(self) -> None:
+        """Give control back, from any state and after any error; the robot holds itself or brakes."""
+
+    def recover(self) -> None:  # noqa: B027  (most robots need nothing)
+        """Clear the robot's own errors, so that begin may follow."""
+
+    def set_load(self, mass: float, com: Float64Array, inertia: Float64Array) -> None:  # noqa: ARG002
+        """Tell the robot its load: mass [kg], centre [m] at the flange, (3, 3) inertia [kg m^2]."""
+        raise DriverFault("this robot takes no load", code="rejected")
+
+    def call(self, name: str, arguments: Mapping[str, Any]) -> Any:  # noqa: ARG002
+        """Whatever else a robot offers between motions, such as its gripper or collision thresholds; plain data."""
+        raise DriverFault(f"this robot has no function '{name}'", code="rejected")
+
+    @abstractmethod
+    def close(self) -> None:
+        """End the connection; called once, also after a failed open."""
