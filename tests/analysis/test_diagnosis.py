@@ -142,7 +142,8 @@ def of_scenario(scenario: str) -> dict[tuple[str, str, str], tuple[str, str] | N
     for trial, one in load_scenario(scenario).trials.items():
         if one.spread is not None and len(out) == 2:
             break
-        diagnosis = taut.doctor(one.experiment.run(one.experiment.controller(one.laws[trial.law])))
+        experiment = one.experiment.prepared(one.laws[trial.law])
+        diagnosis = taut.doctor(experiment.run(experiment.controller(one.laws[trial.law])))
         assert not diagnosis.problems, trial
         found = diagnosis.findings
         out[scenario, trial.case, trial.law] = (found[0].name, found[0].term) if found else None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import statistics
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -126,6 +126,7 @@ class Experiment:
     events: tuple[Event, ...] = ()  # changes of parameters
     parameters: Mapping[str, ArrayLike] = field(default_factory=dict)  # by path, from the start
     texts: Mapping[str, str] = field(default_factory=dict)  # longer texts by title
+    preparation: Callable[[Experiment, Law | Task, EngineChoice], Experiment] | None = None  # before the runs of a law
 
     @classmethod
     def of(cls, loop: Loop) -> Experiment:
@@ -154,6 +155,10 @@ class Experiment:
         """The plant's sensors; ideal ones of a plant that does not declare any."""
         sensors = getattr(self.plant, "sensors", None)
         return sensors if isinstance(sensors, Sensors) else Sensors()
+
+    def prepared(self, law: Law | Task, engine: EngineChoice = "auto") -> Experiment:
+        """The experiment of a law after its preparation: a learned or inverted reference, an identified arm."""
+        return self if self.preparation is None else self.preparation(self, law, engine)
 
     def controller(self, law: Law | Task, engine: EngineChoice = "auto") -> Controller:
         """The law, compiled for this experiment."""
@@ -191,6 +196,7 @@ class Experiment:
             "rate": f"{self.rate:g} Hz",
             "duration": f"{self.duration:g} s",
             "reference": type(self.reference).__name__,
+            **({} if self.preparation is None else {"preparation": str(self.preparation)}),
             "limits": "none" if self.limits is None else str(self.limits),
             "sensing": str(self.sensing),
             "noise of": ", ".join(_noisy(self.sensors)) or "no sensor",
@@ -331,15 +337,16 @@ def compare_laws(
     entries: list[Entry] = []
     notes: tuple[str, ...] = ()
     if experiment is not None:
-        controllers = {}
+        ready = {}
         for name, law in laws.items():
             with blamed(name):
-                controllers[name] = experiment.controller(law)
+                one = experiment.prepared(law)
+                ready[name] = one, one.controller(law)
         variants = _Variants.of(experiment, noise, model)
         notes = variants.notes
         for name, law in laws.items():
             with blamed(name):
-                done, numbers = variants.figures(experiment, controllers[name], by)
+                done, numbers = variants.figures(*ready[name], by)
             entries.append(Entry(name=name, law=repr(law), run=done, numbers=numbers))
     entries += [
         Entry(name=name, law=one.info.law, run=one, numbers=figures_of(one, by)) for name, one in runs.items()

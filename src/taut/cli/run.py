@@ -102,7 +102,7 @@ def _export(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
         raise UsageError(
             f"scenario '{scenario.name}' has the laws {', '.join(map(repr, laws))}; {got}; give --law NAME"
         )
-    ctrl = scenario.experiment.controller(laws[name])
+    ctrl = scenario.experiment.prepared(laws[name]).controller(laws[name])
     files = [str(file) for file in export_c(ctrl, arguments.out, prefix=arguments.prefix, real=arguments.real)]
     cost = f"{ctrl.operations} operations a tick; to compare it with Python: make -C {arguments.out} test"
     return Answer(text="\n".join([*files, cost]), data={"scenario": scenario.name, "law": name, "files": files})

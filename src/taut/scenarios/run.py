@@ -215,11 +215,12 @@ def run_scenario(
         with _blamed(one, trial), warnings.catch_warnings():
             warnings.simplefilter("ignore", StabilityWarning)  # the outcome has its sentence
             ctrl, law, adds = made.get(trial.law), one.laws[trial.law], one.experiment.plant.adds
-            if ctrl is None or ctrl.law is not law or ctrl.side.adds != adds:
-                ctrl = made[trial.law] = one.experiment.controller(law, engine)
+            experiment = one.experiment.prepared(law, engine)
+            if ctrl is None or ctrl.law is not law or ctrl.side.adds != adds or experiment is not one.experiment:
+                ctrl = made[trial.law] = experiment.controller(law, engine)
             log = _partial(files["log"]) if "log" in files and trial == scenario.shown else None
             try:
-                done = one.experiment.run(ctrl, log=log)
+                done = experiment.run(ctrl, log=log)
             except KeyboardInterrupt:
                 if log is None or not log.exists():
                     raise
@@ -243,6 +244,8 @@ def _blamed(scenario: Scenario, trial: Trial) -> Iterator[None]:
     """Name the place of errors that loading could not see, such as code that cannot be traced or full memory."""
     try:
         yield
+    except ScenarioError:  # of a preparation
+        raise
     except TautError as cause:
         section = SECTIONS.get((cause.name or "").partition(".")[0])
         place = f"[{section}]" if section else f"law '{trial.law}':"

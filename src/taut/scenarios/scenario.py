@@ -42,8 +42,8 @@ from taut.scenarios.sections import Plant, Spread, read_arm, read_control, read_
 MAX_RUN_TICKS: Final = 10_000_000  # of a run, which keeps every one: gigabytes
 GLANCE: Final = 200  # ticks of a reference that are looked at before a run
 
-OF_A_CASE: Final = ("arm", "laws", "phases", "control", "plant", "reference", "run", "event")
-OF_CONTROLLERS: Final = ("arm", "laws", "control")
+OF_A_CASE: Final = ("arm", "laws", "phases", "control", "plant", "reference", "preparation", "run", "event")
+OF_CONTROLLERS: Final = ("arm", "laws", "control", "preparation")
 OF_ALL_CASES: Final = ("title", "outputs", "pass")
 MAX_CASES: Final = 200
 MAX_NAME: Final = 200  # bytes of a file's name; systems take 255, and a file is written under a longer one first
@@ -348,6 +348,11 @@ def read_experiment(
         with Table("--set:", "", {}).blamed():
             due.insert(0, Event(t=0.0, set=parameters))
             check(due[0])
+    preparation = None
+    if "preparation" in root:
+        from taut.scenarios.preparation import read_preparation
+
+        preparation = read_preparation(root.table("preparation"), arm, sides.values())
     experiment = Experiment(
         name=root.where,
         reference=reference,
@@ -357,6 +362,7 @@ def read_experiment(
         seed=run.seed,
         events=tuple(due),
         texts={"Scenario": text},
+        preparation=preparation,
         **out,
     )
     return laws, experiment

@@ -27,7 +27,7 @@ from taut.control.law import Law
 from taut.control.limits import Limits
 from taut.control.observer import MomentumObserver
 from taut.control.sensing import Difference, Kalman, LowPass, Sensing
-from taut.drives import ElectricMotor, Motor, MotorModel, VariableStiffnessActuator
+from taut.drives import ElectricMotor, FlexibleLink, Motor, MotorModel, VariableStiffnessActuator
 from taut.environments import (
     Damper,
     Environment,
@@ -205,7 +205,7 @@ def _as_sum(table: Mapping[str, Any]) -> dict[str, Any]:
     return dict(table) if isinstance(name, list) else {"law": [name], name: gains}
 
 
-Plant: TypeAlias = RigidPlant | PlantBase
+Plant: TypeAlias = RigidPlant | FlexibleLink | PlantBase
 CHANGES: Final = ("bodies", "friction", "gears", "perturbed", "joint_values", "payload")
 
 
@@ -311,9 +311,14 @@ def _motor(table: Table, key: str) -> Any:
 
 
 def read_plant(table: Table, assumed: Arm, rate: float) -> Plant:
-    """A rigid plant or one in MuJoCo, from [plant]; the true arm is made from the assumed one."""
+    """A flexible link, or a rigid plant or one in MuJoCo, whose true arm is made from the assumed one."""
     make: Callable[..., Plant] = RigidPlant
-    if table.choice("kind", ("rigid", "mujoco"), "rigid") == "mujoco":
+    kind = table.choice("kind", ("rigid", "mujoco", "flexible-link"), "rigid")
+    if kind == "flexible-link":
+        link: FlexibleLink = read(FlexibleLink, table, others=["kind"])
+        _require_start(link, table, rate)
+        return link
+    if kind == "mujoco":
         from taut.runtime.robots.mujoco.plant import MujocoPlant
 
         make = MujocoPlant
@@ -339,12 +344,13 @@ def read_plant(table: Table, assumed: Arm, rate: float) -> Plant:
 def _require_start(plant: Plant, table: Table, rate: float) -> None:
     """A delay of whole periods, and steps that are short enough for a spring."""
     rest, dt = np.zeros(plant.arm.n), 1.0 / rate
-    if not isinstance(plant, RigidPlant):
+    if isinstance(plant, PlantBase):
         with table.blamed("timestep"):
             plant.reset(plant.arm.home, rest, dt, seed=0)
         return
-    with table.blamed("actuation"):
-        plant.actuation.taps(dt)
+    if isinstance(plant, RigidPlant):
+        with table.blamed("actuation"):
+            plant.actuation.taps(dt)
     with table.blamed():
         plant.start(plant.arm.home, rest, plant.parameters, dt)
 
