@@ -112,7 +112,10 @@ SCENARIOS = {  # all other runs have no finding, nor has panda_geared's payload 
     ("gain_bounds", "servo rate", "large gains"): ("oscillation", "D"),
     ("gain_bounds", "backlash", "large gains"): ("backlash", "transmission"),
     ("gain_bounds", "elasticity", "large gains"): ("oscillation", "transmission"),
+    ("kinova_identifies", "old model", "computed torque"): ("wrong payload", "nonlinear"),
     ("one_joint_pid", "", "PD"): ("gravity not compensated", "P"),
+    ("panda_learns", "not learned", "computed torque"): ("wrong payload", "nonlinear"),
+    ("panda_learns", "learned in ten trials", "computed torque"): ("wrong payload", "nonlinear"),  # the model stays
     ("panda_payload", "", "PID"): ("gravity not compensated", "P"),
     ("panda_payload", "", "PD + gravity"): ("wrong payload", "gravity"),
     ("panda_payload", "", "feedforward + PD"): ("wrong payload", "nonlinear"),

@@ -28,6 +28,9 @@ SPLINE = {"kind": "spline", "times": [0.0, 1.0], "points": [[0.0, 0.0], [0.1, 0.
 JERK = {"kind": "jerk-limited", "q0": [0, 0], "q1": [1, 1], "velocity": 1, "acceleration": 1}
 PASS = {"law": "PD", "metric": "rms_error", "max": 1}
 VELOCITY = {"takes": "velocity", "actuation": {"bandwidth": 50.0}}
+LEARN = {"kind": "learning", "by": {"kind": "norm-optimal"}}
+EXCITE = {"kind": "identification", "duration": 10.0, "what": ["friction"]}
+LINK = {"kind": "flexible-link", "length": 1.0, "EI": 5.0, "density": 0.5, "hub_inertia": 0.1}
 NAN, INF = float("nan"), float("inf")
 
 # What is changed, by dotted path, and the path of the key that is refused; of the section, where it is all of it.
@@ -257,6 +260,34 @@ CASES: dict[str, tuple[dict[str, Any], str]] = {
     "times that go back": ({"reference": {**SPLINE, "times": [1.0, 0.0]}}, "reference.times"),
     "points for other joints": ({"reference": {**SPLINE, "points": [[0.0], [1.0]]}}, "reference.points"),
     "samples that are not there": ({"reference": {"kind": "samples", "file": "no.csv"}}, "reference.file"),
+    # [preparation]
+    "a preparation without a kind": ({"preparation": {"trials": 3}}, "preparation.kind"),
+    "an unknown preparation": ({"preparation": {"kind": "learing"}}, "preparation.kind"),
+    "learning by no law": ({"preparation": {"kind": "learning"}}, "preparation.by"),
+    "learning by an unknown law": ({"preparation": {**LEARN, "by": {"kind": "optimal"}}}, "preparation.by.kind"),
+    "learning gains of another arm": ({"preparation": {**LEARN, "by": {"kind": "pd", "Lp": [1, 2, 3]}}}, "preparation.by.Lp"),
+    "a misspelt learning gain": ({"preparation": {**LEARN, "by": {"kind": "pd", "lp": 1}}}, "preparation.by.lp"),
+    "no trials": ({"preparation": {**LEARN, "trials": 0}}, "preparation.trials"),
+    "half a trial": ({"preparation": {**LEARN, "trials": 2.5}}, "preparation.trials"),
+    "a lead of learning": ({"preparation": {**LEARN, "lead": 0.1}}, "preparation.lead"),
+    "trials of an hour": ({"preparation": LEARN, "run.duration": 3600.0}, "preparation"),
+    "inversion without a lead": ({"preparation": {"kind": "inversion"}}, "preparation.lead"),
+    "a negative lead": ({"preparation": {"kind": "inversion", "lead": -0.1}}, "preparation.lead"),
+    "a lead of an hour": ({"preparation": {"kind": "inversion", "lead": 3600.0}}, "preparation"),
+    "an excitation of no whole period": ({"preparation": {**EXCITE, "duration": 7.0}}, "preparation.duration"),
+    "an excitation of a day": ({"preparation": {**EXCITE, "duration": 86400.0}}, "preparation"),
+    "an excitation of a million harmonics": ({"preparation": {**EXCITE, "harmonics": 1_000_000}}, "preparation.harmonics"),
+    "identification of the unknown": ({"preparation": {**EXCITE, "what": ["mass"]}}, "preparation.what"),
+    "a misspelt amplitude": ({"preparation": {**EXCITE, "amplitud": 0.3}}, "preparation.amplitud"),
+    "a preparation of a law of the tool": (
+        {"laws.PD": {"law": "TaskComputedTorque", "kp": 100, "kd": 20}, "reference": {"kind": "hold"}, "preparation": LEARN},
+        "preparation",
+    ),
+    # a flexible link
+    "a flexible link without a length": ({"plant": {k: v for k, v in LINK.items() if k != "length"}}, "plant.length"),
+    "a flexible link with a payload": ({"plant": {**LINK, "payload": {"mass": 1.0}}}, "plant.payload"),
+    "a flexible link for two joints": ({"plant": LINK}, "plant"),
+    "modes that are too fast for the steps": ({"plant": {**LINK, "EI": 1e6, "substeps": 1}}, "plant.substeps"),
     # [run]
     "a missing duration": ({"run": {}}, "run.duration"),
     "a misspelt duration": ({"run": {"duraton": 1}}, "run.duraton"),
@@ -444,3 +475,31 @@ def test_whatever_stands_behind_a_key_is_refused_in_one_line_or_read(
             text = str(refusal)
         assert text.startswith("scenario 'case.toml'"), path
         assert "\n" not in text, path
+
+
+OF_PREPARATIONS = {
+    "learning": ({**LEARN, "by": {"kind": "pd", "Lp": 1.0, "cutoff": 10.0}}, ("by", "trials", "kind")),
+    "identification": (EXCITE, ("what", "duration", "frequency", "amplitude", "harmonics", "speed", "acceleration", "seed")),
+    "inversion": ({"kind": "inversion", "lead": 0.1}, ("lead",)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("value", NASTY, ids=repr)
+@pytest.mark.parametrize("kind", OF_PREPARATIONS)
+def test_whatever_a_preparation_has_is_refused_in_one_line_or_read(
+    kind: str, value: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    good, keys = OF_PREPARATIONS[kind]
+    tables = [{**good, key: value} for key in keys]
+    if kind == "learning":
+        tables += [{**good, "by": {**good["by"], key: value}} for key in ("kind", "Lp", "Ld", "cutoff", "order")]
+    for table in tables:
+        Path("case.toml").write_text(scenario({"preparation": table}), encoding="utf-8")
+        text = "scenario 'case.toml' is read"
+        try:
+            load_scenario("case.toml")
+        except taut.errors.ScenarioError as refusal:
+            text = str(refusal)
+        assert text.startswith("scenario 'case.toml'"), table
+        assert "\n" not in text, table

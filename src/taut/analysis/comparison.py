@@ -126,7 +126,9 @@ class Experiment:
     events: tuple[Event, ...] = ()  # changes of parameters
     parameters: Mapping[str, ArrayLike] = field(default_factory=dict)  # by path, from the start
     texts: Mapping[str, str] = field(default_factory=dict)  # longer texts by title
-    preparation: Callable[[Experiment, Law | Task, EngineChoice], Experiment] | None = None  # before the runs of a law
+    preparation: Callable[[Experiment, Law | Task, EngineChoice], Experiment] | None = (
+        None  # before the runs of a law
+    )
 
     @classmethod
     def of(cls, loop: Loop) -> Experiment:

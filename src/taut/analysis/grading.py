@@ -162,7 +162,11 @@ def _commands(name: str, law: Law, experiment: Experiment, run: Run) -> dict[str
     """(k, n) each: the command and its terms in the true states of a run, each tick after the one before."""
     with blamed(name):
         ctrl = compile(
-            law, experiment.prepared(law).arm, rate=experiment.rate, sensing=experiment.sensing, adds=experiment.plant.adds
+            law,
+            experiment.prepared(law).arm,
+            rate=experiment.rate,
+            sensing=experiment.sensing,
+            adds=experiment.plant.adds,
         )
         kernel = ctrl.recording_kernel()
         inputs, outputs = (kernel.blocks.views(block) for block in ("inputs", "outputs"))

@@ -348,11 +348,6 @@ def read_experiment(
         with Table("--set:", "", {}).blamed():
             due.insert(0, Event(t=0.0, set=parameters))
             check(due[0])
-    preparation = None
-    if "preparation" in root:
-        from taut.scenarios.preparation import read_preparation
-
-        preparation = read_preparation(root.table("preparation"), arm, sides.values())
     experiment = Experiment(
         name=root.where,
         reference=reference,
@@ -362,9 +357,13 @@ def read_experiment(
         seed=run.seed,
         events=tuple(due),
         texts={"Scenario": text},
-        preparation=preparation,
         **out,
     )
+    if "preparation" in root:
+        from taut.scenarios.preparation import read_preparation
+
+        preparation = read_preparation(root.table("preparation"), experiment, sides.values())
+        experiment = replace(experiment, preparation=preparation)
     return laws, experiment
 
 

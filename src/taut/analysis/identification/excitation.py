@@ -10,7 +10,7 @@ from scipy.linalg import block_diag, null_space
 
 from taut.analysis.identification.regression import ArmRegression, Unknown
 from taut.arm.description import Arm
-from taut.base.checks import finite_array, positive_scalar, whole_number
+from taut.base.checks import finite_array, positive_scalar, require_range, whole_number
 from taut.base.errors import RangeError, ShapeError
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.trajectories.joint import ACCELERATION, POSITION, SPEED, Fourier
@@ -23,6 +23,8 @@ RANDOM: Final = 40  # motions about the best one so far
 SPREADS: Final = np.geomspace(1.0, 0.1, 10)  # of these, in one round after the other
 TORQUE_WEIGHT: Final = 100.0  # of torques beyond the limit, against the logarithm of the condition number
 SMALLER: Final = 1.05  # at least, where torques of the motion are too large
+MAX_HARMONICS: Final = 50  # the search keeps some ten thousand numbers for each
+HIGHEST: Final = 1000.0  # [Hz] of a first harmonic; no arm follows it
 SINGULAR: Final = 1e-12  # smallest eigenvalue of a regressor whose condition number still counts
 
 
@@ -48,7 +50,7 @@ def excitation(
         arm: The arm, with a payload like the expected one.
         duration: Whole periods of the first harmonic [s].
         what: What is to be identified, as for `taut.analysis.identify`.
-        harmonics: Number of them, 2 or more.
+        harmonics: Number of them, 2 to 50.
         frequency: Of the first harmonic [Hz].
         amplitude: (n,) or scalar, largest distance from home [rad | m].
         speed: (n,) or scalar [rad/s | m/s]; half of the arm's limits if left out.
@@ -72,7 +74,9 @@ def excitation(
     """
     regression = ArmRegression(arm, what)
     duration, frequency = positive_scalar("duration", duration, unit="s"), positive_scalar("frequency", frequency)
-    harmonics, periods = whole_number("harmonics", harmonics, minimum=2), duration * frequency
+    require_range("frequency", frequency, unit="Hz", maximum=HIGHEST)
+    harmonics = whole_number("harmonics", harmonics, minimum=2, maximum=MAX_HARMONICS)
+    periods = duration * frequency
     if abs(periods - round(periods)) > 1e-9 or periods < 0.5:
         raise RangeError(
             f"duration must be whole periods of the first harmonic, {1.0 / frequency:g} s each; got {duration:g}",
