@@ -1,4 +1,4 @@
-"""[preparation]: what happens before a run and changes what is run: a reference learned or inverted, an arm identified."""
+"""[preparation]: what changes an experiment before its runs: a reference learned or inverted, an arm identified."""
 
 from __future__ import annotations
 
@@ -6,11 +6,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final, Protocol
 
+from taut.analysis import NormOptimal, PDLearning, excitation, identify, learn, stable_inversion
 from taut.analysis.comparison import Experiment
-from taut.analysis.flexible_joints import stable_inversion
-from taut.analysis.identification.excitation import excitation
-from taut.analysis.identification.identify import identify
-from taut.analysis.learning import LearningLaw, NormOptimal, PDLearning, learn
+from taut.analysis.learning import LearningLaw
 from taut.base.errors import UsageError, quoted_list
 from taut.base.fields import Declared, Field, Part, Whole
 from taut.codegen.engine import EngineChoice
@@ -22,14 +20,14 @@ from taut.control.trajectories.reference import JointMotion
 from taut.controller import Controller
 from taut.scenarios.reading import Table, of_kind, read, reads
 
-BY: Final = {"norm-optimal": NormOptimal, "pd": PDLearning}
-KINDS: Final = ("learning", "identification", "inversion")
+LEARNING_LAWS: Final[Mapping[str, type[LearningLaw]]] = {"norm-optimal": NormOptimal, "pd": PDLearning}
+PREPARATIONS: Final = ("learning", "identification", "inversion")
 MAX_PREPARED_TICKS: Final = 100_000  # of a motion, whose responses or regressors are kept: a gigabyte
 
 
 @reads(LearningLaw)
 def _learning_law(table: Table, key: str) -> LearningLaw:
-    return of_kind(BY, table.table(key))  # type: ignore[no-any-return]
+    return of_kind(LEARNING_LAWS, table.table(key))  # type: ignore[no-any-return]
 
 
 class Change(Protocol):
@@ -118,8 +116,8 @@ class Preparation:
 
 def read_preparation(table: Table, experiment: Experiment, sides: Iterable[LawSide]) -> Preparation:
     """[preparation] of laws of joint motion: its kind, and arguments as in Python. Raises ScenarioError."""
-    table.need("kind", f"kind, one of {quoted_list(KINDS)}")
-    kind, arm, rate = table.choice("kind", KINDS), experiment.arm, experiment.rate
+    table.need("kind", f"kind, one of {quoted_list(PREPARATIONS)}")
+    kind, arm, rate = table.choice("kind", PREPARATIONS), experiment.arm, experiment.rate
     for side in sides:
         if side.task is not None or side.law.reference is not JointMotion:
             follows = "has phases" if side.task is not None else f"follows {side.law.reference.described()}"

@@ -24,7 +24,7 @@ SPREADS: Final = np.geomspace(1.0, 0.1, 10)  # of these, in one round after the 
 TORQUE_WEIGHT: Final = 100.0  # of torques beyond the limit, against the logarithm of the condition number
 SMALLER: Final = 1.05  # at least, where torques of the motion are too large
 MAX_HARMONICS: Final = 50  # the search keeps some ten thousand numbers for each
-HIGHEST: Final = 1000.0  # [Hz] of a first harmonic; no arm follows it
+HIGHEST_FIRST: Final = 1000.0  # [Hz] of a first harmonic; no arm follows it
 SINGULAR: Final = 1e-12  # smallest eigenvalue of a regressor whose condition number still counts
 
 
@@ -74,7 +74,7 @@ def excitation(
     """
     regression = ArmRegression(arm, what)
     duration, frequency = positive_scalar("duration", duration, unit="s"), positive_scalar("frequency", frequency)
-    require_range("frequency", frequency, unit="Hz", maximum=HIGHEST)
+    require_range("frequency", frequency, unit="Hz", maximum=HIGHEST_FIRST)
     harmonics = whole_number("harmonics", harmonics, minimum=2, maximum=MAX_HARMONICS)
     periods = duration * frequency
     if abs(periods - round(periods)) > 1e-9 or periods < 0.5:
