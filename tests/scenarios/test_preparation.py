@@ -150,3 +150,43 @@ def test_what_is_prepared_in_all_cases_is_prepared_for_the_plant_of_each(tmp_pat
     accelerations = [done.reference.a for done in runs.values()]
     assert np.abs(accelerations[0] - accelerations[1]).max() > 1.0
     assert list(runs) == ["light", "heavy"]
+
+
+def test_an_arm_identified_in_one_case_is_not_that_of_the_next(tmp_path: Path) -> None:
+    """The same law in cases with other friction: the controller is compiled for the arm of each."""
+    text = """
+title = "t"
+[arm]
+model = "planar2"
+friction = { viscous = 0.1, coulomb = 0.1 }
+[laws.CT]
+law = ["ComputedTorque", "FrictionCompensation"]
+ComputedTorque = { kp = 400, kd = 40 }
+[plant]
+kind = "rigid"
+[reference]
+kind = "sine"
+relative_to_home = true
+center = [0.2, 0.2]
+amplitude = [0.2, 0.2]
+frequency = 0.5
+phase = -1.5707963267948966
+[preparation]
+kind = "identification"
+what = ["friction"]
+duration = 10.0
+[run]
+duration = 2.0
+[cases.light.plant.friction]
+coulomb = 0.2
+[cases.heavy.plant.friction]
+coulomb = 2.0
+"""
+    one = scenario(tmp_path, text)
+    prepared, plain = run(one, tmp_path), one.cases["heavy"].experiment
+    assert one.cases["heavy"].laws is one.cases["light"].laws
+    guessed = plain.run(plain.controller(one.laws["CT"]))
+    peaks = {case: np.abs(done.error).max() for case, done in prepared.items()}
+    assert max(peaks.values()) < 0.1 * np.abs(guessed.error).max()
+    first = scenario(tmp_path, text.replace("[preparation]", "[cases.found.preparation]"))
+    np.testing.assert_array_equal(run(first, tmp_path)["heavy"].q, guessed.q)  # of a case without a preparation
