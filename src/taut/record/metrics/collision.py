@@ -27,7 +27,7 @@ TAU_EXT: Final = "sensed.tau_ext"
 def collision_threshold(run: Run, uncertainty: Uncertainty | None = None) -> Float64Array:
     """(n,) thresholds for `taut.guards.collision` of a motion [N m | N]: 1.5 times its largest estimate per joint.
 
-    Law:          1.5 max over t of |r_i(t)| + sum over l of |h * Y_l pi_l|_i + h * friction error_i + disturbance_i
+    Law:          1.5 max over t of (|r_i| + sum over l of |h * Y_l pi_l|_i + h * friction error_i + disturbance_i)
                   r the estimate in the run, Y_l pi_l the torque of what is unknown of a body along its motion,
                   h the observer's low-pass: what the same observer makes of it, from momenta, without accelerations
 
@@ -46,7 +46,7 @@ def collision_threshold(run: Run, uncertainty: Uncertainty | None = None) -> Flo
         RuntimeWarning: Thresholds below a thousandth of the torque limits (without one: of the largest torque).
 
     Raises:
-        UsageError: A run without an observer, or with contact; with intervals, a run without arms or a task.
+        UsageError: A run without an observer, or with contact; with intervals, a run that does not hold its arms.
         RangeError, ShapeError, MatchError: Intervals without width, or for another arm.
 
     Example:
