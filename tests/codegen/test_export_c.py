@@ -238,6 +238,12 @@ def test_what_cannot_be_exported_is_refused(tmp_path: Path) -> None:
             taut.export_c(ctrl, tmp_path, prefix=prefix)
     with refused(taut.TautError):
         taut.export_c(ctrl, tmp_path, real="half")  # type: ignore[arg-type]
+    for folder in (None, 3, b"firmware"):
+        with refused(taut.errors.UsageError):
+            taut.export_c(ctrl, folder)  # type: ignore[arg-type]
+    for name in ("", "firm\0ware"):
+        with refused(taut.TautError):
+            taut.export_c(ctrl, name)
     (tmp_path / "Makefile").write_text("all:\n", encoding="utf-8")
     with refused(taut.TautError):
         taut.export_c(ctrl, tmp_path)

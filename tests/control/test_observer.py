@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -17,6 +18,8 @@ from taut.control.observer import WRENCH_DAMPING
 from taut.environments import Environment, Environments, Field
 from taut.linear import judgement
 from taut.linear.period import Period
+from taut.maths.model import model_of
+from taut.maths.regressor import parameters_of
 from taut.sensors import MomentumObserver
 from taut.trajectories import Sine
 
@@ -493,6 +496,91 @@ def test_a_threshold_of_a_wrong_arm_gives_no_false_alarm_on_it(share: Callable[[
             ]
             again = taut.run(taut.compile(task, model, sensing=observed()), plant, duration=2.0, q0=model.home + 1e-3)
             assert [window.name for window in again.phases] == ["go"], (seed, name)
+
+
+def arms_of(ctrl: taut.Controller, arm: taut.Arm, unknown: laws.Uncertainty, ref: Any) -> Callable[..., Float64Array]:
+    """Estimates (k, n) of arms of a set, by where each unknown is in its interval, from -1 to 1."""
+    half = np.array([[parameters_of(body) for body in part] for _, part in unknown.unknown(model_of(arm))])
+    plant = taut.RigidPlant(unknown.nominal(arm), friction=None, link_payloads=True)
+    loop = taut.Loop(ctrl, plant, ref, duration=2.0)
+
+    def estimate(place: Any) -> Float64Array:
+        loop.parameters["plant.payload.links"] = np.tensordot(place, half, 1)
+        run = taut.run(loop)
+        assert run.outcome.ok
+        return tau_ext(run)
+
+    return estimate
+
+
+@pytest.mark.parametrize("name", ["planar2", "ur10", "panda", "xarm7"])
+def test_thresholds_of_intervals_hold_for_every_arm_in_them_and_the_worst_reaches_them(
+    name: str, share: Callable[[int], int]
+) -> None:
+    """Seeded: no false alarm; of each joint the worst corner, by each unknown alone, is 1.3 to 1.9 times below it."""
+    arm = frictionless(name)
+    arm = arm if name == "planar2" else arm.with_joints(rotor_inertia=0.3)  # as geared motors have
+    ctrl = taut.compile(CT, arm, sensing=observed())
+    for seed in range(share(10)):
+        rng = np.random.default_rng(seed)
+        ref = Sine(center=arm.home + 0.3, amplitude=0.3, frequency=rng.uniform(0.3, 0.7, arm.n), phase=-0.5 * np.pi)
+        unknown = laws.Uncertainty(links=rng.uniform(0.02, 0.2, arm.n), payload=np.sort(rng.uniform(0.0, 2.0, 2)))
+        with warnings.catch_warnings():  # of a joint about the axis of which nothing is unknown
+            warnings.simplefilter("ignore", RuntimeWarning)
+            calm = taut.run(ctrl, taut.RigidPlant(arm), ref, duration=2.0)
+            threshold = taut.analysis.collision_threshold(calm, unknown)
+        estimate, size = arms_of(ctrl, arm, unknown, ref), arm.n + 1
+        middle = estimate(np.zeros(size))
+        alone = np.array([estimate(one) - middle for one in np.eye(size)])
+        bound = np.abs(middle) + np.abs(alone).sum(axis=0)
+        t = bound.argmax(axis=0)
+        corners = [np.sign(alone[:, t[i], i] * middle[t[i], i]) for i in range(arm.n)]
+        found = np.array([np.abs(estimate(corner)).max(axis=0) for corner in corners])
+        others = [*rng.choice((-1.0, 1.0), (4, size)), *rng.uniform(-1.0, 1.0, (2, size)), -np.ones(size)]
+        for place in others:
+            assert (np.abs(estimate(place)) < threshold).all(), (seed, place)
+        assert (found < threshold).all(), seed
+        ratio = threshold / np.diag(found)
+        assert ((ratio > 1.3) & (ratio < 1.9)).all(), (seed, ratio)
+
+
+@pytest.mark.parametrize("name", ["planar2", "ur10"])
+def test_thresholds_of_intervals_of_friction_hold_at_rest_and_in_motion(
+    name: str, share: Callable[[int], int]
+) -> None:
+    arm = taut.load_arm(name).with_joints(rotor_inertia=0.3)
+    for seed in range(share(10)):
+        rng = np.random.default_rng(seed)
+        b, c = np.sort(rng.uniform([[[0.0]], [[0.3]]], [[[0.5]], [[1.0]]], (2, 2, arm.n)), axis=1)
+        arm = arm.with_friction(taut.Friction(viscous=rng.uniform(0.0, 0.5, arm.n), coulomb=rng.uniform(0.1, 0.5)))
+        unknown = laws.Uncertainty(viscous=b, coulomb=c)
+        ref = Sine(center=arm.home, amplitude=0.3, frequency=rng.uniform(0.3, 0.7, arm.n))
+        ctrl = taut.compile(CT, arm, sensing=observed())
+        calm = taut.run(ctrl, taut.RigidPlant(arm), ref, duration=2.0, q0=arm.home)
+        threshold = taut.analysis.collision_threshold(calm, unknown)
+        for which in range(4):
+            friction = taut.Friction(viscous=b[which % 2], coulomb=c[which // 2])
+            run = taut.run(ctrl, taut.RigidPlant(arm.with_friction(friction)), ref, duration=2.0, q0=arm.home)
+            assert (np.abs(tau_ext(run)) < threshold).all(), (seed, which)
+
+
+def test_intervals_without_width_leave_the_threshold_of_the_run_and_a_disturbance_adds_to_it() -> None:
+    arm = frictionless("ur10")
+    plant = taut.RigidPlant(arm.with_payload(1.0, com=[0.1, 0.0, 0.0]))
+    run = taut.run(
+        taut.compile(CT, arm, sensing=observed()),
+        plant,
+        Sine(center=arm.home, amplitude=0.3, frequency=0.5),
+        duration=0.5,
+    )
+    own = taut.analysis.collision_threshold(run)
+    for value in (1e-9, 1.0):
+        of_all = taut.analysis.collision_threshold(run, laws.Uncertainty(disturbance=value))
+        assert of_all == pytest.approx(own + 1.5 * value, rel=1e-9)
+    assert taut.analysis.collision_threshold(run, laws.Uncertainty(links=1e-9)) == pytest.approx(own, abs=1e-6)
+    for wrong in (0.1, laws.Uncertainty(), laws.Uncertainty(coulomb=(np.zeros(3), np.ones(3)))):
+        with refused(taut.TautError):
+            taut.analysis.collision_threshold(run, wrong)  # type: ignore[arg-type]
 
 
 def test_noise_of_velocities_makes_the_noise_that_the_formula_says() -> None:

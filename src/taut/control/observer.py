@@ -153,11 +153,11 @@ class MomentumObserver(Declared):
         if self.torque == "applied":
             rate = rate + dyn.compensation(model, adds, q, v, payload)
             if not adds.friction:
-                rate = rate + self._friction(arm, v, tau, parameters)
+                rate = rate + self.friction(arm, v, tau, parameters)
         return p, rate
 
     @staticmethod
-    def _friction(arm: Arm, v: Vector, tau: Vector, parameters: Values) -> Vector:
+    def friction(arm: Arm, v: Vector, tau: Vector, parameters: Values) -> Vector:
         """(n,) friction torques of the controller's arm, with a dry part that is smooth about rest."""
         values = FrictionValues.fixed(arm.friction)
         f: Any = tm.zeros(arm.n) if values.viscous is None else -values.viscous * v

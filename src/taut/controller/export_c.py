@@ -78,7 +78,7 @@ def export_c(
         The files.
 
     Raises:
-        UsageError: Not a controller, a controller of a task, or a prefix that is no identifier.
+        UsageError: Not a controller or a path, a controller of a task, or a prefix that is no identifier.
         FileError: A folder that cannot be written, or another file of the same name.
 
     Example:
@@ -88,6 +88,9 @@ def export_c(
         ['pd.h', 'pd.c', 'pd_test.c', 'Makefile', 'CMakeLists.txt']
     """
     instance_of("ctrl", ctrl, Controller, "a controller from taut.compile")
+    target = os.fspath(folder) if isinstance(folder, (str, os.PathLike)) else None
+    if not isinstance(target, str) or not target or "\0" in target:
+        raise UsageError(f"folder must be the path of a folder, a str or a Path; got {folder!r}", name="folder")
     one_of("real", real, tuple(TOLERANCE))
     if not isinstance(prefix, str) or member(prefix or " ") != prefix:
         raise UsageError(f"prefix must be an identifier of C, such as 'ctrl'; got {prefix!r}", name="prefix")
@@ -97,7 +100,7 @@ def export_c(
             "Python as its phases begin: export the law of each phase",
             name="ctrl",
         )
-    return Firmware(ctrl, prefix, DOUBLE if real == "double" else SINGLE).write(Path(folder))
+    return Firmware(ctrl, prefix, DOUBLE if real == "double" else SINGLE).write(Path(target))
 
 
 def _unit(path: str) -> str:

@@ -2,35 +2,52 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Final
 
 import numpy as np
+from scipy.signal import lfilter
 
 from taut.base.checks import instance_of, read_only
 from taut.base.errors import UsageError, quoted_list, warn
-from taut.base.types import Float64Array
+from taut.base.types import Array, Float64Array
+from taut.codegen.program import over_rows
+from taut.control.laws.other_topics.robust import NO_BODY, Uncertainty, friction_and_error
+from taut.control.observer import MomentumObserver
+from taut.maths import dynamics as dyn
+from taut.maths.model import links_of, model_of
 from taut.record.run import Run
+from taut.trace import math as tm
 
 LOW_THRESHOLD: Final = 1e-3  # of a joint's torque limit: below it are those of rounding and of the integrator
 MARGIN_OF_THRESHOLD: Final = 1.5  # [-] of the largest estimate without contact: what other runs of the motion may add
 TAU_EXT: Final = "sensed.tau_ext"
 
 
-def collision_threshold(run: Run) -> Float64Array:
+def collision_threshold(run: Run, uncertainty: Uncertainty | None = None) -> Float64Array:
     """(n,) thresholds for `taut.guards.collision` of a motion [N m | N]: 1.5 times its largest estimate per joint.
 
-    Of a run of the same motion, at the same speed and bandwidth, in which nothing touched the arm: on the real arm,
-    or in simulation with a plant that differs from the model as the arm may. An exact model gives thresholds of
-    rounding and of the integrator, which any real arm exceeds; so does a joint in which the plant differs little.
+    Law:          1.5 max over t of (|r_i| + sum over l of |h * Y_l pi_l|_i + h * friction error_i + disturbance_i)
+                  r the estimate in the run, Y_l pi_l the torque of what is unknown of a body along its motion,
+                  h the observer's low-pass: what the same observer makes of it, from momenta, without accelerations
+
+    Of a run of the same motion, at the same speed and bandwidth, in which nothing touched the arm. Without intervals
+    it must be one of the real arm, or of a plant that differs from the model as the arm may: an exact model gives
+    thresholds of rounding and of the integrator, which any real arm exceeds; so does a joint in which the plant
+    differs little. With intervals a plant that is the model will do, and they hold for every arm in them, as far as
+    it moves as in the run and noise, delays and drives are those of the run: 1.5 is for what differs. Dry friction,
+    known or not, adds its limit where a joint rests. A run of the real arm counts its own error twice.
 
     Args:
         run: A run whose sensing has a `taut.sensors.MomentumObserver`.
+        uncertainty: Intervals of masses, payload and friction about the controller's arm, as of `taut.laws.Robust`.
 
     Warns:
         RuntimeWarning: Thresholds below a thousandth of the torque limits (without one: of the largest torque).
 
     Raises:
-        UsageError: A run without an observer, or with contact.
+        UsageError: A run without an observer, or with contact; with intervals, a run that does not hold its arms.
+        RangeError, ShapeError, MatchError: Intervals without width, or for another arm.
 
     Example:
         >>> import taut
@@ -41,6 +58,10 @@ def collision_threshold(run: Run) -> Float64Array:
         >>> motion = taut.trajectories.Sine(center=arm.home, amplitude=0.3, frequency=0.5)
         >>> run = taut.run(ctrl, plant, motion, duration=2.0)
         >>> bool((collision_threshold(run) > 1.0).all())
+        True
+        >>> exact = taut.run(ctrl, taut.RigidPlant(arm), motion, duration=2.0)
+        >>> unknown = taut.laws.Uncertainty(payload=(0.0, 0.2))
+        >>> bool((collision_threshold(exact, unknown) > 1.0).all())
         True
 
     References:
@@ -59,7 +80,11 @@ def collision_threshold(run: Run) -> Float64Array:
             "take a run of it in free space",
             name="run",
         )
-    threshold = MARGIN_OF_THRESHOLD * np.abs(run.extra[TAU_EXT]).max(axis=0)
+    estimate = np.abs(run.extra[TAU_EXT])
+    if uncertainty is not None:
+        instance_of("uncertainty", uncertainty, Uncertainty, "a taut.laws.Uncertainty")
+        estimate = estimate + _largest_error(run, uncertainty)
+    threshold = MARGIN_OF_THRESHOLD * estimate.max(axis=0)
     limits, largest = run.info.limits.get("effort", {}), float(np.abs(run.tau).max())
     bounds = [LOW_THRESHOLD * limits.get(joint, largest) for joint in run.joint_names]
     low = [run.joint_names[i] for i in np.flatnonzero(threshold < bounds)]
@@ -70,3 +95,27 @@ def collision_threshold(run: Run) -> Float64Array:
             "joints too, as by friction, noise or a payload off the axis, or set them yourself"
         )
     return read_only(threshold)
+
+
+def _largest_error(run: Run, uncertainty: Uncertainty) -> Float64Array:
+    """(k, n) largest estimate by arms in the intervals, along the motion of a run [N m | N]."""
+    (arm, _), T, at = run.arms, 1.0 / run.rate, run.info.parameters
+    gain, width = (np.broadcast_to(at[f"sensing.observer.{name}"], run.n) for name in ("bandwidth", "width"))
+    model, bare = model_of(arm), links_of(arm)
+    uncertainty.check_arm(model)
+    middle = uncertainty.middle(model, [NO_BODY] * run.n)  # of the payload's interval, beyond what the observer knows
+    parts = [middle, *(bodies for _, bodies in uncertainty.unknown(model))]
+
+    def momenta(q: Array, v: Array) -> dict[str, Array]:
+        models = [dataclasses.replace(bare, bodies=(*bodies,)) for bodies in parts]
+        p, rate = zip(*(dyn.momentum(one, q, v) for one in models), strict=True)
+        g = [dyn.gravity_torque(one, q) for one in models]
+        return {"p": tm.stack(p), "rate": tm.stack(rate) - tm.stack(g)}
+
+    x = over_rows(momenta, q=run.n, v=run.n)(q=run.q, v=run.v)
+    torque = np.zeros((len(run), len(parts) + 1, run.n))  # mean of the period before
+    torque[1:, :-1] = np.diff(x["p"], axis=0) / T - 0.5 * (x["rate"][1:] + x["rate"][:-1])
+    friction, error = friction_and_error(*uncertainty.friction(arm.friction), run.v, run.v, width)
+    torque[:, -1] = np.abs(friction + MomentumObserver.friction(arm, run.v, run.tau, {"width": width})) + error
+    low = [lfilter([K], [1.0, K - 1.0], torque[..., i], axis=0) for i, K in enumerate(gain * T)]
+    return np.asarray(np.abs(np.stack(low, axis=2)).sum(axis=1) + uncertainty.disturbance)
