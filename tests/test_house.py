@@ -151,11 +151,11 @@ def test_the_core_declares_what_it_imports() -> None:
 
 
 LIMITS = {  # the house as it is; a change that needs more says why in the commit that raises a number
-    "lines": (56_600, house.lines),
-    "lines of code": (38_520, house.code_lines),
-    "modules": (256, lambda: len(house.modules())),
+    "lines": (61_600, house.lines),
+    "lines of code": (42_000, house.code_lines),
+    "modules": (276, lambda: len(house.modules())),
     "modules in one folder": (16, house.largest_folder),
-    "modules with one importer": (30, lambda: len(house.slices())),
+    "modules with one importer": (34, lambda: len(house.slices())),
     "names in taut": (75, lambda: len(taut.__all__)),
     "modules loaded to compile a PID": (58, lambda: len(house.loaded_for(PID))),
     "modules of analysis that design(PID) loads": (12, lambda: len(house.loaded_for(DESIGN, "taut.analysis."))),
