@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from taut.control.laws.task_error import Coordinates as Coordinates
     from taut.control.laws.via_joint_space import via_joint_space as via_joint_space
     from taut.control.limits import Limits as Limits
+    from taut.control.safety import SafetyLimits as SafetyLimits
     from taut.control.sensing import Sensing as Sensing
     from taut.control.tasks.phase import Phase as Phase
     from taut.control.trajectories.compound import together as together
@@ -77,6 +78,7 @@ if TYPE_CHECKING:
     from taut.record.run import Run as Run
     from taut.runtime.events import Event as Event
     from taut.runtime.host import PlantBase as PlantBase
+    from taut.runtime.realtime.connect import connect as connect
     from taut.runtime.robots.mujoco.plant import MujocoPlant as MujocoPlant
     from taut.runtime.simulate import run as run
     from taut.scenarios.compare import compare as compare

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from taut.control.laws.joint import FrictionCompensation as FrictionCompensation
     from taut.control.laws.joint import GravityCompensation as GravityCompensation
     from taut.control.laws.joint import GravityPID as GravityPID
+    from taut.control.laws.joint import JointPosition as JointPosition
     from taut.control.laws.joint import RaisedGains as RaisedGains
     from taut.control.laws.joint import StateFeedback as StateFeedback
     from taut.control.laws.joint import VelocityPI as VelocityPI

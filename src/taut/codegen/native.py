@@ -15,7 +15,7 @@ import sys
 import tempfile
 import threading
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -135,23 +135,51 @@ def compiled(
     names: Sequence[str],
     verify: Callable[[NativeModule], None] | None = None,  # raises where a module is wrong, which is not cached
     level: int | None = None,  # of LLVM's code generator, at least; the full one by default
+    symbols: Mapping[str, int] | None = None,  # addresses of further functions that it calls
 ) -> NativeModule:
     """Machine code for a module of LLVM text. It gives the same numbers at each level."""
+    return _made(content, text, names, verify, level, symbols)[0]
+
+
+def object_code(
+    content: bytes,
+    text: Callable[[], str],
+    names: Sequence[str],
+    verify: Callable[[NativeModule], None] | None = None,
+) -> bytes:
+    """The same as `compiled`, as object code for `link` in another process."""
+    return _made(content, text, names, verify, None)[1]
+
+
+def link(code: bytes, names: Sequence[str]) -> NativeModule:
+    """Object code of this machine as functions."""
+    with _LOCK:
+        return _linked(code, names, cached=True)
+
+
+def _made(
+    content: bytes,
+    text: Callable[[], str],
+    names: Sequence[str],
+    verify: Callable[[NativeModule], None] | None,
+    level: int | None,
+    symbols: Mapping[str, int] | None = None,
+) -> tuple[NativeModule, bytes]:
     level = LEVEL if level is None else level
     keys = [hashlib.sha256(_platform_key() + bytes([k]) + content).digest() for k in dict.fromkeys((level, LEVEL))]
     key, kept = keys[0], next(filter(None, map(load, reversed(keys))), None)
     with _LOCK:
         if kept is not None:
             try:
-                return _linked(kept, names, cached=True)
+                return _linked(kept, names, cached=True, symbols=symbols), kept
             except RuntimeError:  # an object that LLVM does not take: compile it again
                 pass
         code = _generated(text(), level)
-        module = _linked(code, names, cached=False)
+        module = _linked(code, names, cached=False, symbols=symbols)
     if verify is not None:
         verify(module)
     store(key, code)
-    return module
+    return module, code
 
 
 def _generated(text: str, level: int) -> bytes:
@@ -169,11 +197,13 @@ def _generated(text: str, level: int) -> bytes:
     return code
 
 
-def _linked(code: bytes, names: Sequence[str], *, cached: bool) -> NativeModule:
+def _linked(
+    code: bytes, names: Sequence[str], *, cached: bool, symbols: Mapping[str, int] | None = None
+) -> NativeModule:
     import llvmlite.binding as llvm
 
     builder = llvm.JITLibraryBuilder().add_object_img(code)
-    for name, address in _libm_addresses().items():
+    for name, address in {**_libm_addresses(), **(symbols or {})}.items():
         builder.import_symbol(name, address)
     for name in names:
         builder.export_symbol(name)

@@ -17,7 +17,7 @@ from taut.base.errors import MatchError, ShapeError
 from taut.base.fields import Choice, Field, Part
 from taut.base.types import Array, Vector
 from taut.control.closed_loop import ClosedLoop
-from taut.control.command import Command, Terms, Torque, Velocity
+from taut.control.command import Command, Position, Terms, Torque, Velocity
 from taut.control.gains import Gain, Integral, MemoryView
 from taut.control.law import Law, call
 from taut.control.sensing import check_frequencies
@@ -237,6 +237,17 @@ class VelocityPI(Law):
         e = x.difference(ref.q)
         e_int, integral = self.integral.step(memory.integral, e, dt, ki=self.ki, cut=lambda: x.tau_cut)
         return Velocity(feedforward=ref.v, P=self.kp @ e, I=self.ki @ e_int), {"integral": integral}
+
+
+class JointPosition(Law):
+    """The reference's joint positions as they are, for arms whose drives close the position loop.
+
+    Law:          q_cmd = q_des                                       the servos of an industrial arm
+    Closed loop:  that of the drives
+    """
+
+    def command(self, x: Snapshot, ref: JointMotion) -> Command:  # noqa: ARG002
+        return Position(reference=ref.q)
 
 
 class FrictionCompensation(Law):

@@ -75,6 +75,14 @@ class ReferenceFeed:
                 f"blend is for a stream of motions, and the law follows {kind.__name__}; leave it out", name="blend"
             )
 
+    @property
+    def duration(self) -> float | None:
+        """Time after which the reference stays the same [s]; None where it has no end of its own."""
+        if isinstance(self._ref, Sample):
+            return 0.0
+        length = getattr(self._ref, "duration", None)
+        return None if length is None else float(length)
+
     def follow(self, memory: Mapping[str, Any], tick: int, state: Callable[[], Any]) -> bool:  # noqa: ARG002
         """Whether another reference begins with a tick, so that what was filled beyond it is void."""
         return False
@@ -259,6 +267,11 @@ class TaskFeed:
             rest, fields = self._task.at_rest(x), self._task.reference.fields(self._side.arm.n)
             others = [field for field in fields if not field.startswith(start)]
             self._others = {field: np.asarray(getattr(rest, field), dtype=np.float64) for field in others}
+
+    @property
+    def duration(self) -> float | None:
+        """Time after which the reference of the phase stays the same [s], once it is prepared."""
+        return None if self._inner is None else self._inner.duration
 
     @property
     def _law(self) -> Law:

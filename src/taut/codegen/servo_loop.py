@@ -1,0 +1,474 @@
+"""The real-time loop in native code: wait, read, tick, write, record; and the watchdog of another process.
+
+All words are 64 bits. `STATUS` lies in memory that the processes share; `LOOP` and `SET` belong to the loop's process.
+A set is one compiled tick with its blocks; the loop takes another one between two ticks.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from collections.abc import Sequence
+from typing import Final
+
+from taut.codegen.llvm import Writer
+from taut.codegen.native import NativeModule, compiled
+
+SYMBOLS: Final = ("clock_gettime", "clock_nanosleep", "kill")
+PARTNER: Final = 62  # code of `control.faults`: the other robot stopped
+NAMES: Final = ("loop", "watch", "plant_read", "plant_write")
+
+
+def _numbered(*names: str) -> dict[str, int]:
+    return {name: i for i, name in enumerate(names)}
+
+
+STATUS: Final = _numbered(
+    "heartbeat",  # [ns] of the last tick
+    "ticks",  # in total
+    "where",  # the loop is in: 1 the read, 2 the tick, 3 the write; 0 outside
+    "fault",  # code that a process latched, beside that of the ticks
+    "armed",  # whether the watchdog watches
+    "quit",  # ends the loop after a tick
+    "hold",  # asks for the controlled stop
+    "recover",  # counts the requests to recover
+    "external",  # code of what the loop's process saw: a fault of the next tick
+    "lost",  # periods missed in total
+    "overruns",  # ticks whose computing took longer than a period
+    "slowest",  # [ns] longest computing of a tick
+    "running",  # number of the set that ticks
+    "dead",  # ends the watchdog
+    "control",  # whether commands go out
+    "latched",  # code that the ticks latched
+)
+"""Words of the shared status."""
+STATUS_WORDS: Final = 64
+
+LOOP: Final = _numbered(
+    "status", "set", "next", "read", "write", "user", "measured", "period", "host_paced", "deadline", "last", "recovered",
+    "partner",  # status of the robot that stops together with this one, or null
+)  # fmt: skip
+SET: Final = _numbered(
+    "kernel", "start", "inputs", "parameters", "memory", "new", "outputs",  # functions and blocks
+    "memory_size", "safe_size", "input_size", "output_size", "parameter_size", "reference_size", "measured_size",
+    "t_at", "measured_at", "reference_at", "signals_at", "command_at", "fault_at",  # offsets in doubles
+    "next_at", "ticks_at",  # of a task's phase in memory, or -1
+    "ring", "rows", "capacity", "row_size",
+    "controls", "reference", "new_parameters", "tables", "table_count", "table_rows",  # what the parent writes
+    "scratch", "count", "number", "begins", "sends", "seen", "valid", "received", "dt",
+)  # fmt: skip
+CONTROLS: Final = _numbered("sample", "received", "parameters", "hold_after", "stop_after", "over")
+"""Words before the reference in what the parent writes: two sequence locks, and numbers."""
+CONTROL_WORDS: Final = 16
+TABLE: Final = _numbered("first", "length", "arrived", "dynamic")
+"""Words of a table of samples: its first row and length (-1: the stream), the tick with which it began."""
+ROW_HEAD: Final = ("tick", "time", "late", "compute", "driver", "lost")
+"""Columns before inputs and outputs in a row of the ring; times in seconds."""
+PLANT: Final = _numbered(
+    "step", "substep", "repeats", "measure", "inputs", "parameters", "memory", "new", "outputs", "command_size",
+    "memory_size", "count", "dt",
+)  # fmt: skip
+
+
+class _Code(Writer):
+    """Lines with words by name."""
+
+    def at(self, base: str, index: int | str) -> str:
+        return self.put(f"getelementptr i64, ptr {base}, i64 {index}")
+
+    def load(self, base: str, index: int | str, kind: str = "i64") -> str:
+        return self.put(f"load {kind}, ptr {self.at(base, index)}")
+
+    def store(self, base: str, index: int | str, value: str, kind: str = "i64") -> None:
+        self.line(f" store {kind} {value}, ptr {self.at(base, index)}")
+
+    def acquire(self, base: str, index: int) -> str:
+        return self.put(f"load atomic i64, ptr {self.at(base, index)} acquire, align 8")
+
+    def release(self, base: str, index: int, value: str) -> None:
+        self.line(f" store atomic i64 {value}, ptr {self.at(base, index)} release, align 8")
+
+    def doubles(self, base: str, offset: str) -> str:
+        return self.put(f"getelementptr double, ptr {base}, i64 {offset}")
+
+    def set_double(self, base: str, offset: str, value: str) -> None:
+        self.line(f" store double {value}, ptr {self.doubles(base, offset)}")
+
+    def copy_blocks(self, source: str, target: str, size: str) -> None:
+        self.line(f" call void @copy(ptr {source}, ptr {target}, i64 {size})")
+
+    def test(self, how: str, a: str, b: str | int) -> str:
+        return self.put(f"icmp {how} i64 {a}, {b}")
+
+    def both(self, a: str, b: str) -> str:
+        return self.put(f"and i1 {a}, {b}")
+
+    def choose(self, condition: str, a: str, b: str, kind: str = "i64") -> str:
+        return self.put(f"select i1 {condition}, {kind} {a}, {kind} {b}")
+
+    def truth(self, condition: str, kind: str = "double") -> str:
+        return self.put(f"{'uitofp' if kind == 'double' else 'zext'} i1 {condition} to {kind}")
+
+    def number(self, whole: str) -> str:
+        return self.put(f"sitofp i64 {whole} to double")
+
+    def add(self, a: str, b: str | int) -> str:
+        return self.put(f"add i64 {a}, {b}")
+
+    def seconds(self, nanoseconds: str) -> str:
+        return self.put(f"fmul double {self.number(nanoseconds)}, 0x3E112E0BE826D695")  # 1e-9
+
+    def branch(self, condition: str, yes: str, no: str) -> None:
+        self.line(f" br i1 {condition}, label %{yes}, label %{no}")
+
+
+_HELPERS: Final = """
+declare i32 @clock_gettime(i32, ptr)
+declare i32 @clock_nanosleep(i32, i32, ptr, ptr)
+declare i32 @kill(i32, i32)
+define internal i64 @now() {
+ %t = alloca [2 x i64]
+ %r = call i32 @clock_gettime(i32 1, ptr %t)
+ %s = load i64, ptr %t
+ %p = getelementptr i64, ptr %t, i64 1
+ %n = load i64, ptr %p
+ %m = mul i64 %s, 1000000000
+ %x = add i64 %m, %n
+ ret i64 %x
+}
+define internal void @wait(i64 %until) {
+ %t = alloca [2 x i64]
+ %p = getelementptr i64, ptr %t, i64 1
+ %s = udiv i64 %until, 1000000000
+ %n = urem i64 %until, 1000000000
+ store i64 %s, ptr %t
+ store i64 %n, ptr %p
+ br label %again
+again:
+ %r = call i32 @clock_nanosleep(i32 1, i32 1, ptr %t, ptr null)
+ %interrupted = icmp eq i32 %r, 4
+ br i1 %interrupted, label %again, label %end
+end:
+ ret void
+}
+define internal void @copy(ptr %from, ptr %to, i64 %n) {
+entry:
+ %none = icmp sle i64 %n, 0
+ br i1 %none, label %end, label %body
+body:
+ %i = phi i64 [0, %entry], [%j, %body]
+ %p = getelementptr i64, ptr %from, i64 %i
+ %q = getelementptr i64, ptr %to, i64 %i
+ %v = load i64, ptr %p
+ store i64 %v, ptr %q
+ %j = add i64 %i, 1
+ %done = icmp sge i64 %j, %n
+ br i1 %done, label %end, label %body
+end:
+ ret void
+}
+"""
+
+
+def _tick() -> str:
+    """`void tick(loop, now, lost)`: take what the parent wrote, run the kernel, keep its memory."""
+    w = _Code()
+    w.line("entry:")
+    status, old, new = (w.load("%loop", LOOP[name], "ptr") for name in ("status", "set", "next"))
+    w.branch(w.put(f"icmp ne ptr {new}, null"), "swap", "going")
+    w.line("swap:")
+    memories = [w.load(one, SET["memory"], "ptr") for one in (old, new)]
+    w.copy_blocks(memories[0], memories[1], w.load(new, SET["safe_size"]))
+    w.store("%loop", LOOP["set"], new, "ptr")
+    w.store("%loop", LOOP["next"], "null", "ptr")
+    w.release(status, STATUS["running"], w.load(new, SET["number"]))
+    w.line(" br label %going", "going:", f" %set = phi ptr [{old}, %entry], [{new}, %swap]")
+    blocks = {name: w.load("%set", SET[name], "ptr") for name in ("inputs", "parameters", "memory", "new", "outputs")}
+    scratch, controls = w.load("%set", SET["scratch"], "ptr"), w.load("%set", SET["controls"], "ptr")
+    inputs, memory = blocks["inputs"], blocks["memory"]
+    count = w.load("%set", SET["count"])
+    measured = w.doubles(inputs, w.load("%set", SET["measured_at"]))
+    w.copy_blocks(w.load("%loop", LOOP["measured"], "ptr"), measured, w.load("%set", SET["measured_size"]))
+
+    # Parameters, under a sequence lock: what is being written is taken in the next tick.
+    size = w.load("%set", SET["parameter_size"])
+    sequence = w.acquire(controls, CONTROLS["parameters"])
+    differs, whole = (
+        w.test("ne", sequence, w.load("%set", SET["seen"])),
+        w.test("eq", w.put(f"and i64 {sequence}, 1"), 0),
+    )
+    w.branch(w.both(differs, whole), "take", "parameters")
+    w.line("take:")
+    w.copy_blocks(w.load("%set", SET["new_parameters"], "ptr"), scratch, size)
+    w.line(" fence acquire")
+    w.branch(w.test("eq", w.acquire(controls, CONTROLS["parameters"]), sequence), "keep", "parameters")
+    w.line("keep:")
+    w.copy_blocks(scratch, blocks["parameters"], size)
+    w.store("%set", SET["seen"], sequence)
+    w.line(" br label %parameters", "parameters:")
+    w.line(" %changed = phi double [0.0, %going], [0.0, %take], [1.0, %keep]")
+
+    # The sample: of a table, or of a stream; otherwise the tick holds.
+    reference = w.doubles(inputs, w.load("%set", SET["reference_at"]))
+    width, tables = w.load("%set", SET["reference_size"]), w.load("%set", SET["table_count"])
+    w.branch(w.test("sgt", tables, 0), "table", "stream")
+    w.line("table:")
+    next_at = w.load("%set", SET["next_at"])
+    w.branch(w.test("sge", next_at, 0), "of_task", "lookup")
+    w.line("of_task:")
+    number = w.put(f"load double, ptr {w.doubles(memory, next_at)}")
+    since = w.put(f"load double, ptr {w.doubles(memory, w.load('%set', SET['ticks_at']))}")
+    phase, ticks = w.put(f"fptosi double {number} to i64"), w.put(f"fptosi double {since} to i64")
+    w.line(" br label %lookup", "lookup:")
+    w.line(
+        f" %phase = phi i64 [0, %table], [{phase}, %of_task]",
+        f" %ticks = phi i64 [{count}, %table], [{ticks}, %of_task]",
+    )
+    w.branch(w.test("ult", "%phase", tables), "entries", "none")
+    w.line("entries:")
+    entry = w.at(w.load("%set", SET["tables"], "ptr"), w.put(f"mul i64 %phase, {len(TABLE)}"))
+    starts = w.test("eq", "%ticks", 0)
+    w.branch(w.both(starts, w.test("ne", w.load(entry, TABLE["dynamic"]), 0)), "void_it", "known")
+    w.line("void_it:")
+    w.release(entry, TABLE["length"], "0")
+    w.store(entry, TABLE["arrived"], "-1")
+    w.line(" br label %known", "known:")
+    length = w.acquire(entry, TABLE["length"])
+    w.branch(w.test("slt", length, 0), "stream", "given")
+    w.line("given:")
+    w.branch(w.test("eq", length, 0), "none", "row")
+    w.line("row:")
+    arrived = w.load(entry, TABLE["arrived"])
+    begun = w.choose(starts, "0", w.choose(w.test("slt", arrived, 0), "%ticks", arrived))
+    w.store(entry, TABLE["arrived"], begun)
+    k, last = w.put(f"sub i64 %ticks, {begun}"), w.add(length, -1)
+    k = w.choose(w.test("slt", k, last), k, last)
+    row = w.put(f"mul i64 {w.add(w.load(entry, TABLE['first']), k)}, {width}")
+    w.copy_blocks(w.doubles(w.load("%set", SET["table_rows"], "ptr"), row), reference, width)
+    w.line(" br label %sampled", "stream:")
+    sequence = w.acquire(controls, CONTROLS["sample"])
+    odd = w.test("ne", w.put(f"and i64 {sequence}, 1"), 0)
+    w.branch(w.put(f"or i1 {odd}, {w.test('eq', sequence, 0)}"), "old", "newer")
+    w.line("newer:")
+    w.copy_blocks(w.load("%set", SET["reference"], "ptr"), scratch, width)
+    received = w.load(controls, CONTROLS["received"])
+    w.line(" fence acquire")
+    w.branch(w.test("eq", w.acquire(controls, CONTROLS["sample"]), sequence), "fresh", "old")
+    w.line("fresh:")
+    w.copy_blocks(scratch, reference, width)
+    w.store("%set", SET["received"], received)
+    w.store("%set", SET["valid"], "1")
+    w.line(" br label %old", "old:")
+    age = w.seconds(w.put(f"sub i64 %now, {w.load('%set', SET['received'])}"))
+    age = w.choose(w.put(f"fcmp olt double {age}, 0.0"), "0.0", age, "double")
+    known = w.number(w.load("%set", SET["valid"]))
+    w.line(" br label %sampled", "none:", " br label %sampled", "sampled:")
+    w.line(f" %valid = phi double [1.0, %row], [{known}, %old], [0.0, %none]")
+    w.line(f" %age = phi double [0.0, %row], [{age}, %old], [0.0, %none]")
+
+    # Signals, in the order of `control.safety.SIGNALS`, and the time.
+    first = w.test("eq", count, 0)
+    begins = w.both(first, w.test("ne", w.load("%set", SET["begins"]), 0))
+    asked, recovered = w.acquire(status, STATUS["recover"]), w.load("%loop", LOOP["recovered"])
+    recovers = w.test("ne", asked, recovered)
+    w.store("%loop", LOOP["recovered"], asked)
+    given = {name: w.load(controls, CONTROLS[name], "double") for name in ("hold_after", "stop_after", "over")}
+    signals = [
+        "%valid",
+        "%age",
+        given["hold_after"],
+        given["stop_after"],
+        w.truth(w.test("ne", w.acquire(status, STATUS["hold"]), 0)),
+        w.truth(recovers),
+        w.truth(begins),
+        given["over"],
+        "%changed",
+        w.number(w.acquire(status, STATUS["external"])),
+        w.number("%lost"),
+    ]
+    at = w.load("%set", SET["signals_at"])
+    for i, value in enumerate(signals):
+        w.set_double(inputs, w.add(at, i), value)
+    time = w.put(f"fmul double {w.number(count)}, {w.load('%set', SET['dt'], 'double')}")
+    w.set_double(inputs, w.load("%set", SET["t_at"]), time)
+
+    w.branch(first, "begin", "step")
+    w.line("begin:")
+    size = w.load("%set", SET["memory_size"])
+    starter = w.load("%set", SET["start"], "ptr")
+    fixed = f"ptr {inputs}, ptr {blocks['parameters']}, ptr {memory}"
+    w.line(f" call void {starter}({fixed}, ptr {blocks['new']}, ptr {scratch})")
+    w.copy_blocks(scratch, memory, size)
+    w.line(" br label %step", "step:")
+    kernel = w.load("%set", SET["kernel"], "ptr")
+    w.line(f" call void {kernel}({fixed}, ptr {blocks['new']}, ptr {blocks['outputs']})")
+    w.copy_blocks(blocks["new"], memory, w.load("%set", SET["memory_size"]))
+    w.store("%set", SET["count"], w.add(count, 1))
+    w.line(" ret void")
+    return w.function("internal void @tick(ptr %loop, i64 %now, i64 %lost) nounwind")
+
+
+def _loop() -> str:
+    """`i64 loop(loop)`: until it is asked to quit (0), or the read (1) or the write (2) fails."""
+    w = _Code()
+    w.line("entry:")
+    status, buffer, user = (w.load("%loop", LOOP[name], "ptr") for name in ("status", "measured", "user"))
+    read, write = w.load("%loop", LOOP["read"], "ptr"), w.load("%loop", LOOP["write"], "ptr")
+    period = w.load("%loop", LOOP["period"])
+    w.line(" br label %again", "again:")
+    w.branch(w.test("ne", w.load("%loop", LOOP["host_paced"]), 0), "sleep", "ask")
+    w.line("sleep:")
+    deadline = w.add(w.load("%loop", LOOP["deadline"]), period)
+    w.line(f" call void @wait(i64 {deadline})")
+    late = w.put(f"sub i64 {w.put('call i64 @now()')}, {deadline}")
+    some = w.choose(w.test("sgt", late, 0), late, "0")
+    missed = w.put(f"sdiv i64 {some}, {period}")
+    w.store("%loop", LOOP["deadline"], w.add(deadline, w.put(f"mul i64 {missed}, {period}")))
+    w.line(" br label %ask", "ask:")
+    w.line(f" %missed = phi i64 [0, %again], [{missed}, %sleep]", f" %behind = phi i64 [0, %again], [{late}, %sleep]")
+    w.release(status, STATUS["where"], "1")
+    asked = w.put("call i64 @now()")
+    failed = w.put(f"call i64 {read}(ptr {user}, ptr {buffer})")
+    w.branch(w.test("ne", failed, 0), "unread", "got")
+    w.line("got:")
+    began = w.put("call i64 @now()")
+    w.release(status, STATUS["where"], "2")
+    # A robot that keeps time: what lies between two states beyond one period was missed.
+    since = w.put(f"sub i64 {began}, {w.load('%loop', LOOP['last'])}")
+    half = w.put(f"sdiv i64 {period}, 2")
+    gaps = w.add(w.put(f"sdiv i64 {w.add(since, half)}, {period}"), -1)
+    gaps = w.choose(w.test("sgt", gaps, 0), gaps, "0")
+    host = w.test("ne", w.load("%loop", LOOP["host_paced"]), 0)
+    lost = w.choose(host, "%missed", gaps)
+    behind = w.choose(host, "%behind", w.put(f"sub i64 {since}, {period}"))
+    w.store("%loop", LOOP["last"], began)
+    w.release(status, STATUS["lost"], w.add(w.load(status, STATUS["lost"]), lost))
+    w.line(f" call void @tick(ptr %loop, i64 {began}, i64 {lost})")
+    ended = w.put("call i64 @now()")
+    set_ = w.load("%loop", LOOP["set"], "ptr")
+    outputs = w.load(set_, SET["outputs"], "ptr")
+    sends = w.test("ne", w.load(set_, SET["sends"]), 0)
+    w.branch(w.both(sends, w.test("ne", w.acquire(status, STATUS["control"]), 0)), "send", "sent")
+    w.line("send:")
+    w.release(status, STATUS["where"], "3")
+    command = w.doubles(outputs, w.load(set_, SET["command_at"]))
+    refused = w.put(f"call i64 {write}(ptr {user}, ptr {command})")
+    w.branch(w.test("ne", refused, 0), "unwritten", "sent")
+    w.line("sent:")
+    over = w.put("call i64 @now()")
+    w.release(status, STATUS["where"], "0")
+
+    computing, reading = w.put(f"sub i64 {ended}, {began}"), w.put(f"sub i64 {began}, {asked}")
+    driving = w.add(w.put(f"sub i64 {over}, {ended}"), reading)
+    slowest = w.load(status, STATUS["slowest"])
+    w.store(status, STATUS["slowest"], w.choose(w.test("sgt", computing, slowest), computing, slowest))
+    slow = w.truth(w.test("sgt", computing, period), "i64")
+    w.store(status, STATUS["overruns"], w.add(w.load(status, STATUS["overruns"]), slow))
+    ticks = w.load(status, STATUS["ticks"])
+    ring, rows = w.load(set_, SET["ring"], "ptr"), w.load(set_, SET["rows"], "ptr")
+    head = w.load(ring, 0)
+    place = w.put(f"urem i64 {head}, {w.load(set_, SET['capacity'])}")
+    row = w.doubles(rows, w.put(f"mul i64 {place}, {w.load(set_, SET['row_size'])}"))
+    times = (w.seconds(part) for part in (began, behind, computing, driving))
+    values = [w.number(ticks), *times, w.number(lost)]
+    for i, value in enumerate(values):
+        w.set_double(row, str(i), value)
+    size = w.load(set_, SET["input_size"])
+    after = w.doubles(row, str(len(ROW_HEAD)))
+    w.copy_blocks(w.load(set_, SET["inputs"], "ptr"), after, size)
+    w.copy_blocks(outputs, w.doubles(after, size), w.load(set_, SET["output_size"]))
+    w.release(ring, 0, w.add(head, 1))
+    w.release(status, STATUS["ticks"], w.add(ticks, 1))
+    w.release(status, STATUS["heartbeat"], over)
+    latched = w.put(f"load double, ptr {w.doubles(outputs, w.load(set_, SET['fault_at']))}")
+    code = w.put(f"fptosi double {latched} to i64")
+    w.release(status, STATUS["latched"], code)
+    partner = w.load("%loop", LOOP["partner"], "ptr")
+    together = w.both(w.put(f"icmp ne ptr {partner}, null"), w.test("ne", code, 0))
+    w.branch(together, "tell", "told")
+    w.line("tell:")
+    w.release(partner, STATUS["external"], str(PARTNER))
+    w.line(" br label %told", "told:")
+    w.branch(w.test("ne", w.acquire(status, STATUS["quit"]), 0), "end", "again")
+    w.line("end:", " ret i64 0", "unread:", " ret i64 1", "unwritten:", " ret i64 2")
+    return w.function("i64 @loop(ptr %loop) nounwind")
+
+
+def _watch() -> str:
+    """`i64 watch(status, pid, timeout, silent, hung)`: end a process whose loop does not tick; the code latched."""
+    w = _Code()
+    w.line("entry:", " br label %again", "again:")
+    w.line(f" call void @wait(i64 {w.add(w.put('call i64 @now()'), 4_000_000)})")
+    w.branch(w.test("ne", w.acquire("%status", STATUS["dead"]), 0), "end", "look")
+    w.line("look:")
+    w.branch(w.test("eq", w.acquire("%status", STATUS["armed"]), 0), "again", "compare")
+    w.line("compare:")
+    beat = w.acquire("%status", STATUS["heartbeat"])
+    age = w.put(f"sub i64 {w.put('call i64 @now()')}, {beat}")
+    w.branch(w.test("sgt", age, "%timeout"), "late", "again")
+    w.line("late:")
+    code = w.choose(w.test("eq", w.acquire("%status", STATUS["where"]), 1), "%silent", "%hung")
+    w.release("%status", STATUS["fault"], code)
+    w.release("%status", STATUS["armed"], "0")
+    process = w.put("trunc i64 %pid to i32")
+    w.line(f" {w.name()} = call i32 @kill(i32 {process}, i32 9)", f" ret i64 {code}")
+    w.line("end:", " ret i64 0")
+    return w.function("i64 @watch(ptr %status, i64 %pid, i64 %timeout, i64 %silent, i64 %hung) nounwind")
+
+
+def _plant() -> str:
+    """A model plant as a robot: its read and its write, which advances it by one period."""
+    w = _Code()
+    parts = ("inputs", "parameters", "memory", "new")
+    w.line("entry:")
+    fixed = ", ".join(f"ptr {w.load('%plant', PLANT[name], 'ptr')}" for name in parts)
+    w.line(f" call void {w.load('%plant', PLANT['measure'], 'ptr')}({fixed}, ptr %measured)", " ret i64 0")
+    reading = w.function("i64 @plant_read(ptr %plant, ptr %measured) nounwind")
+    w.line("entry:")
+    inputs, parameters, memory, new = (w.load("%plant", PLANT[name], "ptr") for name in parts)
+    size, count = w.load("%plant", PLANT["command_size"]), w.load("%plant", PLANT["count"])
+    w.copy_blocks("%command", inputs, size)
+    now = w.put(f"fmul double {w.number(count)}, {w.load('%plant', PLANT['dt'], 'double')}")
+    w.set_double(inputs, size, now)
+    w.store("%plant", PLANT["count"], w.add(count, 1))
+    outputs = w.load("%plant", PLANT["outputs"], "ptr")
+    fixed = f"ptr {inputs}, ptr {parameters}, ptr {memory}, ptr {new}, ptr {outputs}"
+    w.line(f" call void {w.load('%plant', PLANT['step'], 'ptr')}({fixed})")
+    w.copy_blocks(new, memory, w.load("%plant", PLANT["memory_size"]))
+    repeats = w.load("%plant", PLANT["repeats"])
+    w.line(" br label %again", "again:", " %i = phi i64 [0, %entry], [%next, %inner]")
+    w.branch(w.test("slt", "%i", repeats), "inner", "end")
+    w.line("inner:", " %next = add i64 %i, 1")
+    w.line(f" call void {w.load('%plant', PLANT['substep'], 'ptr')}({fixed})")
+    w.copy_blocks(new, memory, w.load("%plant", PLANT["memory_size"]))
+    w.line(" br label %again", "end:", " ret i64 0")
+    return "\n".join([reading, w.function("i64 @plant_write(ptr %plant, ptr %command) nounwind")])
+
+
+def _text() -> str:
+    return "\n".join([_HELPERS, _tick(), _loop(), _watch(), _plant()])
+
+
+@functools.cache
+def _symbols() -> dict[str, int]:
+    library = ctypes.CDLL(None)
+    return {name: ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0 for name in SYMBOLS}
+
+
+@functools.cache
+def servo_code() -> NativeModule:
+    """The loop, the watchdog and a model plant's read and write, linked into this process."""
+    return compiled(b"servo loop", _text, NAMES, symbols=_symbols())
+
+
+def struct_of(names: dict[str, int], values: dict[str, int | float]) -> Sequence[int]:
+    """Words by name as they lie in memory."""
+    import numpy as np
+
+    words = np.zeros(len(names), dtype=np.int64)
+    for name, value in values.items():
+        if isinstance(value, float):
+            words[names[name] : names[name] + 1].view(np.float64)[0] = value
+        else:
+            words[names[name]] = value
+    return words  # type: ignore[return-value]

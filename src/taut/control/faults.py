@@ -1,0 +1,96 @@
+"""Faults of a robot's loop: code, name, what it means, and how to go on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from taut.base.errors import UsageError
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaultKind:
+    """A kind of fault; the code is what the loop latches."""
+
+    code: int
+    name: str
+    text: str  # {who}, {value}, {unit} and {limit} are filled in
+    remedy: str
+    unit: str = ""
+    blind: bool = False  # whether positions cannot be trusted any more
+
+
+def _kinds() -> dict[int, FaultKind]:
+    rows = (
+        (10, "sensor_not_finite", "{who} read {value}", "check the sensor and its cable", "", True),
+        (11, "sensor_jump", "{who} jumped by {value} {unit} within a period", "check the encoder", "{u}", True),
+        (12, "sensor_inconsistent", "{who}: position and velocity contradict each other by {value} {unit}",
+         "check sign and cable of the encoder, and that its values change", "{u}/s", True),
+        (20, "law_not_finite", "the law gave {value} for {who}", "see the terms of the last ticks", "", False),
+        (30, "position", "{who} could not be braked before its limit any more: {value} {unit} left", "move it back by hand, "
+         "or slowly with move_to", "{u}", False),
+        (31, "speed", "{who} was faster than its limit by {value} {unit}", "lower the gains or the reference's speed", "{u}/s",
+         False),
+        (32, "tool_speed", "the tool was faster than its limit by {value} {unit}", "lower the reference's speed", "m/s", False),
+        (33, "workspace", "the tool was {value} {unit} outside the workspace box", "move it back by hand", "m", False),
+        (34, "power", "the drives' power was above its limit by {value} {unit}", "lower the gains or the speed", "W", False),
+        (35, "force", "the force at the tool was above its limit by {value} {unit}", "free the tool", "N", False),
+        (36, "contact", "{who} met an external torque above its threshold by {value} {unit}", "free the arm", "{t}", False),
+        (40, "stream_stopped", "no sample of the stream arrived for {value} {unit}", "send again after recover(), or declare a "
+         "longer period", "s", False),
+        (41, "deadline", "{value} periods in a row were missed", "see the record's timing; lower the rate or free the processor",
+         "", False),
+        (50, "disconnected", "the robot is not connected any more", "connect again", "", False),
+        (51, "silent", "the robot sent nothing", "check cable and robot", "", False),
+        (52, "robot_error", "the robot stopped by itself", "clear its error: recover()", "", False),
+        (53, "rejected", "the robot refused a command", "see the message", "", False),
+        (54, "busy", "another client has the robot", "close it first", "", False),
+        (55, "driver", "the driver failed", "see the message", "", False),
+        (60, "watchdog", "the loop hung, and its process was ended from outside", "connect again", "", False),
+        (61, "process_died", "the loop's process died", "connect again", "", False),
+        (62, "partner", "the robot that was started together with this one stopped", "see the other robot", "", False),
+    )  # fmt: skip
+    return {
+        code: FaultKind(code=code, name=name, text=text, remedy=remedy, unit=unit, blind=blind)
+        for code, name, text, remedy, unit, blind in rows
+    }
+
+
+FAULTS: Final = _kinds()
+CODES: Final = {kind.name: code for code, kind in FAULTS.items()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """A latched fault of a robot's loop."""
+
+    code: int
+    name: str
+    message: str  # what happened, and how to go on
+    tick: int  # of the loop since it connected
+    joint: str | None = None
+    value: float | None = None
+
+    def __str__(self) -> str:
+        return f"{self.name} ({self.code}) in tick {self.tick}: {self.message}"
+
+
+def fault_of(
+    code: int,
+    tick: int,
+    *,
+    who: str = "",
+    value: float = 0.0,
+    units: tuple[str, str] = ("rad", "N m"),  # of the joint's position and effort
+    detail: str = "",
+    joint: str | None = None,
+) -> Fault:
+    """The fault of a code in words; `detail` is what a driver or the system reported."""
+    kind = FAULTS.get(code)
+    if kind is None:
+        raise UsageError(f"there is no fault with the code {code}", name="code")
+    unit = kind.unit.format(u=units[0], t=units[1])
+    text = detail or kind.text.format(who=who or "the arm", value=f"{value:.4g}", unit=unit).replace("  ", " ")
+    return Fault(
+        code=code, name=kind.name, message=f"{text}; {kind.remedy}", tick=tick, joint=joint, value=float(value)
+    )

@@ -1,0 +1,16 @@
+"""Robots: drivers of your own for `taut.connect`, what they declare, and the errors of a robot's loop."""
+
+from taut.base.front_door import lazy_names
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from taut.control.faults import FAULTS as FAULTS
+    from taut.control.faults import Fault as Fault
+    from taut.runtime.realtime.robot import Robot as Robot
+    from taut.runtime.realtime.status import RobotFault as RobotFault
+    from taut.runtime.realtime.status import RobotStatus as RobotStatus
+    from taut.runtime.robots.driver import DriverFault as DriverFault
+    from taut.runtime.robots.driver import RobotDriver as RobotDriver
+    from taut.runtime.robots.driver import RobotInfo as RobotInfo
+
+__getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

@@ -1,0 +1,1 @@
+"""The real-time loop: a robot or a model plant in a process of its own, under safety limits."""

@@ -1,0 +1,127 @@
+"""Connecting to a robot, or to a model plant that runs as one in real time."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from taut.arm.description import Arm, Payload
+from taut.base.checks import finite_array, instance_of
+from taut.base.errors import UsageError
+from taut.base.types import ArrayLike
+from taut.control.law import Law
+from taut.control.laws.joint import ComputedTorque, JointPosition, VelocityPI
+from taut.control.laws.via_mit import ViaMit
+from taut.control.observer import MomentumObserver
+from taut.control.safety import SafetyLimits
+from taut.control.sensing import Sensing
+from taut.controller import Controller, compile
+from taut.loop import ModelPlant
+from taut.maths.model import Adds
+from taut.runtime.realtime.link import Link, checked_info, driver_of
+from taut.runtime.realtime.robot import Robot
+from taut.runtime.realtime.sets import PlantSet
+from taut.runtime.robots.driver import RobotDriver, RobotInfo
+
+OBSERVER: Final = (50.0, 0.1)  # [1/s], and of the rate: bandwidth where a threshold of contact is stated
+HOLD: Final = {"kp": 225.0, "kd": 30.0, "ki": 500.0}  # of the law by which move_to moves
+
+
+def connect(
+    robot: str | ModelPlant | type[RobotDriver],
+    arm: Arm | None = None,
+    *,
+    limits: SafetyLimits | None = None,
+    address: str | None = None,
+    options: Mapping[str, Any] | None = None,
+    rate: float = 1000.0,
+    q0: ArrayLike | None = None,
+    together: Robot | None = None,
+) -> Robot:
+    """Connect to a robot, or run a model plant as one in real time. Nothing moves yet.
+
+    Args:
+        robot: An address, franka://172.16.0.2, udp://127.0.0.1:4000, ur://..., can://...; or a model plant such as
+            `taut.RigidPlant`; or a class of your own, a RobotDriver in a file.
+        arm: The robot's model; that of a plant if left out.
+        limits: `taut.SafetyLimits.of(arm)` unless given.
+        address: Given to a driver of your own.
+        options: Further keyword arguments of a driver; plain values.
+        rate: Of a model plant [Hz].
+        q0: (n,) where a model plant is [rad | m]; home unless given.
+        together: A robot that is connected: a fault of either stops both.
+
+    Raises:
+        UsageError, MatchError: Something that does not fit; nothing was sent.
+        DriverFault: The robot cannot be reached, or is not ready.
+
+    Example:
+        >>> import taut
+        >>> arm = taut.load_arm("planar2")
+        >>> with taut.connect(taut.RigidPlant(arm)) as robot:
+        ...     ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm, rate=robot.rate, adds=robot.adds)
+        ...     robot.start(ctrl)
+        ...     robot.wait(0.1)
+        ...     run = robot.stop()
+        >>> bool(abs(run.q[-1] - arm.home).max() < 1e-3)
+        True
+    """
+    partner = together.link if together is not None else None
+    if isinstance(robot, str) or (isinstance(robot, type) and issubclass(robot, RobotDriver)):
+        instance_of("arm", arm, Arm, "an Arm from taut.load_arm, the model of the robot")
+        assert arm is not None
+        hello = {**driver_of(robot, address), "options": dict(options or {})}
+        link = Link(hello, partner=partner)
+    elif isinstance(robot, ModelPlant):
+        arm = robot.arm if arm is None else arm
+        q = (
+            robot.arm.home
+            if q0 is None
+            else finite_array("q0", q0, shape=(robot.arm.n,), joints=robot.arm.joint_names)
+        )
+        made = PlantSet.of(robot, q, np.zeros(robot.arm.n), rate)
+        measures = tuple(name for name in made.measured if name != "q")
+        info = RobotInfo(
+            name=robot.name, n=robot.arm.n, rate=rate, takes=robot.takes, measures=measures,  # type: ignore[arg-type]
+            adds=Adds.of(robot.adds).names, paced_by="host",
+        )  # fmt: skip
+        plant = {name: getattr(made, name) for name in ("code", "layout", "parameters", "memory", "input_size")}
+        link = Link({"plant": plant, "info": dataclasses.asdict(info), "measured": made.measured}, partner=partner)
+    else:
+        raise UsageError(
+            "connect takes an address such as franka://172.16.0.2, a model plant such as taut.RigidPlant(arm), or a class of "
+            f"your own, a RobotDriver; got {type(robot).__name__}", name="robot",
+        )  # fmt: skip
+    try:
+        info = checked_info(link.info, arm.n, arm.name)
+        limits = SafetyLimits.of(arm) if limits is None else limits
+        return Robot(link, info, arm, limits, _holder(info, arm, limits))
+    except BaseException:
+        link.close()
+        raise
+
+
+def _holder(info: RobotInfo, arm: Arm, limits: SafetyLimits) -> Controller:
+    """The controller that holds, and by which move_to moves."""
+    joints: Law = ComputedTorque(**HOLD)
+    laws: dict[str, Law] = {
+        "torque": joints,
+        "velocity": VelocityPI(kp=5.0),
+        "position": JointPosition(),
+        "mit": ViaMit(law=joints, kp_motor=0.0, kd_motor=0.0),
+    }
+    observer = None
+    if limits.contact is not None:
+        observer = MomentumObserver(bandwidth=min(OBSERVER[0], OBSERVER[1] * info.rate))
+    sensing = Sensing(observer=observer, velocity="measured" if "v" in info.measures else "difference")
+    return compile(laws[info.takes], arm, rate=info.rate, adds=_adds(info), sensing=sensing)
+
+
+def _adds(info: RobotInfo) -> Any:
+    """What a robot adds, with the load whose gravity it knows."""
+    if info.load is None or "gravity" not in info.adds:
+        return tuple(info.adds)
+    return {**dict.fromkeys(info.adds), "gravity": Payload(mass=info.load[0], com=np.array(info.load[1]))}

@@ -1,0 +1,70 @@
+"""Memory that processes share: created by the parent, freed with it, whatever the others do."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Callable
+from multiprocessing import resource_tracker
+from multiprocessing.shared_memory import SharedMemory
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taut.base.types import Float64Array
+
+Words = NDArray[np.int64]
+
+
+class _Memory(SharedMemory):
+    """Shared memory whose views may outlive it."""
+
+    def __del__(self) -> None:
+        with contextlib.suppress(BufferError):
+            super().__del__()  # type: ignore[no-untyped-call]
+
+
+def _attached(name: str) -> SharedMemory:
+    """Memory that another process removes; Python before 3.13 would remove it when this process ends."""
+    if sys.version_info >= (3, 13):
+        return _Memory(name, track=False)
+    register: Callable[..., None] = resource_tracker.register
+    resource_tracker.register = lambda *_: None
+    try:
+        return _Memory(name)
+    finally:
+        resource_tracker.register = register
+
+
+class Shared:
+    """A segment of 64-bit words, as whole numbers and as floats."""
+
+    def __init__(self, memory: SharedMemory, *, owner: bool) -> None:
+        self._memory, self._owner = memory, owner
+        self.name = memory.name
+        self.words: Words = np.frombuffer(memory.buf, dtype=np.int64)
+        self.numbers: Float64Array = np.frombuffer(memory.buf, dtype=np.float64)
+
+    @classmethod
+    def create(cls, words: int) -> Shared:
+        """A new segment of zeros; who creates it removes it."""
+        return cls(_Memory(create=True, size=8 * words), owner=True)
+
+    @classmethod
+    def attach(cls, name: str) -> Shared:
+        """The segment of that name, of another process."""
+        return cls(_attached(name), owner=False)
+
+    @property
+    def address(self) -> int:
+        """Where it begins in this process."""
+        return int(self.words.ctypes.data)
+
+    def close(self) -> None:
+        """Leave it, and remove it where it was created. Views that are still about keep their memory."""
+        del self.words, self.numbers
+        with contextlib.suppress(BufferError):
+            self._memory.close()
+        if self._owner:
+            with contextlib.suppress(FileNotFoundError):
+                self._memory.unlink()
