@@ -13,7 +13,6 @@ from robust_sets import planar_set, reference, with_links
 import taut
 from taut.analysis.robustness import MAX_LAYER_RATE, MAX_SAMPLED_RATE, UncertainArm
 from taut.maths.model import PayloadValues, model_of
-from taut.maths.regressor import parameters_of
 
 Bar = Callable[[str, object], None]
 WHOLE = bool(os.environ.get("TAUT_BARS"))
@@ -169,7 +168,7 @@ def test_a_plant_whose_links_carry_payloads_moves_as_an_arm_of_those_links(name:
     """The simulations of a set are of one compiled loop."""
     arm = taut.load_arm(name)
     unknown = taut.laws.Uncertainty(links=np.linspace(0.4, 0.1, arm.n))
-    more = [[parameters_of(body) for body in part] for _, part in unknown.unknown(model_of(arm))]
+    more = [rows for _, rows in unknown.unknown(model_of(arm))]
     ctrl, runs = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm), []
     for true, links in ((arm, np.sum(more, axis=0)), (with_links(arm, 1.0 + unknown.links), None)):
         plant = taut.RigidPlant(true, integrator=integrator, link_payloads=links is not None)

@@ -26,7 +26,6 @@ from taut.controller import compile
 from taut.loop import Loop
 from taut.maths import dynamics as dyn
 from taut.maths.model import PayloadValues, model_of
-from taut.maths.regressor import parameters_of
 from taut.maths.snapshot import Snapshot
 from taut.plant.rigid import Integrator, RigidPlant
 from taut.runtime.simulate import run as simulated
@@ -345,7 +344,7 @@ class Search:
         unknown, lam, k = law.uncertainty, law.lam.as_array(), law.k.as_array()
         nominal, (b, c) = unknown.nominal(arm), unknown.friction(arm.friction)
         parts = unknown.unknown(model_of(arm))
-        unknowns = [(name, LINKS, np.array([parameters_of(body) for body in part])) for name, part in parts]
+        unknowns = [(name, LINKS, rows) for name, rows in parts]
         unknowns += [("viscous", VISCOUS, 0.5 * np.ptp(b, axis=0)), ("coulomb", COULOMB, 0.5 * np.ptp(c, axis=0))]
         unknowns += [("disturbance", TORQUE, torque) for torque in unknown.disturbance * np.eye(arm.n)]
         self.unknowns = [(name, path, half) for name, path, half in unknowns if half.any()]

@@ -17,13 +17,11 @@ from taut.control.law import Law
 from taut.control.trajectories.reference import JointMotion
 from taut.maths import dynamics as dyn
 from taut.maths.model import Model, PayloadValues, RigidBody, links_of
-from taut.maths.regressor import parameters_of, pseudo_inertia
+from taut.maths.regressor import body_of, parameters_of, pseudo_inertia
 from taut.maths.snapshot import Snapshot
 from taut.trace import math as tm
 
 SMALLEST_EIGENVALUE = -1e-9  # of a pseudo-inertia, relative to the largest: a thin rod has eigenvalues of zero
-KILOGRAM = PayloadValues(mass=1.0, com=np.zeros(3), inertia=np.zeros(6))
-NO_BODY = RigidBody(m=0.0, h=np.zeros(3), I=np.zeros((3, 3)))
 
 
 def _rows(interval: Any) -> Float64Array:
@@ -114,33 +112,33 @@ class Uncertainty(Declared):
         made = arm.with_friction(Friction(viscous=b, coulomb=c))
         if not np.any(self.payload):
             return made
-        point = scaled(KILOGRAM.body(), float(np.mean(self.payload)))
-        load = PayloadValues.of_body(PayloadValues.of(arm.payload).body() + point)
+        load = PayloadValues.of_body(PayloadValues.of(arm.payload).body() + _point_mass(np.mean(self.payload)))
         return made.with_payload(load.mass, load.com, load.inertia)
 
     def middle(self, model: Model, bodies: list[RigidBody]) -> list[RigidBody]:
         """The bodies with the payload in the middle of its interval."""
-        carried = _carried(model, float(np.mean(self.payload)))
-        return [own + more for own, more in zip(bodies, carried, strict=True)] if np.any(self.payload) else bodies
+        return [own + body_of(row) for own, row in zip(bodies, _carried(model, np.mean(self.payload)), strict=True)]
 
     def lightest(self, model: Model, bodies: list[RigidBody]) -> list[RigidBody]:
         """The bodies without what may be too much of them."""
-        each = zip(self.middle(model, bodies), *(part for _, part in self.unknown(model)), strict=True)
-        return [body - sum(unknown, start=NO_BODY) for body, *unknown in each]
+        unknown = sum((rows for _, rows in self.unknown(model)), start=np.zeros((model.n, 10)))
+        return [own - body_of(row) for own, row in zip(self.middle(model, bodies), unknown, strict=True)]
 
-    def unknown(self, model: Model) -> list[tuple[str, list[RigidBody]]]:
-        """What may be missing or too much: sets of bodies, each of which acts by any factor from -1 to 1."""
-        links = np.broadcast_to(self.links, (model.n,)).tolist()
-        parts = [("links", _alone(model, i, scaled(model.links[i], x))) for i, x in enumerate(links)]
-        parts.append(("payload", _carried(model, 0.5 * float(np.ptp(self.payload)))))
-        return [(name, bodies) for name, bodies in parts if any(body.m > 0.0 for body in bodies)]
+    def unknown(self, model: Model) -> list[tuple[str, Float64Array]]:
+        """What may be missing or too much: parameters (n, 10) of bodies, which act by any factor from -1 to 1."""
+        links = np.diag(np.broadcast_to(self.links, (model.n,)))
+        known = np.array([parameters_of(link) for link in model.links])
+        parts = [*(("links", row[:, np.newaxis] * known) for row in links)]
+        parts.append(("payload", _carried(model, 0.5 * np.ptp(self.payload))))
+        return [(name, rows) for name, rows in parts if rows.any()]
 
     def torques(self, model: Model, q: Vector, v: Vector, v_ref: Vector, a_ref: Vector) -> Array:
         """(m, n) torques Y_l pi_l of each unknown at its largest: s . (M a_ref + C v_ref + g) errs by their sum."""
         bare, unknown = links_of(model.arm), self.unknown(model)
         if not unknown:
             return tm.zeros((0, model.n))
-        return tm.array([dyn.reference_dynamics(bare, part, q, v, v_ref, a_ref) for _, part in unknown])
+        bodies = ([body_of(row) for row in rows] for _, rows in unknown)
+        return tm.array([dyn.reference_dynamics(bare, part, q, v, v_ref, a_ref) for part in bodies])
 
     def friction(self, known: Friction) -> tuple[Float64Array, Float64Array]:
         """(2, n) each: viscous and Coulomb friction, smallest and largest; that of the model where none is given."""
@@ -176,20 +174,14 @@ def friction_and_error(
     return b_mid * v_des + c_mid * assumed, error
 
 
-def scaled(body: RigidBody, factor: float) -> RigidBody:
-    """A body of the same shape and another density."""
-    return RigidBody(m=factor * body.m, h=factor * body.h, I=factor * body.I)
+def _point_mass(mass: Any) -> RigidBody:
+    return PayloadValues(mass=mass, com=np.zeros(3), inertia=np.zeros(6)).body()
 
 
-def _alone(model: Model, i: int, body: RigidBody) -> list[RigidBody]:
-    """One body of an arm without mass, none where it belongs to the base."""
-    return [body if j == i else NO_BODY for j in range(model.n)]
-
-
-def _carried(model: Model, mass: float) -> list[RigidBody]:
-    """A point mass at the tool, on an arm without mass."""
+def _carried(model: Model, mass: Any) -> Float64Array:
+    """(n, 10) parameters of the bodies of an arm without mass that carries a point mass at the tool."""
     body, R, p = model.placement(None)
-    return _alone(model, body, scaled(KILOGRAM.body().seen_from(R, p), mass))
+    return np.outer(np.arange(model.n) == body, parameters_of(_point_mass(mass).seen_from(R, p)))
 
 
 class Robust(Law):
