@@ -38,7 +38,6 @@ def test_the_layer_of_planar2() -> None:
 def test_the_certificate_of_planar2() -> None:
     """Acceptance 1c; that of the level set was found there from random states, and here from its extremes."""
     found = certificate("planar2", planar_set(), phi=[0.051259, 0.230643])
-    assert found.on_reference == pytest.approx([0.02943, 0.09714], rel=0.03)
     assert found.certified == pytest.approx([0.036, 0.118], rel=0.08)
     assert found.ok
     assert found.found.max() <= 0.5 * found.computed_torque.max()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, TypeAlias
 
@@ -220,11 +220,8 @@ class Certificate(Result):
     joints: tuple[str, ...]
     units: tuple[str, ...]  # of their positions
     certified: Float64Array | None  # (n,) [rad | m] error that no arm of the set exceeds; None without a level set
-    on_reference: Float64Array  # (n,) the same with rho on the reference alone, which proves nothing
     found: Float64Array  # (n,) [rad | m] largest error in simulations of arms of the set
     computed_torque: Float64Array  # (n,) of computed torque with the same nominal loop and friction compensation
-    worst: Mapping[str, list[float]]  # unknowns of the arm with the largest error, in their intervals from -1 to 1
-    runs: int  # simulations of the robust law
     alpha: float  # largest distance of an eigenvalue of M^-1 M^ from 1 over the set
     sampled: float  # T times the largest rate of the loop in its layer: explicit steps are stable below 2
 
@@ -241,11 +238,9 @@ class Certificate(Result):
         none = "no certificate: the level set on which rho holds grows without end; take a thinner phi or a larger k"
         thin = "the layer is too thin for the rate: the sampled loop is unstable in it and chatters; raise phi"
         notes = [
-            f"found: in {self.runs} simulations of arms of the set, corners among them, and a search from the worst",
-            "certified: in continuous time, from a start on the reference, while no torque saturates; exact over the "
-            "set and over velocities in the level set; positions in it are sampled at corners: an estimate there",
-            f"sampled loop: T times its largest rate is {self.sampled:.3g}; it is stable below {MAX_SAMPLED_RATE:g}; "
-            f"taut.analysis.boundary_layer keeps it at {MAX_LAYER_RATE:g} on the reference",
+            "certified: in continuous time, while no torque saturates; positions in the level set are sampled at "
+            "corners: an estimate there",
+            f"sampled loop: T times its largest rate is {self.sampled:.3g}; it is stable below {MAX_SAMPLED_RATE:g}",
             f"inverse dynamics with an additional term has {'no' if self.alpha >= 1.0 else 'a'} bound: its alpha is "
             f"{self.alpha:.3g}, and must be below 1",
         ]
@@ -259,7 +254,6 @@ class Certificate(Result):
                 )
             ],
             notes=notes,
-            settings={"worst arm": "; ".join(f"{name} {values}" for name, values in self.worst.items())},
         )
 
 
@@ -315,80 +309,75 @@ def certify(
     start = float(x.c.max() * (x.rho.max(axis=0) @ arms.phi)) / (8.0 * k)
     level = arms.level_set(_along(arm, reference, duration, LEVEL_INSTANTS), start)
     layer = k * x.M + np.einsum("ki,ij->kij", x.rho / arms.phi, np.eye(arm.n))
-    search = Search(law, arm, reference, duration, rate)
-    cases = search.cases(trials, seed)
-    errors, worst = search.errors(search.robust, cases)
-    usual, _ = search.errors(search.usual, cases)
-    names = [name for name, _, _ in search.unknowns]
+    found, usual = _largest_errors(law, arm, reference, duration, rate, trials, seed)
     return Certificate(
         joints=arm.joint_names,
         units=arm.units,
         certified=None if level is None else level / arms.lam,
-        on_reference=np.sqrt(2.0 * start * x.mobility) / arms.lam,
-        found=np.max(errors, axis=0),
-        computed_torque=np.max(usual, axis=0),
-        worst={name: [at for at, one in zip(worst, names, strict=True) if one == name] for name in names},
-        runs=len(errors),
+        found=found,
+        computed_torque=usual,
         alpha=float(max(_largest(x.M, x.light).max() - 1.0, 1.0 - 1.0 / x.c.max())),
         sampled=float(_largest(layer, x.light).max()) / rate_in_hertz(rate),
     )
 
 
-class Search:
-    """Simulations of arms of a set under the robust law, and under computed torque of the same nominal loop.
+def _largest_errors(
+    law: Robust, arm: Arm, reference: Trajectory | Sample, duration: float, rate: float, trials: int, seed: int
+) -> list[Float64Array]:
+    """(n,) each: found under the robust law, and under computed torque of the same nominal loop."""
+    unknown, lam, k = law.uncertainty, law.lam.as_array(), law.k.as_array()
+    nominal, (b, c) = unknown.nominal(arm), unknown.friction(arm.friction)
+    ends = [(LINKS, rows) for _, rows in unknown.unknown(model_of(arm))]  # by how much a parameter moves at an end
+    ends += [(VISCOUS, 0.5 * np.ptp(b, axis=0)), (COULOMB, 0.5 * np.ptp(c, axis=0))]
+    ends += [(TORQUE, torque) for torque in unknown.disturbance * np.eye(arm.n)]
+    ends = [(path, half) for path, half in ends if half.any()]
+    laws: list[Law] = [law, ComputedTorque(kp=k * lam, kd=k + lam)]
+    if np.any(b) or np.any(c):
+        laws[1] = laws[1] + FrictionCompensation(at="ref", width=law.width)
+    if np.any(unknown.disturbance):
+        laws = [each + ConstantTorque(tau=np.zeros(arm.n)) for each in laws]
+    integrator: Integrator = "semi-implicit-euler" if np.any(c) else "rk4"
+    plant = RigidPlant(nominal, integrator=integrator, substeps=SUBSTEPS[integrator], link_payloads=True)
+    start, cases = known_rows("reference", reference, np.zeros(1), arm.n), _cases(len(ends), trials, seed)
+    loops = (
+        Loop(compile(each, known, rate=rate), plant, reference, duration=duration)
+        for each, known in zip(laws, (arm, nominal), strict=True)
+    )
+    return [_largest_error(loop, ends, start, cases) for loop in loops]
 
-    Each unknown has a name, the parameter of the loop that it moves, and by how much at the end of its interval.
-    """
 
-    def __init__(self, law: Robust, arm: Arm, reference: Trajectory | Sample, duration: float, rate: float) -> None:
-        unknown, lam, k = law.uncertainty, law.lam.as_array(), law.k.as_array()
-        nominal, (b, c) = unknown.nominal(arm), unknown.friction(arm.friction)
-        parts = unknown.unknown(model_of(arm))
-        unknowns = [(name, LINKS, rows) for name, rows in parts]
-        unknowns += [("viscous", VISCOUS, 0.5 * np.ptp(b, axis=0)), ("coulomb", COULOMB, 0.5 * np.ptp(c, axis=0))]
-        unknowns += [("disturbance", TORQUE, torque) for torque in unknown.disturbance * np.eye(arm.n)]
-        self.unknowns = [(name, path, half) for name, path, half in unknowns if half.any()]
-        laws: list[Law] = [law, ComputedTorque(kp=k * lam, kd=k + lam)]
-        if np.any(b) or np.any(c):
-            laws[1] = laws[1] + FrictionCompensation(at="ref", width=law.width)
-        if np.any(unknown.disturbance):
-            laws = [each + ConstantTorque(tau=np.zeros(arm.n)) for each in laws]
-        integrator: Integrator = "semi-implicit-euler" if np.any(c) else "rk4"
-        plant = RigidPlant(nominal, integrator=integrator, substeps=SUBSTEPS[integrator], link_payloads=True)
-        self.robust, self.usual = (
-            Loop(compile(each, known, rate=rate), plant, reference, duration=duration)
-            for each, known in zip(laws, (arm, nominal), strict=True)
-        )
-        self.start = known_rows("reference", reference, np.zeros(1), arm.n)
-        self.middle = {path: self.robust.parameters[path] for _, path, _ in self.unknowns}
+def _largest_error(
+    loop: Loop, ends: Sequence[tuple[str, Float64Array]], start: JointMotion, cases: Sequence[Case]
+) -> Float64Array:
+    """(n,) of runs of the cases, and of a search from the worst: each unknown in turn at its other end [rad | m]."""
+    middle = {path: loop.parameters[path] for path, _ in ends}
 
-    def cases(self, trials: int, seed: int) -> list[Case]:
-        """All corners of a small set; else its two ends, other corners, and arms between them."""
-        size, rng = len(self.unknowns), np.random.default_rng(seed)
-        if 2**size <= trials:
-            return list(itertools.product((1.0, -1.0), repeat=size))
-        drawn = rng.choice((-1.0, 1.0), (trials, size))
-        drawn[:2] = [[1.0], [-1.0]]
-        drawn[BETWEEN - 1 :: BETWEEN] = rng.uniform(-1.0, 1.0, (trials // BETWEEN, size))
-        return [tuple(case) for case in drawn.tolist()]
-
-    def errors(self, loop: Loop, cases: list[Case]) -> tuple[list[Float64Array], Case]:
-        """Of the cases and of a search from the worst, each unknown in turn at the other end; and the worst case."""
-        found = {case: self.error(loop, case) for case in cases}
-        worst = max(cases, key=lambda case: float(found[case].max()))
-        for i, at in enumerate(worst):
-            other = (*worst[:i], -1.0 if at > 0.0 else 1.0, *worst[i + 1 :])
-            found[other] = self.error(loop, other)
-            worst = max(worst, other, key=lambda case: float(found[case].max()))
-        return list(found.values()), worst
-
-    def error(self, loop: Loop, case: Case) -> Float64Array:
-        """(n,) largest error of a run from a start on the reference [rad | m]; infinite where it diverged."""
-        values = dict(self.middle)
-        for (_, path, half), at in zip(self.unknowns, case, strict=True):
+    def error(case: Case) -> Float64Array:
+        """(n,) from a start on the reference; infinite where it diverged."""
+        values = dict(middle)
+        for (path, half), at in zip(ends, case, strict=True):
             values[path] = values[path] + at * half
         for path, value in values.items():
             loop.parameters[path] = value
-        run = simulated(loop, q0=self.start.q[0], v0=self.start.v[0], progress=False)
+        run = simulated(loop, q0=start.q[0], v0=start.v[0], progress=False)
         assert run.error is not None
         return np.asarray(np.abs(run.error).max(axis=0)) if run.outcome.ok else np.full(run.n, np.inf)
+
+    found = {case: error(case) for case in cases}
+    worst = max(cases, key=lambda case: float(found[case].max()))
+    for i, at in enumerate(worst):
+        other = (*worst[:i], -1.0 if at > 0.0 else 1.0, *worst[i + 1 :])
+        found[other] = error(other)
+        worst = max(worst, other, key=lambda case: float(found[case].max()))
+    return np.asarray(np.max(list(found.values()), axis=0))
+
+
+def _cases(size: int, trials: int, seed: int) -> list[Case]:
+    """All corners of a small set; else its two ends, other corners, and arms between them."""
+    rng = np.random.default_rng(seed)
+    if 2**size <= trials:
+        return list(itertools.product((1.0, -1.0), repeat=size))
+    drawn = rng.choice((-1.0, 1.0), (trials, size))
+    drawn[:2] = [[1.0], [-1.0]]
+    drawn[BETWEEN - 1 :: BETWEEN] = rng.uniform(-1.0, 1.0, (trials // BETWEEN, size))
+    return [tuple(case) for case in drawn.tolist()]

@@ -128,8 +128,8 @@ class Uncertainty(Declared):
         """What may be missing or too much: parameters (n, 10) of bodies, which act by any factor from -1 to 1."""
         links = np.diag(np.broadcast_to(self.links, (model.n,)))
         known = np.array([parameters_of(link) for link in model.links])
-        parts = [*(("links", row[:, np.newaxis] * known) for row in links)]
-        parts.append(("payload", _carried(model, 0.5 * np.ptp(self.payload))))
+        carried = _carried(model, 0.5 * np.ptp(self.payload))
+        parts = [*(("links", row[:, np.newaxis] * known) for row in links), ("payload", carried)]
         return [(name, rows) for name, rows in parts if rows.any()]
 
     def torques(self, model: Model, q: Vector, v: Vector, v_ref: Vector, a_ref: Vector) -> Array:
