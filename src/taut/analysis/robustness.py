@@ -85,8 +85,8 @@ class Bounds:
 class UncertainArm:
     """The arms of a robust law's intervals.
 
-    Torques are linear in the bodies, so that the box bound is a sum. The mass matrix grows with each body, so that it
-    lies between that of the lightest and of the heaviest arm, and M^-1 with it.
+    Torques are linear in the bodies, so that the box bound is a sum; the mass matrix lies between that of the
+    lightest and of the heaviest arm, and M^-1 with it.
     """
 
     def __init__(self, arm: Arm, law: Robust) -> None:
@@ -169,10 +169,8 @@ def boundary_layer(
 
     Law:          phi_i = rho_i,max (M^-1)_ii,max / kappa, with the largest kappa [1/s] for which
                   T max eig[(k M^ + diag(kappa / (M^-1)_ii,max)) M^-1] <= 0.5 over the set and the reference
-                  M^-1 is largest for the lightest arm of the set, which so stands for all
 
-    Ten times thinner layers chatter. A third of it is still free of chatter without noise, and multiplies the effect
-    of noise in the velocity by three.
+    Without noise a third of it is still free of chatter, a tenth is not.
 
     Args:
         arm: The arm as the controller knows it.
@@ -211,11 +209,7 @@ def boundary_layer(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Certificate(Result):
-    """Two figures of robust control, kept apart: the error that is certified, and the largest that was found.
-
-    The first is in continuous time, from a start on the reference, while no torque saturates. Inverse dynamics with
-    an additional term (Corless and Leitmann's form) has no bound where `alpha` is 1 or more.
-    """
+    """Two figures of robust control, kept apart: the error that is certified, and the largest that was found."""
 
     joints: tuple[str, ...]
     units: tuple[str, ...]  # of their positions
@@ -273,8 +267,7 @@ def certify(
                   |s_i| <= S_i = sqrt(2 V_inf max (M^-1)_ii),   |e_i| <= S_i / lam_i
                   the level set grows until it contains what it implies; where it never does there is no certificate
 
-    Over the set of arms c, M^-1 and rho are exact, and over velocities rho is bounded: its parts are affine in s.
-    Over position errors up to S_i / lam_i the corners are taken, at instants of the reference: an estimate.
+    Over the set c, M^-1 and rho are exact; position errors up to S_i / lam_i are sampled at corners: an estimate.
     Simulations start on the reference: of arms at corners of the set, between them, and where a search leads that
     changes one unknown at a time; of computed torque, the same. A disturbance is constant in them.
 
@@ -288,7 +281,7 @@ def certify(
         seed: Of the sampled ones.
 
     Raises:
-        UsageError, RangeError, ShapeError, MatchError: A law, reference or intervals that are not for this arm.
+        UsageError, RangeError, ShapeError, MatchError: A law or reference that is not for this arm.
 
     Example:
         >>> import taut

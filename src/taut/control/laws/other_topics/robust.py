@@ -42,15 +42,12 @@ class _Interval(Field):
 class Uncertainty(Declared):
     """Everything that is not known of an arm, as intervals: stated once, for the law, its layer and its certificate.
 
-    Model:        link l is known to +-links[l], mass and inertia together
-                  the arm carries a point mass of min..max kg at the tool beyond its own payload
-                  friction is b v + c sgn(v) with b and c between min and max, whatever the load
-                  a further torque of at most +-d acts on each joint
-                  every combination belongs to the set; rotors, lengths and gravity are known
+    Friction is b v + c sgn(v), whatever the load. Every combination belongs to the set; rotors, lengths and gravity
+    are known.
 
     Args:
-        links: (n,) or a number, relative, below 1 [1].
-        payload: (min, max) at the tool's origin, beyond the arm's own payload, or short of it if negative [kg].
+        links: (n,) or a number, relative, below 1: of mass and inertia of each link together [1].
+        payload: (min, max) point mass at the tool's origin beyond the arm's own payload, or short of it [kg].
         viscous: (min, max), each a number or (n,) [N m s/rad | N s/m]; the model's own if left out.
         coulomb: (min, max), each a number or (n,), static friction included [N m | N]; the model's own if left out.
         disturbance: (n,) or a number, the largest further torque [N m | N].
@@ -196,10 +193,9 @@ class Robust(Law):
                   V = s . M s / 2 falls at the rate (2 k / c) V less (1/4) sum rho_i phi_i,   c = max eig(M^^-1 M)
                   with an exact model and no friction e_ddot + (k + lam) e_dot + k lam e = -M^-1 u
 
-    Proved, for every arm of the set, in continuous time and while no torque saturates: from a start on the reference,
-    s stays in a level set of V and e inside eps, which `taut.analysis.certify` computes. Not proved: the sampled loop
-    (`taut.linearise`; a layer that is too thin chatters) and anything at torque limits; nor that s_i
-    stays within phi_i, joint by joint. `taut.analysis.boundary_layer` gives the thinnest layer that a rate allows.
+    Proved, for every arm of the set, in continuous time and while no torque saturates: from a start on the reference
+    e stays inside what `taut.analysis.certify` computes. Not proved: the sampled loop; a layer that is too thin
+    chatters, and `taut.analysis.boundary_layer` gives the thinnest one that a rate allows.
 
     Args:
         lam: Rate at which e follows s, a number or (n,) [1/s].
