@@ -13,7 +13,7 @@ from taut.base.fields import Choice, Declared, Field
 from taut.base.types import Array, Vector
 from taut.control.command import Torque
 from taut.maths import dynamics as dyn
-from taut.maths.friction import FrictionValues, dry_limit
+from taut.maths.friction import FrictionValues, friction_torque
 from taut.maths.model import Adds, Model, PayloadValues, links_of, model_of
 from taut.maths.task_inertia import TaskInertia
 from taut.trace import math as tm
@@ -153,18 +153,9 @@ class MomentumObserver(Declared):
         if self.torque == "applied":
             rate = rate + dyn.compensation(model, adds, q, v, payload)
             if not adds.friction:
-                rate = rate + self._friction(arm, v, tau, parameters)
+                values = FrictionValues.fixed(arm.friction)
+                rate = rate + friction_torque(values, v, tau, -tau, parameters["width"])
         return p, rate
-
-    @staticmethod
-    def _friction(arm: Arm, v: Vector, tau: Vector, parameters: Values) -> Vector:
-        """(n,) friction torques of the controller's arm, with a dry part that is smooth about rest."""
-        values = FrictionValues.fixed(arm.friction)
-        f: Any = tm.zeros(arm.n) if values.viscous is None else -values.viscous * v
-        if values.dry:
-            f = f - dry_limit(values, v, None, tau, -tau) * tm.tanh(v / parameters["width"])
-        out: Vector = f
-        return out
 
     def wrench(self, model: Model, q: Vector, tau_ext: Vector, payload: PayloadValues) -> Array:
         """(6,) F_ext at the tool in world axes [N, N m] of tau_ext; without moment if it is taken for a force."""
