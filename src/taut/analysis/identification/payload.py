@@ -29,7 +29,7 @@ NAMED: Final = 0.05  # [-] of the largest entry of a direction: smaller ones are
 class PayloadEstimate(Result):
     """What the tool carries by the estimate at the end of a run, and which directions of its parameters were excited.
 
-    They are eigenvectors of Q^1/2 W Q^1/2, W the mean of Y^T Y over the run with Y the tool body's columns of the
+    Eigenvalues are those of Q^1/2 W Q^1/2, W the mean of Y^T Y over the run with Y the tool body's columns of the
     regressor, and Q y how adaptation moves the parameters: directions with eigenvalues near zero are not learned.
 
     Frames:
@@ -42,6 +42,7 @@ class PayloadEstimate(Result):
     inertia: Float64Array  # (6,) [kg m^2] xx, yy, zz, xy, xz, yz
     moving: Float64Array  # (10,) change of mass, com and inertia in the last quarter of the run
     excited: NDArray[np.bool_]  # (10,) of mass, com and inertia: no direction that was not excited has a part of it
+    eigenvalues: Float64Array  # (10,) [N^2 m^2], the largest first
     not_excited: Float64Array  # (j, 10) directions of the parameters [kg, kg m, kg m^2]
     directions: tuple[str, ...]  # each as a sum: "h_z", "I_xx - 0.3 h_x"; the first parameter is in no other one
 
@@ -76,6 +77,7 @@ class PayloadEstimate(Result):
                     columns=("quantity", "estimate", "changed in the last quarter by", "excited"),
                     rows=list(zip(names, values, map(float, self.moving), excited, strict=True)),
                 ),
+                Table(title="excitation", columns=("eigenvalue [N^2 m^2]",), rows=[(x,) for x in self.eigenvalues]),
             ],
             notes=[
                 "h is mass times centre of mass, I about the tool's origin, both of the whole body that carries the "
@@ -87,8 +89,7 @@ class PayloadEstimate(Result):
 def payload_estimate(run: Run) -> PayloadEstimate:
     """The payload that `taut.laws.Adaptive` has learned by the end of a run, and what the run did not excite.
 
-    The payload is the estimated body less the model's own, without payload. Use `run.between(start, end)` for another
-    time or for the motion since the payload was picked up.
+    It is the estimated body less the model's own. `run.between(start, end)` is the motion since it was picked up.
 
     Args:
         run: A run of the law.
@@ -137,6 +138,7 @@ def payload_estimate(run: Run) -> PayloadEstimate:
         inertia=load.inertia,
         moving=now - then,
         excited=known,
+        eigenvalues=values[::-1].copy(),
         not_excited=directions * sizes,
         directions=tuple(
             linear_text([(each[i], rg.PARAMETERS[i]) for i in which])
