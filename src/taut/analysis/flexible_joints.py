@@ -73,15 +73,13 @@ class SetPointCondition(Result):
 def set_point_condition(law: MotorSidePD, arm: Arm, *, at: ArrayLike | None = None) -> SetPointCondition:
     """Condition for global asymptotic stability of a set-point under `taut.laws.MotorSidePD`, with its margin.
 
-    Law:          [[K - alpha, -K], [-K, K + m kp]] > 0, which is K m kp / (K + m kp) > alpha for each joint:
-                  K > alpha and m kp > alpha K / (K - alpha), with m = M_ii(q_des), rotors included
+    Law:          K m kp / (K + m kp) > alpha for each joint, with m = M_ii(q_des), rotors included
 
-    Sufficient for several joints; for one joint also necessary at its steepest pose. Tomei's own form, the smallest
-    eigenvalue of the matrix without alpha above alpha, is up to twice as strict.
+    Sufficient for several joints, and less strict than Tomei's own form; for one joint also necessary.
 
     Args:
-        law: The law, with its gains.
-        arm: The arm, with its payload; dg/dq is sampled within its joint limits.
+        law: The law.
+        arm: The arm, with its payload.
         at: Set-point, for m [rad | m]; home if left out.
 
     Example:
@@ -118,8 +116,8 @@ def stable_inversion(ctrl: Controller, plant: ModelPlant, motion: object, *, lea
     Closed loop:  q = q_des at every tick, for a linear law and plant such as a `taut.drives.FlexibleLink`; elsewhere
                   to first order. The feedback stays that of the law, and so do its margins
 
-    The bounded inverse is not causal: with an unstable zero z the input begins before the motion, as exp(z t). `lead`
-    cuts it off there; a lead of 5 / z leaves 0.7 % of the error of none. A wrong model leaves its error.
+    With an unstable zero z the bounded inverse begins before the motion, as exp(z t), and is cut off at `lead`: 5 / z
+    leaves 0.7 % of the error of none. A wrong model leaves its error.
 
     Args:
         ctrl: A controller whose law uses the reference's acceleration: for a flexible link
@@ -146,9 +144,7 @@ def stable_inversion(ctrl: Controller, plant: ModelPlant, motion: object, *, lea
         True
 
     References:
-        Bayo, A finite-element approach to control the end-point motion of a single-link flexible robot, J. Robotic
-        Systems 4 (1987). Devasia, Chen and Paden, Nonlinear inversion-based output tracking, IEEE Trans. Automatic
-        Control 41 (1996).
+        Devasia, Chen and Paden, Nonlinear inversion-based output tracking, IEEE Trans. Automatic Control 41 (1996).
     """
     instance_of("ctrl", ctrl, Controller, "a controller from taut.compile")
     instance_of("plant", plant, ModelPlant, "a model plant, such as a taut.drives.FlexibleLink")

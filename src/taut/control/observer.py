@@ -142,9 +142,13 @@ class MomentumObserver(Declared):
         if self.torque == "applied":
             rate = rate + dyn.compensation(model, adds, q, v, payload)
             if not adds.friction:
-                values = FrictionValues.fixed(arm.friction)
-                rate = rate + friction_torque(values, v, tau, -tau, parameters["width"])
+                rate = rate + self.friction(arm, v, tau, parameters)
         return p, rate
+
+    @staticmethod
+    def friction(arm: Arm, v: Vector, tau: Vector, parameters: Values) -> Vector:
+        """(n,) friction torques of the controller's arm, with a dry part that is smooth about rest."""
+        return friction_torque(FrictionValues.fixed(arm.friction), v, tau, -tau, parameters["width"])
 
     def wrench(self, model: Model, q: Vector, tau_ext: Vector, payload: PayloadValues) -> Array:
         """(6,) F_ext at the tool in world axes [N, N m] of tau_ext; without moment if it is taken for a force."""

@@ -101,9 +101,7 @@ def limit_cycles(
     `-c np.sign(v)` from v to the torque, backlash `-k (d - np.clip(d, -b, b))` from the deflection of the teeth, an
     encoder `np.round(q / s) * s - q` from a position to the error of its measurement.
 
-    Solutions are looked for wherever the balance of an element changes its sign on a grid of frequencies and
-    amplitudes that follows G and N; the amplitudes of other elements are iterated there. Cycles whose amplitudes
-    differ by less than a third, or which are just beyond the threshold of a jump, may be missed.
+    Cycles whose amplitudes differ by less than a third, or just beyond the threshold of a jump, may be missed.
 
     Args:
         system: The loop without the elements, sampled or continuous: `taut.error_dynamics`, `taut.linearise`, ...

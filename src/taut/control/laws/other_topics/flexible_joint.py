@@ -171,13 +171,6 @@ class FastTorqueLoop(Wrapper):
         stiffness: K of each joint.
         bandwidth: Of the torque, both poles.
 
-    Example:
-        >>> import taut
-        >>> rigid = taut.laws.ComputedTorque(kp=100.0, kd=20.0)
-        >>> law = taut.laws.FastTorqueLoop(law=rigid, stiffness=500.0, bandwidth=200.0)
-        >>> sorted(law.parameters())
-        ['bandwidth', 'kd', 'ki', 'kp', 'stiffness']
-
     References:
         Spong, Modeling and control of elastic joint robots, J. Dynamic Systems, Measurement and Control 109 (1987).
         Kokotovic, Khalil and O'Reilly, Singular Perturbation Methods in Control (1986), section 1.3.
@@ -217,13 +210,6 @@ class JointTorqueFeedback(Wrapper):
     Args:
         law: Any law that gives torques, such as `MotorSidePD`.
         inertia: B_des of each joint.
-
-    Example:
-        >>> import taut
-        >>> motor = taut.laws.MotorSidePD(stiffness=500.0, kp=100.0, kd=20.0)
-        >>> law = taut.laws.JointTorqueFeedback(law=motor, inertia=0.05)
-        >>> sorted(law.parameters())
-        ['kd', 'kp', 'stiffness']
 
     References:
         Albu-Schaeffer, Ott and Hirzinger, A unified passivity-based control framework for position, torque and
@@ -357,12 +343,6 @@ class FlexibleJointLinearisation(Law):
     Args:
         stiffness: K of each joint.
         omega: The four poles of each joint.
-
-    Example:
-        >>> import taut
-        >>> law = taut.laws.FlexibleJointLinearisation(stiffness=1000.0, omega=30.0)
-        >>> law.reference.__name__
-        'SmoothMotion'
 
     References:
         Spong (1987). De Luca and Book, Springer Handbook of Robotics.
