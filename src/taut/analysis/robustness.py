@@ -350,8 +350,7 @@ def _largest_error(
         values = dict(middle)
         for (path, half), at in zip(ends, case, strict=True):
             values[path] = values[path] + at * half
-        for path, value in values.items():
-            loop.parameters[path] = value
+        loop.parameters.update(values)
         run = simulated(loop, q0=start.q[0], v0=start.v[0], progress=False)
         assert run.error is not None
         return np.asarray(np.abs(run.error).max(axis=0)) if run.outcome.ok else np.full(run.n, np.inf)
