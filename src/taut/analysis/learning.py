@@ -309,7 +309,7 @@ def learn(
         first = first or done
         _require_same_start(first, done, trial)
         references.append(reference)
-        rms.append(float(np.sqrt(np.mean(np.sum(short_way(motion.q - done.q, done.continuous) ** 2, axis=1)))))
+        rms.append(float(done.metrics.overall("rms_error")))
         limited.append(float(np.nan_to_num(done.metrics.overall("saturation_time"))))
         errors.append(short_way(motion.q - done.extra.get("sensed.q", done.q), done.continuous))
         faults += [] if faults else _otherwise(errors, predicted, side.arm.joint_names)

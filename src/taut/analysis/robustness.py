@@ -283,15 +283,6 @@ def certify(
     Raises:
         UsageError, RangeError, ShapeError, MatchError: A law or reference that is not for this arm.
 
-    Example:
-        >>> import taut
-        >>> arm, unknown = taut.load_arm("planar2"), taut.laws.Uncertainty(links=0.05)
-        >>> ref = taut.trajectories.Quintic(q0=arm.home, q1=arm.home + 0.5, duration=1.0)
-        >>> phi = taut.analysis.boundary_layer(arm, ref, unknown, lam=10.0, k=10.0, duration=1.0)
-        >>> law = taut.laws.Robust(lam=10.0, k=10.0, phi=phi, uncertainty=unknown)
-        >>> taut.analysis.certify(law, arm, ref, duration=1.0, trials=4).ok
-        True
-
     References:
         Corless and Leitmann, IEEE TAC 26 (5) (1981). Spong, IEEE TAC 37 (11) (1992). Slotine and Li (1991).
     """

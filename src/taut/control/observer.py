@@ -51,12 +51,6 @@ class MomentumObserver(Declared):
         MatchError: torque="applied" under a law whose torque is not known: of positions, velocities, or for
             motors with a loop of their own.
 
-    Example:
-        >>> import taut
-        >>> sensing = taut.Sensing(observer=MomentumObserver(bandwidth=50.0))
-        >>> [*sensing.parameters()]
-        ['observer.bandwidth', 'observer.width']
-
     References:
         De Luca and Mattone, Actuator failure detection and isolation using generalized momenta, ICRA (2003).
         Haddadin, De Luca and Albu-Schaeffer, Robot collisions: a survey, IEEE Transactions on Robotics 33 (2017).

@@ -41,15 +41,6 @@ class VariableStiffnessActuator(MotorModel):
         UsageError: A plant that does not take "mit"; an arm with rotors or gears, since these motors do not move with
             its links; parts of the drives other than bandwidth and delay.
 
-    Example:
-        >>> import taut
-        >>> springs = taut.drives.AntagonisticSprings(a=40.0, c_min=0.25, c_max=0.75)
-        >>> motors = VariableStiffnessActuator(springs=springs, damping=0.1)
-        >>> drives = taut.drives.Actuation(motor=motors, bandwidth=100.0)
-        >>> plant = taut.RigidPlant(taut.load_arm("one_joint"), takes="mit", actuation=drives)
-        >>> float(plant.parameters["actuation.motor.springs.a"])
-        40.0
-
     References:
         Grioli et al., Variable stiffness actuators: the user's point of view, International Journal of Robotics
         Research 34 (6), 2015.

@@ -242,13 +242,6 @@ class FullStateFeedback(Law):
         stiffness: K of the joint, for x_des.
         feedback: (4,) k: of link position and velocity, motor position and velocity [N m/rad, N m s/rad, ...].
 
-    Example:
-        >>> import taut
-        >>> arm = taut.load_arm("one_joint", gravity=[0.0, 0.0, 0.0]).with_gears(ratio=100.0, motor_inertia=2e-5)
-        >>> law = FullStateFeedback.placed(arm, stiffness=500.0, poles=[-20.0, -22.0, -24.0, -26.0], rate=1000.0)
-        >>> law.feedback.as_array().shape
-        (4,)
-
     References:
         Spong, Hutchinson and Vidyasagar, Robot Modeling and Control (2006), section 6.5, drive train dynamics.
     """

@@ -54,11 +54,6 @@ class Uncertainty(Declared):
 
     Raises:
         RangeError: A link known to +-100 % or worse, whose mass may be zero; negative friction; min above max.
-
-    Example:
-        >>> import taut
-        >>> taut.laws.Uncertainty(links=0.2, payload=(0.0, 1.0), viscous=(0.05, 0.15)).payload.tolist()
-        [0.0, 1.0]
     """
 
     links: Field = Field(0.0, unit="1", shape="n", minimum=0.0, run_time=False)
@@ -206,12 +201,6 @@ class Robust(Law):
 
     Raises:
         RangeError, ShapeError, MatchError: An uncertainty without width or for another arm, when it is compiled.
-
-    Example:
-        >>> import taut
-        >>> unknown = taut.laws.Uncertainty(links=0.2, payload=(0.0, 1.0))
-        >>> law = taut.laws.Robust(lam=10.0, k=10.0, phi=0.2, uncertainty=unknown)
-        >>> ctrl = taut.compile(law, taut.load_arm("planar2"))
 
     References:
         Slotine and Li, Applied Nonlinear Control (1991), chapters 7 to 9. Corless and Leitmann, IEEE TAC 26 (5)
