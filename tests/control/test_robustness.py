@@ -167,9 +167,11 @@ def test_a_plant_whose_links_carry_payloads_moves_as_an_arm_of_those_links(name:
     """The simulations of a set are of one compiled loop."""
     arm = taut.load_arm(name)
     unknown = taut.laws.Uncertainty(links=np.linspace(0.4, 0.1, arm.n))
-    more = [rows for _, rows in unknown.unknown(model_of(arm))]
     ctrl, runs = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm), []
-    for true, links in ((arm, np.sum(more, axis=0)), (with_links(arm, 1.0 + unknown.links), None)):
+    for true, links in (
+        (arm, np.sum(unknown.unknown(model_of(arm)), axis=0)),
+        (with_links(arm, 1.0 + unknown.links), None),
+    ):
         plant = taut.RigidPlant(true, integrator=integrator, link_payloads=links is not None)
         loop = taut.Loop(ctrl, plant, reference(arm), duration=0.3)
         if links is not None:

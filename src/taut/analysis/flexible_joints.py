@@ -133,16 +133,6 @@ def stable_inversion(ctrl: Controller, plant: ModelPlant, motion: object, *, lea
         UsageError: A loop that is unstable, leaves a steady-state error or does not use the acceleration; a motion
             without an end, or not from rest to rest; an inverse that does not die out.
 
-    Example:
-        >>> import taut
-        >>> link = taut.drives.FlexibleLink(length=1.0, EI=5.0, density=0.5, hub_inertia=0.1)
-        >>> ctrl = taut.compile(taut.laws.MotorSide(law=taut.laws.ComputedTorque(kp=25.0, kd=8.0)), link.arm)
-        >>> move = taut.trajectories.Septic(q0=[0.0], q1=[0.5], duration=0.8)
-        >>> ref = taut.analysis.stable_inversion(ctrl, link, move, lead=0.5)
-        >>> run = taut.run(ctrl, link, ref, duration=2.0)
-        >>> bool(np.abs(run.reference.q - run.q).max() < 1e-5)  # [rad], and 0.07 without inversion
-        True
-
     References:
         Devasia, Chen and Paden, Nonlinear inversion-based output tracking, IEEE Trans. Automatic Control 41 (1996).
     """

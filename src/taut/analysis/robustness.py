@@ -311,7 +311,7 @@ def _largest_errors(
     """(n,) each: found under the robust law, and under computed torque of the same nominal loop."""
     unknown, lam, k = law.uncertainty, law.lam.as_array(), law.k.as_array()
     nominal, (b, c) = unknown.nominal(arm), unknown.friction(arm.friction)
-    ends = [(LINKS, rows) for _, rows in unknown.unknown(model_of(arm))]  # by how much a parameter moves at an end
+    ends = [(LINKS, rows) for rows in unknown.unknown(model_of(arm))]  # by how much a parameter moves at an end
     ends += [(VISCOUS, 0.5 * np.ptp(b, axis=0)), (COULOMB, 0.5 * np.ptp(c, axis=0))]
     ends += [(TORQUE, torque) for torque in unknown.disturbance * np.eye(arm.n)]
     ends = [(path, half) for path, half in ends if half.any()]

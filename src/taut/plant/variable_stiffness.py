@@ -52,7 +52,6 @@ class VariableStiffnessActuator(MotorModel):
     preset: Field = Field(unit="N m/rad | N/m", shape="n", above=0.0, optional=True, run_time=False)
 
     def check(self) -> None:
-        """Springs that give the preset."""
         if self.preset is not None:
             self.springs.require_reached(self, "preset", self.preset)
 

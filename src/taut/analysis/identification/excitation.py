@@ -54,9 +54,6 @@ def excitation(
         acceleration: (n,) or scalar [rad/s^2 | m/s^2]; torques are limited in any case.
         seed: Of the random motions with which the search begins.
 
-    Returns:
-        The trajectory; follow it with `taut.run(ctrl, plant, motion, duration=motion.duration)`.
-
     Raises:
         RangeError: A duration that is no whole number of periods; a limit <= 0; no room or torque left at home.
 

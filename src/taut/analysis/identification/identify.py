@@ -170,9 +170,6 @@ def identify(
             "rotors", rotor inertias; "friction", viscous and Coulomb, and where the record holds slow reversals
             static and the Stribeck speed.
 
-    Returns:
-        The estimates with their intervals, and the arm that has them.
-
     Warns:
         RuntimeWarning: The condition number is above 30.
 

@@ -32,11 +32,9 @@ def _rows(interval: Any) -> Float64Array:
         raise ShapeError(f"must be (smallest, largest), each a number or one per joint; got {interval!r}") from cause
 
 
-class _Interval(Field):
+def _interval(unit: str) -> Field:
     """The smallest and the largest value of a number, or of one for each joint: kept as (2, k), k = 1 or n."""
-
-    def __init__(self, *, unit: str) -> None:
-        super().__init__(unit=unit, shape=(2, "k"), minimum=0.0, run_time=False, optional=True, convert=_rows)
+    return Field(unit=unit, shape=(2, "k"), minimum=0.0, run_time=False, optional=True, convert=_rows)
 
 
 class Uncertainty(Declared):
@@ -58,8 +56,8 @@ class Uncertainty(Declared):
 
     links: Field = Field(0.0, unit="1", shape="n", minimum=0.0, run_time=False)
     payload: Field = Field((0.0, 0.0), unit="kg", shape=2, run_time=False)
-    viscous: _Interval = _Interval(unit="N m s/rad | N s/m")
-    coulomb: _Interval = _Interval(unit="N m | N")
+    viscous: Field = _interval("N m s/rad | N s/m")
+    coulomb: Field = _interval("N m | N")
     disturbance: Field = Field(0.0, unit="N m | N", shape="n", minimum=0.0, run_time=False)
 
     def check(self) -> None:
@@ -113,23 +111,22 @@ class Uncertainty(Declared):
 
     def lightest(self, model: Model, bodies: list[RigidBody]) -> list[RigidBody]:
         """The bodies without what may be too much of them."""
-        unknown = sum((rows for _, rows in self.unknown(model)), start=np.zeros((model.n, 10)))
+        unknown = sum(self.unknown(model), start=np.zeros((model.n, 10)))
         return [own - body_of(row) for own, row in zip(self.middle(model, bodies), unknown, strict=True)]
 
-    def unknown(self, model: Model) -> list[tuple[str, Float64Array]]:
+    def unknown(self, model: Model) -> list[Float64Array]:
         """What may be missing or too much: parameters (n, 10) of bodies, which act by any factor from -1 to 1."""
         links = np.diag(np.broadcast_to(self.links, (model.n,)))
         known = np.array([parameters_of(link) for link in model.links])
         carried = _carried(model, 0.5 * np.ptp(self.payload))
-        parts = [*(("links", row[:, np.newaxis] * known) for row in links), ("payload", carried)]
-        return [(name, rows) for name, rows in parts if rows.any()]
+        return [rows for rows in (*(row[:, np.newaxis] * known for row in links), carried) if rows.any()]
 
     def torques(self, model: Model, q: Vector, v: Vector, v_ref: Vector, a_ref: Vector) -> Array:
         """(m, n) torques Y_l pi_l of each unknown at its largest: s . (M a_ref + C v_ref + g) errs by their sum."""
         bare, unknown = links_of(model.arm), self.unknown(model)
         if not unknown:
             return tm.zeros((0, model.n))
-        bodies = ([body_of(row) for row in rows] for _, rows in unknown)
+        bodies = ([body_of(row) for row in rows] for rows in unknown)
         return tm.array([dyn.reference_dynamics(bare, part, q, v, v_ref, a_ref) for part in bodies])
 
     def friction(self, known: Friction) -> tuple[Float64Array, Float64Array]:
