@@ -13,6 +13,7 @@ from taut.arm.parts import short_way
 from taut.base.checks import instance_of, whole_number
 from taut.base.errors import RangeError, UsageError, count_of
 from taut.base.fields import Declared, Field, Whole
+from taut.base.plot_style import WIDTH, colour, prepared
 from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.trajectories.reference import JointMotion, known_rows
@@ -41,10 +42,9 @@ MAX_DROOP: Final = 3.0  # [rad | m] of an arm whose weight the law does not know
 
 
 class LearningLaw(Declared):
-    """Base of learning laws u+ = F (Q u + K (e, e_dot)), over all samples of a trial; F is the Q-filter.
+    """Base of learning laws u+ = F (Q u + K (e, e_dot)), over all samples of a trial.
 
-    The filter runs forwards and then backwards over the trial from a zero state, so that it has no phase lag and a
-    norm of at most one, also at the ends of a trial.
+    The Q-filter F runs forwards and backwards from a zero state: no phase lag, and a norm of at most one.
 
     Args:
         cutoff: Of the Q-filter [Hz], a Butterworth filter; no filter if left out.
@@ -213,16 +213,13 @@ class Learning(Result):
                 Table(title="trials", columns=("trial", f"RMS error [{self.unit}]", "limits acted [s]"), rows=trials),
             ],
             notes=[f"an input reaches the joints after {count_of(self.lead, 'tick')}"],
-            figures={"RMS error by trial": self.plot},
+            figures={"RMS error by trial": self._figure},
         )
 
-    def plot(self) -> Figure:
-        """RMS error by trial."""
-        from matplotlib.figure import Figure as NewFigure
+    def _figure(self) -> Figure:
+        from matplotlib.figure import Figure
 
-        from taut.base.plot_style import WIDTH, colour, prepared
-
-        figure = NewFigure(figsize=(WIDTH, 3.0), dpi=150, layout="constrained")
+        figure = Figure(figsize=(WIDTH, 3.0), dpi=150, layout="constrained")
         ax = prepared(figure.subplots(), f"{self.law!r}", f"RMS error [{self.unit}]", "trial")
         ax.semilogy(range(1, len(self.rms) + 1), self.rms, "o-", color=colour(0), markersize=4.0)
         return figure
@@ -248,14 +245,10 @@ def learn(
     Law:          u+ = F (Q u + K (e, e_dot)), u [rad/s^2] added to the acceleration of the reference
     Closed loop:  e = r - G u in each trial, r the error without learning; see the learning law
 
-    G is the response of the sampled loop, linearised by `taut.linearise` with the controller's arm, viscous friction
-    and the plant's drives and sensors, about the middle, the start and the end of the motion; it is known before the
-    first trial, and so is the convergence test. Its promise is for that linear loop. A payload, friction and gravity
-    that repeat are learned; noise, stick-slip and what changes from trial to trial are not, and set the floor.
-
-    Each trial is a run: law, sensing, drives and environment begin anew, so that no memory is carried over. What a
-    plant carries over by itself, such as a scene of yours that goes on, shows in the start of a trial and is refused.
-    The law learns from what the sensors show, and the errors that are reported are true ones.
+    G is the response of the sampled loop, linearised with the controller's arm and the plant's drives and sensors
+    about the middle, the start and the end of the motion: the convergence test is made before the first trial. What
+    repeats is learned, such as payload, friction and gravity; noise and what changes from trial to trial are not.
+    Each trial is a run that begins anew, learns from what the sensors show, and reports true errors.
 
     Args:
         ctrl: A controller whose law uses the reference's acceleration: `ComputedTorque`, or `PID` + `FeedForward`.
@@ -286,8 +279,8 @@ def learn(
         (True, 'for the modelled loop no trial is worse than the one before (Q = 1)')
 
     References:
-        Bristow, Tharayil and Alleyne (2006). Norrlof and Gunnarsson, Time and frequency domain convergence properties
-        in iterative learning control, International Journal of Control 75 (2002).
+        Norrlof and Gunnarsson, Time and frequency domain convergence properties in iterative learning control,
+        International Journal of Control 75 (2002).
     """
     instance_of("ctrl", ctrl, Controller, "a controller from taut.compile")
     instance_of("by", by, LearningLaw, "a learning law, such as taut.analysis.NormOptimal()")
@@ -316,7 +309,7 @@ def learn(
         first = first or done
         _require_same_start(first, done, trial)
         references.append(reference)
-        rms.append(float(np.sqrt(np.mean(np.sum(short_way(motion.q - done.q, done.continuous) ** 2, axis=1)))))
+        rms.append(float(done.metrics.overall("rms_error")))
         limited.append(float(np.nan_to_num(done.metrics.overall("saturation_time"))))
         errors.append(short_way(motion.q - done.extra.get("sensed.q", done.q), done.continuous))
         faults += [] if faults else _otherwise(errors, predicted, side.arm.joint_names)

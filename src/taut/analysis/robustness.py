@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, TypeAlias
 
@@ -26,7 +26,6 @@ from taut.controller import compile
 from taut.loop import Loop
 from taut.maths import dynamics as dyn
 from taut.maths.model import PayloadValues, model_of
-from taut.maths.regressor import parameters_of
 from taut.maths.snapshot import Snapshot
 from taut.plant.rigid import Integrator, RigidPlant
 from taut.runtime.simulate import run as simulated
@@ -86,8 +85,8 @@ class Bounds:
 class UncertainArm:
     """The arms of a robust law's intervals.
 
-    Torques are linear in the bodies, so that the box bound is a sum. The mass matrix grows with each body, so that it
-    lies between that of the lightest and of the heaviest arm, and M^-1 with it.
+    Torques are linear in the bodies, so that the box bound is a sum; the mass matrix lies between that of the
+    lightest and of the heaviest arm, and M^-1 with it.
     """
 
     def __init__(self, arm: Arm, law: Robust) -> None:
@@ -170,10 +169,8 @@ def boundary_layer(
 
     Law:          phi_i = rho_i,max (M^-1)_ii,max / kappa, with the largest kappa [1/s] for which
                   T max eig[(k M^ + diag(kappa / (M^-1)_ii,max)) M^-1] <= 0.5 over the set and the reference
-                  M^-1 is largest for the lightest arm of the set, which so stands for all
 
-    Ten times thinner layers chatter. A third of it is still free of chatter without noise, and multiplies the effect
-    of noise in the velocity by three.
+    Without noise a third of it is still free of chatter, a tenth is not.
 
     Args:
         arm: The arm as the controller knows it.
@@ -212,20 +209,13 @@ def boundary_layer(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Certificate(Result):
-    """Two figures of robust control, kept apart: the error that is certified, and the largest that was found.
-
-    The first is in continuous time, from a start on the reference, while no torque saturates. Inverse dynamics with
-    an additional term (Corless and Leitmann's form) has no bound where `alpha` is 1 or more.
-    """
+    """Two figures of robust control, kept apart: the error that is certified, and the largest that was found."""
 
     joints: tuple[str, ...]
     units: tuple[str, ...]  # of their positions
     certified: Float64Array | None  # (n,) [rad | m] error that no arm of the set exceeds; None without a level set
-    on_reference: Float64Array  # (n,) the same with rho on the reference alone, which proves nothing
     found: Float64Array  # (n,) [rad | m] largest error in simulations of arms of the set
     computed_torque: Float64Array  # (n,) of computed torque with the same nominal loop and friction compensation
-    worst: Mapping[str, list[float]]  # unknowns of the arm with the largest error, in their intervals from -1 to 1
-    runs: int  # simulations of the robust law
     alpha: float  # largest distance of an eigenvalue of M^-1 M^ from 1 over the set
     sampled: float  # T times the largest rate of the loop in its layer: explicit steps are stable below 2
 
@@ -242,11 +232,9 @@ class Certificate(Result):
         none = "no certificate: the level set on which rho holds grows without end; take a thinner phi or a larger k"
         thin = "the layer is too thin for the rate: the sampled loop is unstable in it and chatters; raise phi"
         notes = [
-            f"found: in {self.runs} simulations of arms of the set, corners among them, and a search from the worst",
-            "certified: in continuous time, from a start on the reference, while no torque saturates; exact over the "
-            "set and over velocities in the level set; positions in it are sampled at corners: an estimate there",
-            f"sampled loop: T times its largest rate is {self.sampled:.3g}; it is stable below {MAX_SAMPLED_RATE:g}; "
-            f"taut.analysis.boundary_layer keeps it at {MAX_LAYER_RATE:g} on the reference",
+            "certified: in continuous time, while no torque saturates; positions in the level set are sampled at "
+            "corners: an estimate there",
+            f"sampled loop: T times its largest rate is {self.sampled:.3g}; it is stable below {MAX_SAMPLED_RATE:g}",
             f"inverse dynamics with an additional term has {'no' if self.alpha >= 1.0 else 'a'} bound: its alpha is "
             f"{self.alpha:.3g}, and must be below 1",
         ]
@@ -260,7 +248,6 @@ class Certificate(Result):
                 )
             ],
             notes=notes,
-            settings={"worst arm": "; ".join(f"{name} {values}" for name, values in self.worst.items())},
         )
 
 
@@ -280,8 +267,7 @@ def certify(
                   |s_i| <= S_i = sqrt(2 V_inf max (M^-1)_ii),   |e_i| <= S_i / lam_i
                   the level set grows until it contains what it implies; where it never does there is no certificate
 
-    Over the set of arms c, M^-1 and rho are exact, and over velocities rho is bounded: its parts are affine in s.
-    Over position errors up to S_i / lam_i the corners are taken, at instants of the reference: an estimate.
+    Over the set c, M^-1 and rho are exact; position errors up to S_i / lam_i are sampled at corners: an estimate.
     Simulations start on the reference: of arms at corners of the set, between them, and where a search leads that
     changes one unknown at a time; of computed torque, the same. A disturbance is constant in them.
 
@@ -295,16 +281,7 @@ def certify(
         seed: Of the sampled ones.
 
     Raises:
-        UsageError, RangeError, ShapeError, MatchError: A law, reference or intervals that are not for this arm.
-
-    Example:
-        >>> import taut
-        >>> arm, unknown = taut.load_arm("planar2"), taut.laws.Uncertainty(links=0.05)
-        >>> ref = taut.trajectories.Quintic(q0=arm.home, q1=arm.home + 0.5, duration=1.0)
-        >>> phi = taut.analysis.boundary_layer(arm, ref, unknown, lam=10.0, k=10.0, duration=1.0)
-        >>> law = taut.laws.Robust(lam=10.0, k=10.0, phi=phi, uncertainty=unknown)
-        >>> taut.analysis.certify(law, arm, ref, duration=1.0, trials=4).ok
-        True
+        UsageError, RangeError, ShapeError, MatchError: A law or reference that is not for this arm.
 
     References:
         Corless and Leitmann, IEEE TAC 26 (5) (1981). Spong, IEEE TAC 37 (11) (1992). Slotine and Li (1991).
@@ -316,80 +293,74 @@ def certify(
     start = float(x.c.max() * (x.rho.max(axis=0) @ arms.phi)) / (8.0 * k)
     level = arms.level_set(_along(arm, reference, duration, LEVEL_INSTANTS), start)
     layer = k * x.M + np.einsum("ki,ij->kij", x.rho / arms.phi, np.eye(arm.n))
-    search = Search(law, arm, reference, duration, rate)
-    cases = search.cases(trials, seed)
-    errors, worst = search.errors(search.robust, cases)
-    usual, _ = search.errors(search.usual, cases)
-    names = [name for name, _, _ in search.unknowns]
+    found, usual = _largest_errors(law, arm, reference, duration, rate, trials, seed)
     return Certificate(
         joints=arm.joint_names,
         units=arm.units,
         certified=None if level is None else level / arms.lam,
-        on_reference=np.sqrt(2.0 * start * x.mobility) / arms.lam,
-        found=np.max(errors, axis=0),
-        computed_torque=np.max(usual, axis=0),
-        worst={name: [at for at, one in zip(worst, names, strict=True) if one == name] for name in names},
-        runs=len(errors),
+        found=found,
+        computed_torque=usual,
         alpha=float(max(_largest(x.M, x.light).max() - 1.0, 1.0 - 1.0 / x.c.max())),
         sampled=float(_largest(layer, x.light).max()) / rate_in_hertz(rate),
     )
 
 
-class Search:
-    """Simulations of arms of a set under the robust law, and under computed torque of the same nominal loop.
+def _largest_errors(
+    law: Robust, arm: Arm, reference: Trajectory | Sample, duration: float, rate: float, trials: int, seed: int
+) -> list[Float64Array]:
+    """(n,) each: found under the robust law, and under computed torque of the same nominal loop."""
+    unknown, lam, k = law.uncertainty, law.lam.as_array(), law.k.as_array()
+    nominal, (b, c) = unknown.nominal(arm), unknown.friction(arm.friction)
+    ends = [(LINKS, rows) for rows in unknown.unknown(model_of(arm))]  # by how much a parameter moves at an end
+    ends += [(VISCOUS, 0.5 * np.ptp(b, axis=0)), (COULOMB, 0.5 * np.ptp(c, axis=0))]
+    ends += [(TORQUE, torque) for torque in unknown.disturbance * np.eye(arm.n)]
+    ends = [(path, half) for path, half in ends if half.any()]
+    laws: list[Law] = [law, ComputedTorque(kp=k * lam, kd=k + lam)]
+    if np.any(b) or np.any(c):
+        laws[1] = laws[1] + FrictionCompensation(at="ref", width=law.width)
+    if np.any(unknown.disturbance):
+        laws = [each + ConstantTorque(tau=np.zeros(arm.n)) for each in laws]
+    integrator: Integrator = "semi-implicit-euler" if np.any(c) else "rk4"
+    plant = RigidPlant(nominal, integrator=integrator, substeps=SUBSTEPS[integrator], link_payloads=True)
+    start, cases = known_rows("reference", reference, np.zeros(1), arm.n), _cases(len(ends), trials, seed)
+    loops = (
+        Loop(compile(each, known, rate=rate), plant, reference, duration=duration)
+        for each, known in zip(laws, (arm, nominal), strict=True)
+    )
+    return [_largest_error(loop, ends, start, cases) for loop in loops]
 
-    Each unknown has a name, the parameter of the loop that it moves, and by how much at the end of its interval.
-    """
 
-    def __init__(self, law: Robust, arm: Arm, reference: Trajectory | Sample, duration: float, rate: float) -> None:
-        unknown, lam, k = law.uncertainty, law.lam.as_array(), law.k.as_array()
-        nominal, (b, c) = unknown.nominal(arm), unknown.friction(arm.friction)
-        parts = unknown.unknown(model_of(arm))
-        unknowns = [(name, LINKS, np.array([parameters_of(body) for body in part])) for name, part in parts]
-        unknowns += [("viscous", VISCOUS, 0.5 * np.ptp(b, axis=0)), ("coulomb", COULOMB, 0.5 * np.ptp(c, axis=0))]
-        unknowns += [("disturbance", TORQUE, torque) for torque in unknown.disturbance * np.eye(arm.n)]
-        self.unknowns = [(name, path, half) for name, path, half in unknowns if half.any()]
-        laws: list[Law] = [law, ComputedTorque(kp=k * lam, kd=k + lam)]
-        if np.any(b) or np.any(c):
-            laws[1] = laws[1] + FrictionCompensation(at="ref", width=law.width)
-        if np.any(unknown.disturbance):
-            laws = [each + ConstantTorque(tau=np.zeros(arm.n)) for each in laws]
-        integrator: Integrator = "semi-implicit-euler" if np.any(c) else "rk4"
-        plant = RigidPlant(nominal, integrator=integrator, substeps=SUBSTEPS[integrator], link_payloads=True)
-        self.robust, self.usual = (
-            Loop(compile(each, known, rate=rate), plant, reference, duration=duration)
-            for each, known in zip(laws, (arm, nominal), strict=True)
-        )
-        self.start = known_rows("reference", reference, np.zeros(1), arm.n)
-        self.middle = {path: self.robust.parameters[path] for _, path, _ in self.unknowns}
+def _largest_error(
+    loop: Loop, ends: Sequence[tuple[str, Float64Array]], start: JointMotion, cases: Sequence[Case]
+) -> Float64Array:
+    """(n,) of runs of the cases, and of a search from the worst: each unknown in turn at its other end [rad | m]."""
+    middle = {path: loop.parameters[path] for path, _ in ends}
 
-    def cases(self, trials: int, seed: int) -> list[Case]:
-        """All corners of a small set; else its two ends, other corners, and arms between them."""
-        size, rng = len(self.unknowns), np.random.default_rng(seed)
-        if 2**size <= trials:
-            return list(itertools.product((1.0, -1.0), repeat=size))
-        drawn = rng.choice((-1.0, 1.0), (trials, size))
-        drawn[:2] = [[1.0], [-1.0]]
-        drawn[BETWEEN - 1 :: BETWEEN] = rng.uniform(-1.0, 1.0, (trials // BETWEEN, size))
-        return [tuple(case) for case in drawn.tolist()]
-
-    def errors(self, loop: Loop, cases: list[Case]) -> tuple[list[Float64Array], Case]:
-        """Of the cases and of a search from the worst, each unknown in turn at the other end; and the worst case."""
-        found = {case: self.error(loop, case) for case in cases}
-        worst = max(cases, key=lambda case: float(found[case].max()))
-        for i, at in enumerate(worst):
-            other = (*worst[:i], -1.0 if at > 0.0 else 1.0, *worst[i + 1 :])
-            found[other] = self.error(loop, other)
-            worst = max(worst, other, key=lambda case: float(found[case].max()))
-        return list(found.values()), worst
-
-    def error(self, loop: Loop, case: Case) -> Float64Array:
-        """(n,) largest error of a run from a start on the reference [rad | m]; infinite where it diverged."""
-        values = dict(self.middle)
-        for (_, path, half), at in zip(self.unknowns, case, strict=True):
+    def error(case: Case) -> Float64Array:
+        """(n,) from a start on the reference; infinite where it diverged."""
+        values = dict(middle)
+        for (path, half), at in zip(ends, case, strict=True):
             values[path] = values[path] + at * half
-        for path, value in values.items():
-            loop.parameters[path] = value
-        run = simulated(loop, q0=self.start.q[0], v0=self.start.v[0], progress=False)
+        loop.parameters.update(values)
+        run = simulated(loop, q0=start.q[0], v0=start.v[0], progress=False)
         assert run.error is not None
         return np.asarray(np.abs(run.error).max(axis=0)) if run.outcome.ok else np.full(run.n, np.inf)
+
+    found = {case: error(case) for case in cases}
+    worst = max(cases, key=lambda case: float(found[case].max()))
+    for i, at in enumerate(worst):
+        other = (*worst[:i], -1.0 if at > 0.0 else 1.0, *worst[i + 1 :])
+        found[other] = error(other)
+        worst = max(worst, other, key=lambda case: float(found[case].max()))
+    return np.asarray(np.max(list(found.values()), axis=0))
+
+
+def _cases(size: int, trials: int, seed: int) -> list[Case]:
+    """All corners of a small set; else its two ends, other corners, and arms between them."""
+    rng = np.random.default_rng(seed)
+    if 2**size <= trials:
+        return list(itertools.product((1.0, -1.0), repeat=size))
+    drawn = rng.choice((-1.0, 1.0), (trials, size))
+    drawn[:2] = [[1.0], [-1.0]]
+    drawn[BETWEEN - 1 :: BETWEEN] = rng.uniform(-1.0, 1.0, (trials // BETWEEN, size))
+    return [tuple(case) for case in drawn.tolist()]

@@ -16,11 +16,12 @@ from taut.arm.rules import check_inertia, payload_doubts, rotor_doubts, value_pr
 from taut.base.checks import (
     finite_array,
     finite_scalar,
+    per_joint,
     require_range,
     vector,
     whole_number,
 )
-from taut.base.errors import ModelError, Problem, RangeError, ShapeError, UsageError, quoted_list, unknown_name, warn
+from taut.base.errors import ModelError, Problem, RangeError, UsageError, quoted_list, unknown_name, warn
 from taut.base.types import ArrayLike, Float64Array
 
 if TYPE_CHECKING:
@@ -157,8 +158,8 @@ def loaded(arm: Arm, payload: Payload) -> Arm:
 def geared(arm: Arm, ratio: ArrayLike | Mapping[str, float], motor_inertia: ArrayLike) -> Arm:
     """The arm with geared motors, whose rotors act with their reflected inertia."""
     chosen = [not isinstance(ratio, Mapping) or name in ratio for name in arm.joint_names]
-    G = _column(arm, "gear", ratio) if isinstance(ratio, Mapping) else _per_joint(arm, "ratio", ratio)
-    rotor = _per_joint(arm, "motor_inertia", motor_inertia)
+    G = _column(arm, "gear", ratio) if isinstance(ratio, Mapping) else per_joint("ratio", ratio, arm.joint_names)
+    rotor = per_joint("motor_inertia", motor_inertia, arm.joint_names)
     require_range("ratio", G, above=0.0, joints=arm.joint_names)
     require_range("motor_inertia", rotor, minimum=0.0, unit="kg m^2", joints=arm.joint_names)
     return joints_replaced(arm, {"gear": G, "rotor_inertia": np.where(chosen, G**2 * rotor, arm.rotor_inertia)})
@@ -174,14 +175,7 @@ def _column(arm: Arm, name: str, given: ArrayLike | Mapping[str, float]) -> Floa
         for joint, value in given.items():
             column[arm.joint_index(joint)] = value
         return finite_array(name, column, shape=(arm.n,), joints=arm.joint_names, infinite=name in LIMITS)
-    return _per_joint(arm, name, given)
-
-
-def _per_joint(arm: Arm, name: str, given: ArrayLike) -> Float64Array:
-    numbers = finite_array(name, given, infinite=name in LIMITS, joints=arm.joint_names)
-    if numbers.shape not in ((), (arm.n,)):
-        raise ShapeError(f"{name} must be one number or {arm.n}, one per joint; got shape {numbers.shape}", name=name)
-    return np.broadcast_to(numbers, (arm.n,))
+    return per_joint(name, given, arm.joint_names, infinite=name in LIMITS)
 
 
 def perturbed_copy(arm: Arm, *, seed: int, mass: float, com: float, inertia: float, friction: float) -> Arm:

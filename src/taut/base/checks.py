@@ -137,6 +137,22 @@ def finite_array(
     return array
 
 
+def per_joint(
+    name: str,
+    value: ArrayLike,
+    joints: Sequence[str],
+    *,
+    unit: str = "",
+    above: float = -math.inf,
+    infinite: bool = False,
+) -> Float64Array:
+    """(n,) finite floats in their range, from one number or one for each joint. Raises ShapeError or RangeError."""
+    numbers, n = finite_array(name, value, unit=unit, above=above, joints=joints, infinite=infinite), len(joints)
+    if numbers.shape not in ((), (n,)):
+        raise ShapeError(f"{name} must be one number or {n}, one per joint; got shape {numbers.shape}", name=name)
+    return np.broadcast_to(numbers, (n,))
+
+
 def unit_vector(name: str, direction: ArrayLike) -> Float64Array:
     """(3,) a direction, of length 1. Raises RangeError for one without length."""
     given = finite_array(name, direction, shape=(3,))

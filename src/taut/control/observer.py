@@ -13,7 +13,7 @@ from taut.base.fields import Choice, Declared, Field
 from taut.base.types import Array, Vector
 from taut.control.command import Torque
 from taut.maths import dynamics as dyn
-from taut.maths.friction import FrictionValues, dry_limit
+from taut.maths.friction import FrictionValues, friction_torque
 from taut.maths.model import Adds, Model, PayloadValues, links_of, model_of
 from taut.maths.task_inertia import TaskInertia
 from taut.trace import math as tm
@@ -30,47 +30,30 @@ class MomentumObserver(Declared):
                   r[k] = (1 - K_O T) r[k-1] + K_O (p[k] - p[k-1] - T tau[k-1] - T (b[k-1] + b[k]) / 2),
                   b = C^T v - g + f
     Closed loop:  each joint by itself r' = K_O (tau_ext - r): of a step of tau_ext, the fraction 1 - (1 - K_O T)^k
-                  is there after k ticks. A wrong model, friction that it lacks and drives that do not give what is
-                  commanded are in tau_ext as well: they cannot be distinguished from contact
+                  is there after k ticks. Errors of model, friction and drives are in tau_ext as well
                   white noise sigma of v: std(r_i) = K_O sigma |row i of M| sqrt(2 / (2 - K_O T))
 
-    tau is the command of the last tick after limits (torque="applied"), with gravity, Coriolis torques and friction
-    that the plant adds, `adds`; or x.tau_meas, sensed behind gear and friction (torque="measured"): then neither
-    friction nor the drives matter, and rotors do not belong to the arm.
-
-    Friction f is that of the controller's arm at the velocity that the law sees, its dry part as tanh(v / width). At
-    rest dry friction may be anything up to its limit: a push below it is not seen, and what friction carries of the
-    weight is taken for contact.
-
-    Sampled, r overshoots for K_O T > 1, which is refused. A law that feeds r back lets K_O T <= 0.5, and K_O below a
-    third of 1 / (all delays of drives and filters). Change the payload of the model at rest: a moving arm's momentum
-    jumps with it.
+    Friction f is that of the controller's arm, its dry part as tanh(v / width). At rest a push below its limit is not
+    seen, and what it carries of the weight is taken for contact. A law that feeds r back needs K_O T <= 0.5, and K_O
+    below a third of 1 / (all delays). Change the payload of the model at rest: a moving arm's momentum jumps with it.
 
     Args:
-        bandwidth: K_O [1/s], scalar or one per joint.
+        bandwidth: K_O [1/s], scalar or one per joint; K_O T < 1.
         width: Velocity over which dry friction changes its sign [rad/s | m/s].
-        torque: "applied" or "measured".
+        torque: tau: "applied", the command of the last tick after limits with what the plant adds; or "measured",
+            x.tau_meas behind gear and friction, for which neither friction nor drives nor rotors matter.
         F_ext: What x.F_ext is: "measured" by a wrist sensor; or estimated from tau_ext = J^T F, as a pure "force" at
             the tool or a full "wrench", by the dynamically consistent inverse F = (J M^-1 J^T)^-1 J M^-1 tau_ext.
-            Contact elsewhere on the arm gives a wrong one. What the joints do not carry is not in it: a push along a
-            direction that the arm lost in a singularity, and the moment at the tool of an arm with few joints.
+            Contact elsewhere on the arm gives a wrong one; what the joints do not carry is not in it.
 
     Raises:
         RangeError: A bandwidth of zero or below, or one of the rate or above.
         MatchError: torque="applied" under a law whose torque is not known: of positions, velocities, or for
             motors with a loop of their own.
 
-    Example:
-        >>> import taut
-        >>> sensing = taut.Sensing(observer=MomentumObserver(bandwidth=50.0))
-        >>> [*sensing.parameters()]
-        ['observer.bandwidth', 'observer.width']
-
     References:
-        De Luca and Mattone, Actuator failure detection and isolation using generalized momenta, ICRA (2003). De Luca,
-        Albu-Schaeffer, Haddadin and Hirzinger, Collision detection and safe reaction with the DLR-III lightweight
-        manipulator arm, IROS (2006). Haddadin, De Luca and Albu-Schaeffer, Robot collisions: a survey on detection,
-        isolation, and identification, IEEE Transactions on Robotics 33 (2017).
+        De Luca and Mattone, Actuator failure detection and isolation using generalized momenta, ICRA (2003).
+        Haddadin, De Luca and Albu-Schaeffer, Robot collisions: a survey, IEEE Transactions on Robotics 33 (2017).
     """
 
     bandwidth: Field = Field(unit="1/s", shape="n", above=0.0, hint="leave the observer out for none")
@@ -159,12 +142,7 @@ class MomentumObserver(Declared):
     @staticmethod
     def friction(arm: Arm, v: Vector, tau: Vector, parameters: Values) -> Vector:
         """(n,) friction torques of the controller's arm, with a dry part that is smooth about rest."""
-        values = FrictionValues.fixed(arm.friction)
-        f: Any = tm.zeros(arm.n) if values.viscous is None else -values.viscous * v
-        if values.dry:
-            f = f - dry_limit(values, v, None, tau, -tau) * tm.tanh(v / parameters["width"])
-        out: Vector = f
-        return out
+        return friction_torque(FrictionValues.fixed(arm.friction), v, tau, -tau, parameters["width"])
 
     def wrench(self, model: Model, q: Vector, tau_ext: Vector, payload: PayloadValues) -> Array:
         """(6,) F_ext at the tool in world axes [N, N m] of tau_ext; without moment if it is taken for a force."""

@@ -267,15 +267,16 @@ def _load(motor: Any, external: Any, tau_motor: ArrayLike, tau_load: ArrayLike) 
 
 
 def friction_torque(
-    values: FrictionValues, v: Vector, tau_motor: ArrayLike = 0.0, tau_load: ArrayLike = 0.0
+    values: FrictionValues, v: Vector, tau_motor: ArrayLike = 0.0, tau_load: ArrayLike = 0.0, width: Any = None
 ) -> Vector:
     """(n,) torque of friction on joints that move [N m | N]; dry friction is zero at v = 0, see `dry_limit`.
 
-    Law:  f = -viscous v - d(v) sgn(v)
+    Law:  f = -viscous v - d(v) sgn(v), or with a width [rad/s | m/s] of the sign -viscous v - d(v) tanh(v / width)
     """
     f: Vector = tm.zeros(np.shape(v))
     if values.viscous is not None:
         f = f - values.viscous * v
     if values.dry:
-        f = f - tm.sign(v) * dry_limit(values, v, None, tau_motor, tau_load)
+        sign = tm.sign(v) if width is None else tm.tanh(v / width)
+        f = f - sign * dry_limit(values, v, None, tau_motor, tau_load)
     return f

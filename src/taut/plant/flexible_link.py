@@ -35,11 +35,10 @@ class FlexibleLink:
         [[J, a^T], [a, I + m phi phi^T]] [theta'', eta''] + [0, 2 zeta omega eta' + omega^2 eta] = [tau, 0]
         J = hub_inertia + rho L^3 / 3 + m L^2, a_i = rho int x phi_i dx + m L phi_i(L); small deflections
         rk4 under the held torque. With one mode and zeta = 0 the zeros from torque to tool are at +-2.6953 omega_1,
-        omega_1 / sqrt(4 / 1.8751^2 - 1), whatever hub and tip mass: one is unstable. Damping moves them a little.
+        whatever hub and tip mass: one is unstable.
 
-    The joint's q is the angle y(L) / L at which the tool is seen from the hub, so that tool and errors in runs,
-    `taut.linearise` and metrics are those of the bent link. q_motor is the hub's angle theta, where motor and encoder
-    are. A law in `taut.laws.MotorSide` has its feedback there (collocated); any other feeds the tool back.
+    The joint's q is the angle y(L) / L at which the tool is seen from the hub, so that errors are those of the tool;
+    q_motor is the hub's angle theta, which a law in `taut.laws.MotorSide` feeds back (collocated).
 
     Args:
         length: L of the beam [m].
@@ -48,7 +47,7 @@ class FlexibleLink:
         hub_inertia: Of hub and rotor [kg m^2].
         tip_mass: m, a point mass at the tool [kg].
         zeta: Damping ratio of each mode of the clamped beam, at most 1 [-].
-        modes: 1 to 3. More of them move the zeros: one is a model of the effect, not of a beam.
+        modes: 1 to 3.
         substeps: Steps of the integrator in one control period.
 
     Raises:

@@ -23,15 +23,13 @@ class VariableStiffnessActuator(MotorModel):
     Model:        motors at mu + c and mu - c: the equilibrium mu of the joint, and the pretension c of its springs
                   tau = springs(c, mu - q) + damping (mu_dot - v), see `taut.drives.AntagonisticSprings`
                   of a `taut.laws.MitCommand` they make c = kp / (4 a), within [c_min, c_max], and
-                  mu = q + clip(asked, -+4 a c^2) / (4 a c), with asked = kp (q_des - q) + kd (v_des - v) + tau: kp is
-                  a stiffness of steel, up to 4 a c_max, also in `asked`; q_des, tau and kd move the equilibrium
+                  mu = q + clip(asked, -+4 a c^2) / (4 a c), with asked = kp (q_des - q) + kd (v_des - v) + tau
                   each motor follows its position and the rate v_des as a critically damped second-order lag of the
                   drives' bandwidth, at no more than `speed`; the spring's torque is fed forward in its loop, so that
                   neither it nor the rotor shows
 
-    A command beyond the springs is limited as above, so that no tendon gets slack by command; the run's column
-    saturated.drives is 1 for such a joint, and the outcome says so. Columns drives.equilibrium and drives.stiffness
-    are of the first step of each tick; in the account of energy work.motor is what the springs do on the links.
+    The run's column saturated.drives is 1 for a joint whose command is beyond the springs; drives.equilibrium and
+    drives.stiffness are of the first step of each tick; work.motor is what the springs do on the links.
 
     Args:
         springs: Two for each joint.
@@ -43,19 +41,9 @@ class VariableStiffnessActuator(MotorModel):
         UsageError: A plant that does not take "mit"; an arm with rotors or gears, since these motors do not move with
             its links; parts of the drives other than bandwidth and delay.
 
-    Example:
-        >>> import taut
-        >>> springs = taut.drives.AntagonisticSprings(a=40.0, c_min=0.25, c_max=0.75)
-        >>> motors = VariableStiffnessActuator(springs=springs, damping=0.1)
-        >>> drives = taut.drives.Actuation(motor=motors, bandwidth=100.0)
-        >>> plant = taut.RigidPlant(taut.load_arm("one_joint"), takes="mit", actuation=drives)
-        >>> float(plant.parameters["actuation.motor.springs.a"])
-        40.0
-
     References:
-        Albu-Schaeffer et al., Soft robotics, IEEE Robotics and Automation Magazine 15 (3), 2008. Grioli et al.,
-        Variable stiffness actuators: the user's point of view, International Journal of Robotics Research 34 (6),
-        2015.
+        Grioli et al., Variable stiffness actuators: the user's point of view, International Journal of Robotics
+        Research 34 (6), 2015.
     """
 
     springs: Part[AntagonisticSprings] = Part(AntagonisticSprings)
@@ -64,7 +52,6 @@ class VariableStiffnessActuator(MotorModel):
     preset: Field = Field(unit="N m/rad | N/m", shape="n", above=0.0, optional=True, run_time=False)
 
     def check(self) -> None:
-        """Springs that give the preset."""
         if self.preset is not None:
             self.springs.require_reached(self, "preset", self.preset)
 

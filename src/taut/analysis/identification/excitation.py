@@ -10,8 +10,8 @@ from scipy.linalg import block_diag, null_space
 
 from taut.analysis.identification.regression import ArmRegression, Unknown
 from taut.arm.description import Arm
-from taut.base.checks import finite_array, positive_scalar, require_range, whole_number
-from taut.base.errors import RangeError, ShapeError
+from taut.base.checks import per_joint, positive_scalar, require_range, whole_number
+from taut.base.errors import RangeError
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.trajectories.joint import ACCELERATION, POSITION, SPEED, Fourier
 
@@ -42,9 +42,8 @@ def excitation(
 ) -> Fourier:
     """A motion that excites parameters of an arm: a Fourier series with the smallest condition number that was found.
 
-    It starts and ends at home, at rest in velocity and acceleration, and stays within the limits of the arm: 90 % of
-    the room about home, half of the speeds and, by the model, half of the torque that is left at home.
-    Collisions are not considered: state a smaller amplitude where space is narrow.
+    It starts and ends at home, at rest in velocity and acceleration, and stays within 90 % of the room about home,
+    half of the speeds and, by the model, half of the torque that is left at home. Collisions are not considered.
 
     Args:
         arm: The arm, with a payload like the expected one.
@@ -56,9 +55,6 @@ def excitation(
         speed: (n,) or scalar [rad/s | m/s]; half of the arm's limits if left out.
         acceleration: (n,) or scalar [rad/s^2 | m/s^2]; torques are limited in any case.
         seed: Of the random motions with which the search begins.
-
-    Returns:
-        The trajectory; follow it with `taut.run(ctrl, plant, motion, duration=motion.duration)`.
 
     Raises:
         RangeError: A duration that is no whole number of periods; a limit <= 0; no room or torque left at home.
@@ -84,10 +80,10 @@ def excitation(
             value=duration,
         )
     fastest = np.where(np.isfinite(arm.velocity), USED * arm.velocity, UNLIMITED_SPEED)
-    reach = _per_joint(arm, "amplitude", amplitude, POSITION)
-    rates = (
-        _per_joint(arm, "speed", fastest if speed is None else speed, SPEED),
-        _per_joint(arm, "acceleration", acceleration, ACCELERATION),
+    limits = ("amplitude", amplitude, POSITION), ("speed", fastest if speed is None else speed, SPEED)
+    reach, *rates = (
+        per_joint(name, given, arm.joint_names, unit=unit, above=0.0, infinite=True)
+        for name, given, unit in (*limits, ("acceleration", acceleration, ACCELERATION))
     )
     up, down = (np.minimum(reach, RANGE * room) for room in (arm.upper - arm.home, arm.home - arm.lower))
     search, dense = (
@@ -100,13 +96,6 @@ def excitation(
         best = points[[int(np.argmin(search.costs(points)))]]
     cosines, sines = np.split(dense.within_torques(dense.coefficients(best))[0], 2)
     return Fourier(q0=arm.home, cosines=cosines, sines=sines, frequency=frequency, duration=duration)
-
-
-def _per_joint(arm: Arm, name: str, given: ArrayLike, unit: str) -> Float64Array:
-    values = finite_array(name, given, unit=unit, above=0.0, joints=arm.joint_names, infinite=True)
-    if values.shape not in ((), (arm.n,)):
-        raise ShapeError(f"{name} must be one number or {arm.n}, one per joint; got shape {values.shape}", name=name)
-    return np.broadcast_to(values, (arm.n,))
 
 
 class _Search:

@@ -161,8 +161,7 @@ def identify(
                   Y at full rate from positions through a zero-phase filter (20 Hz); then Y and tau through the same
                   zero-phase filter (5 Hz), and one sample per 0.1 s; Cov = s^2 (Y^T W Y)^-1
 
-    Measured positions and torques are used where the run has them (`sensed.q`; `sensed.tau_meas`, of laws that use
-    it), else the true ones. Friction is seen only by torques at the motor.
+    Measured positions and torques are used where the run has them (`sensed.q`, `sensed.tau_meas`), else true ones.
 
     Args:
         runs: One or several, of `taut.run` or `taut.load_run`; `taut.analysis.excitation` designs the motion.
@@ -170,9 +169,6 @@ def identify(
         what: "payload", ten parameters of what the tool carries; "links", the base parameters of all bodies;
             "rotors", rotor inertias; "friction", viscous and Coulomb, and where the record holds slow reversals
             static and the Stribeck speed.
-
-    Returns:
-        The estimates with their intervals, and the arm that has them.
 
     Warns:
         RuntimeWarning: The condition number is above 30.
@@ -193,8 +189,8 @@ def identify(
         ([0.2], [0.1])
 
     References:
-        Atkeson, An and Hollerbach (1986), IJRR 5 (3). Gautier and Khalil (1990), IEEE T-RA 6 (3): base parameters.
-        Swevers et al. (1997), IEEE T-RA 13 (5). Rucker and Wensing (2022), IEEE RA-L 7 (2): possible bodies.
+        Gautier and Khalil (1990), IEEE T-RA 6 (3): base parameters. Swevers et al. (1997), IEEE T-RA 13 (5). Rucker
+        and Wensing (2022), IEEE RA-L 7 (2): possible bodies.
     """
     regression = ArmRegression(arm, what)
     given = [runs] if isinstance(runs, Run) else runs

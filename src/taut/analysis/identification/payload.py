@@ -27,11 +27,10 @@ NAMED: Final = 0.05  # [-] of the largest entry of a direction: smaller ones are
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PayloadEstimate(Result):
-    """What the tool carries by the estimate at the end of a run, and how the run excited the body's ten parameters.
+    """What the tool carries by the estimate at the end of a run, and which directions of its parameters were excited.
 
-    W is the mean of Y^T Y over the run, Y the tool body's columns of the regressor along the motion. Its eigenvalues
-    are those of Q^1/2 W Q^1/2, where Q y are the parameters of P L(y) P at the estimate: Q y is how adaptation moves
-    the parameters, so that directions with eigenvalues near zero are learned slowly or never.
+    Eigenvalues are those of Q^1/2 W Q^1/2, W the mean of Y^T Y over the run with Y the tool body's columns of the
+    regressor, and Q y how adaptation moves the parameters: directions with eigenvalues near zero are not learned.
 
     Frames:
         The tool frame; `com` is the payload's, `inertia` is about it. Parameters of directions are those of the
@@ -42,7 +41,6 @@ class PayloadEstimate(Result):
     com: Float64Array  # (3,) [m]; NaN where the mass is not positive
     inertia: Float64Array  # (6,) [kg m^2] xx, yy, zz, xy, xz, yz
     moving: Float64Array  # (10,) change of mass, com and inertia in the last quarter of the run
-    body: Float64Array  # (10,) parameters of the whole body, as `PARAMETERS`
     excited: NDArray[np.bool_]  # (10,) of mass, com and inertia: no direction that was not excited has a part of it
     eigenvalues: Float64Array  # (10,) [N^2 m^2], the largest first
     not_excited: Float64Array  # (j, 10) directions of the parameters [kg, kg m, kg m^2]
@@ -60,7 +58,7 @@ class PayloadEstimate(Result):
     @property
     def rank(self) -> int:
         """Number of directions that the run excited."""
-        return len(self.eigenvalues) - len(self.not_excited)
+        return len(self.excited) - len(self.not_excited)
 
     def content(self) -> Content:
         """The payload, and the directions that were not excited."""
@@ -82,11 +80,8 @@ class PayloadEstimate(Result):
                 Table(title="excitation", columns=("eigenvalue [N^2 m^2]",), rows=[(x,) for x in self.eigenvalues]),
             ],
             notes=[
-                f"a direction counts as excited above {EXCITED:g} of the largest eigenvalue; h is mass times "
-                "centre of mass, I about the tool's origin, both of the whole body that carries the tool; what is "
-                "excited weakly is learned slowly: an estimate that still changes is not there yet",
-                "the law keeps that whole body possible; the payload is its difference to the model's body, and "
-                "may be impossible (a negative mass or inertia) where the motion did not excite it",
+                "h is mass times centre of mass, I about the tool's origin, both of the whole body that carries the "
+                "tool; the payload is its difference to the model's, and may be impossible where it was not excited",
             ],
         )
 
@@ -94,8 +89,7 @@ class PayloadEstimate(Result):
 def payload_estimate(run: Run) -> PayloadEstimate:
     """The payload that `taut.laws.Adaptive` has learned by the end of a run, and what the run did not excite.
 
-    The payload is the estimated body less the model's own, without payload. Use `run.between(start, end)` for another
-    time or for the motion since the payload was picked up.
+    It is the estimated body less the model's own. `run.between(start, end)` is the motion since it was picked up.
 
     Args:
         run: A run of the law.
@@ -142,7 +136,6 @@ def payload_estimate(run: Run) -> PayloadEstimate:
         mass=float(load.mass),
         com=load.com,
         inertia=load.inertia,
-        body=body,
         moving=now - then,
         excited=known,
         eigenvalues=values[::-1].copy(),

@@ -62,22 +62,20 @@ class ArmRegression:
             raise UsageError(f"the tool '{arm.tool}' does not move: it carries no payload", name="arm")
         payload, at_tool = parameters_of(PayloadValues.of(arm.payload).body()), moved(R, p)
         known = np.array([parameters_of(link) for link in model.links])
-        bodies: list[tuple[str, int, Float64Array]] = []
+        bodies: list[tuple[str, int, Float64Array, Float64Array]] = []  # name, link, to its frame, parameters
         if "links" in self.what:
             frames = [moved(A.T, np.zeros(3)) for A in model.aligned]
-            bodies = list(zip(arm.joint_names, range(n), frames, strict=True))
-        values = [np.linalg.solve(T, known[i]) for _, i, T in bodies]
+            values = [np.linalg.solve(T, row) for T, row in zip(frames, known, strict=True)]
+            bodies, known = list(zip(arm.joint_names, range(n), frames, values, strict=True)), np.zeros((n, 10))
         if "payload" in self.what:
-            bodies, values = [("payload", carrier, at_tool)], [payload]
-        if carrier != BASE:
+            bodies = [("payload", carrier, at_tool, payload)]
+        elif carrier != BASE:
             known[carrier] += at_tool @ payload
-        for (_, i, T), value in zip(bodies, values, strict=True):
-            known[i] -= T @ value
         rotors, friction = "rotors" in self.what, "friction" in self.what
         self.of_joints = ("rotor_inertia",) * rotors + ("viscous", "coulomb") * friction
         each = [(joint, unit == "m") for joint, unit in zip(arm.joint_names, arm.units, strict=True)]
         self.names = (
-            *(f"{who}.{name}" for who, _, _ in bodies for name in PARAMETERS),
+            *(f"{who}.{name}" for who, *_ in bodies for name in PARAMETERS),
             *(f"{joint}.{name}" for name in self.of_joints for joint, _ in each),
         )
         self.units = (
@@ -85,11 +83,11 @@ class ArmRegression:
             *(JOINT_UNITS[name][prismatic] for name in self.of_joints for _, prismatic in each),
         )
         self.bodies = len(bodies)
-        self.nominal = np.concatenate([*values, *(getattr(arm, name) for name in self.of_joints)])
+        self.nominal = np.concatenate([*(x for *_, x in bodies), *(getattr(arm, name) for name in self.of_joints)])
 
         def of_bodies(q: Vector, v: Vector, a: Vector) -> dict[str, Array]:
             Y = regressor(model, q, v, a)
-            columns = [Y[:, 10 * i : 10 * i + 10] @ T for _, i, T in bodies]
+            columns = [Y[:, 10 * i : 10 * i + 10] @ T for _, i, T, _ in bodies]
             return {"Y": np.hstack([tm.zeros((n, 0)), *columns]), "known": Y @ known.ravel()}
 
         self._of_bodies = over_rows(of_bodies, q=n, v=n, a=n)
@@ -124,7 +122,7 @@ class ArmRegression:
         """Base parameters that stand for several unknowns, by name, as sums of these."""
         out = {}
         for row, j in zip(self.K, self.base, strict=True):
-            terms = [(1.0, self.names[j]), *((row[i], self.names[i]) for i in np.flatnonzero(row) if i != j)]
+            terms = [(row[i], self.names[i]) for i in np.flatnonzero(row)]
             if len(terms) > 1:
                 out[self.names[j]] = linear_text(terms)
         return out

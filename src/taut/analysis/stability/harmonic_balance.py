@@ -101,9 +101,7 @@ def limit_cycles(
     `-c np.sign(v)` from v to the torque, backlash `-k (d - np.clip(d, -b, b))` from the deflection of the teeth, an
     encoder `np.round(q / s) * s - q` from a position to the error of its measurement.
 
-    Solutions are looked for wherever the balance of an element changes its sign on a grid of frequencies and
-    amplitudes that follows G and N; the amplitudes of other elements are iterated there. Cycles whose amplitudes
-    differ by less than a third, or which are just beyond the threshold of a jump, may be missed.
+    Cycles whose amplitudes differ by less than a third, or just beyond the threshold of a jump, may be missed.
 
     Args:
         system: The loop without the elements, sampled or continuous: `taut.error_dynamics`, `taut.linearise`, ...
@@ -205,7 +203,6 @@ class _Balance:
         self.B, self.C, self.D = system.B[:, columns], system.C[rows], system.D[np.ix_(rows, columns)]
         self.functions = [function for _, function in elements.values()]
         self.phase = 2.0 * np.pi * (np.arange(SAMPLES) + 0.5) / SAMPLES  # never at the corners of an element
-        self.first = 2.0j * np.exp(-1j * self.phase) / SAMPLES
         for name, function in zip(elements, self.functions, strict=True):
             given = function(np.sin(self.phase), np.cos(self.phase)) if callable(function) else function
             finite_array(f"what the element of '{name}' gives", given, shape=(SAMPLES,))
@@ -221,31 +218,21 @@ class _Balance:
         return np.array([self._harmonic(function, omega, size, exact) for function, size in pairs])
 
     def _harmonic(self, function: Element, omega: float, size: float, exact: bool) -> complex:
-        """Describing function of an element; exactly, its jumps are located between the samples of the sine."""
-
-        def given(phase: Float64Array) -> Float64Array:
-            return np.asarray(function(size * np.sin(phase), size * omega * np.cos(phase)), dtype=np.float64)
-
-        u = given(self.phase)
-        total, change = complex(self.first @ u), np.diff(u, append=u[0])
-        unlike = np.minimum(*(np.abs(change - np.roll(change, side)) for side in (-1, 1)))  # those beside it
-        at = np.flatnonzero(unlike > SMALLEST_JUMP * np.ptp(u))
-        if not exact or not 0 < at.size <= MAX_JUMPS:
-            return total / size
-        parts, repeats = SECTIONS
-        ends, start, width = np.stack([u[at], u[at] + change[at]], axis=1), self.phase[at], 2.0 * np.pi / SAMPLES
-        middle, rows = start + 0.5 * width, np.arange(len(at))
-        cuts = at[:, np.newaxis] + 1 + rows[:, np.newaxis] * (parts - 1) + np.arange(parts - 1)
-        for _ in range(repeats):  # an element sees a whole period each time
-            inner = start[:, np.newaxis] + width * np.arange(1, parts) / parts
-            seen = given(np.insert(self.phase, np.repeat(at + 1, parts - 1), inner.ravel()))[cuts]
-            values = np.concatenate([ends[:, :1], seen, ends[:, 1:]], axis=1)
-            part = np.abs(np.diff(values, axis=1)).argmax(axis=1)
-            ends = np.stack([values[rows, part], values[rows, part + 1]], axis=1)
-            width /= parts
-            start = start + width * part
-        jumps = (ends[:, 1] - ends[:, 0]) * (middle - start) * np.exp(-1j * start)
-        return (total + 1j / np.pi * complex(jumps.sum())) / size
+        """Describing function of an element, linear between samples; exactly, its jumps are located between them."""
+        (parts, repeats), phase = SECTIONS, self.phase
+        for remaining in range(repeats if exact else 0, -1, -1):  # an element sees a whole period each time
+            u = np.asarray(function(size * np.sin(phase), size * omega * np.cos(phase)), dtype=np.float64)
+            change, width = np.diff(u, append=u[0]), np.diff(phase, append=phase[0] + 2.0 * np.pi)
+            if not remaining:
+                break
+            unlike = np.minimum(*(np.abs(change - np.roll(change, side)) for side in (-1, 1)))  # those beside it
+            at = np.flatnonzero(unlike > SMALLEST_JUMP * np.ptp(u))
+            if not 0 < at.size <= MAX_JUMPS:
+                break
+            inner = phase[at, np.newaxis] + width[at, np.newaxis] * np.arange(1, parts) / parts
+            phase = np.insert(phase, np.repeat(at + 1, parts - 1), inner.ravel())
+        weight = np.sinc(width / (2.0 * np.pi)) * np.exp(-1j * (phase + 0.5 * width))
+        return complex(change @ weight) / (np.pi * size)
 
     def starts(self, band: tuple[float, float], sizes: tuple[float, float]) -> list[Complex]:
         """(1 + m,) frequency and signals near every cycle: where the loop of one element balances on a grid.

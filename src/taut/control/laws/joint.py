@@ -22,7 +22,7 @@ from taut.control.gains import Gain, Integral, MemoryView
 from taut.control.law import Law, call
 from taut.control.sensing import check_frequencies
 from taut.control.trajectories.reference import JointMotion, Sample
-from taut.maths.friction import FrictionValues, dry_limit
+from taut.maths.friction import FrictionValues, friction_torque
 from taut.maths.snapshot import Snapshot
 from taut.trace import math as tm
 
@@ -294,17 +294,12 @@ class FrictionCompensation(Law):
     def command(self, x: Snapshot, ref: JointMotion) -> Command:
         values = FrictionValues.fixed(x.friction)
         v = ref.v if self.at == "ref" else x.v
-        tau: Any = tm.zeros(x.n)
-        if values.viscous is not None:
-            tau = tau + values.viscous * v
-        if values.dry:
-            load = self._load(x, ref) if values.loaded else 0.0
-            if values.falls and self.at == "ref":
-                fall = SPREAD * self.width.as_array()
-                known = 0.0 if values.stribeck is None else values.stribeck
-                values = replace(values, stribeck=tm.maximum(known, fall))
-            tau = tau + dry_limit(values, v, None, load, -load) * tm.tanh(v / self.width)
-        return Torque(friction=self.share @ tau)
+        load = self._load(x, ref) if values.loaded else 0.0
+        if values.falls and self.at == "ref":
+            fall = SPREAD * self.width.as_array()
+            known = 0.0 if values.stribeck is None else values.stribeck
+            values = replace(values, stribeck=tm.maximum(known, fall))
+        return Torque(friction=self.share @ -friction_torque(values, v, load, -load, self.width))
 
     def _load(self, x: Snapshot, ref: JointMotion) -> Vector:
         """(n,) torques of the motion without friction, whoever provides them [N m | N]."""

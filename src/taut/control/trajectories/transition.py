@@ -30,10 +30,8 @@ class Transition(Motion[Sample]):
                   linearly, in the time in which half of the room up to the limit is used
 
     It changes the goal in mid-motion without a jump: begin with the sample of the motion before, `start=old.at(t)`,
-    or with what is measured, `start=taut.JointMotion(q=x.q, v=x.v)`. The duration is given, or it is the shortest of
-    those tried in which the limits hold. Speeds and accelerations are checked at 2001 instants, and between them at
-    the tops of parabolas, within 1e-9 of joints. Position limits are not known: from a fast start it may overshoot.
-    After the duration it rests at the goal, also if that is to move.
+    or with what is measured. The duration is given, or the shortest in which the limits hold, within 1e-9 of joints.
+    Position limits are not known: from a fast start it may overshoot. Afterwards it rests at the goal.
 
     Args:
         start: Where it begins: a JointMotion or a TaskMotion, with its rates.

@@ -43,22 +43,19 @@ class Adaptive(Law):
                   b^' = b^ exp(gamma_friction b^ v_r s dt), c^' = c^ exp(gamma_friction c^ tanh(v_des / width) s dt)
                   all estimates rest where sqrt(s . M s) < dead_zone, and while limits cut the torque
     Closed loop:  M_true ds/dt + C s + b s + k M s = Y (pi - pi^), and e_dot + lam e = s
-                  with the true parameters, M = M_true: e_ddot + (k + lam) e_dot + k lam e = 0, as computed torque
-                    with kp = k lam and kd = k + lam
+                  with the true parameters, M = M_true: e_ddot + (k + lam) e_dot + k lam e = 0
                   V = s . M_true s / 2 + sum d(P, P^) / gamma falls at the rate k s . M s (+ s . b s), so that s and e
                     tend to 0, for constant parameters, no other torques and no saturation, in continuous time
                     d(P, P^) = log(det P^ / det P) + tr(P^^-1 P) - 4
                   |s_i| <= sqrt(2 V(0) (M_true^-1)_ii): a payload step adds d / gamma to V
                   composite adaptation lets V fall at e_p . R e_p besides
 
-    Guaranteed in the sampled loop: every estimate is that of a possible body, whatever is measured (P^ > 0: positive
-    mass, and an inertia that a body can have). Not guaranteed there: that V falls in every tick. Keep k dt <= 0.1 and
-    gamma max eig(M^-1 Y Q Y^T) dt a fifth of k, where Q y are the parameters of P^ L(y) P^: beyond k the sampled
-    adaptation is unstable, which is checked for Y at rest at the start, with `max_payload` in P^. State the rotors'
-    inertia: a last joint of 1e-4 kg m^2 turns unstable by an estimate that overshoots, whatever gamma.
+    Guaranteed in the sampled loop: every estimate is that of a possible body, whatever is measured. Not guaranteed
+    there: that V falls in every tick. Keep k dt <= 0.1 and gamma max eig(M^-1 Y Q Y^T) dt a fifth of k, where Q y are
+    the parameters of P^ L(y) P^: beyond k the sampled adaptation is unstable, which is checked for Y at rest at the
+    start, with `max_payload` in P^. State the rotors' inertia.
     Estimates need not tend to the truth: what the motion does not excite is not learned, see
-    `taut.analysis.payload_estimate`. A lasting torque that is in no parameter, such as a hand that pushes or dry
-    friction that the model has none of, is taken for mass: set `dead_zone`, limits, and state friction.
+    `taut.analysis.payload_estimate`, and a lasting torque that is in no parameter is taken for mass.
 
     The memory `estimate`, a column of runs, has for each adapted body m, m c and the inertia xx, yy, zz, xy, xz, yz
     about its joint's frame, in axes with the joint's axis on z. It starts at the model, its payload and `prior`.
@@ -68,16 +65,15 @@ class Adaptive(Law):
         k: Rate at which s decays.
         gamma: Adaptation gain of inertial parameters.
         max_payload: Heaviest mass that the tool may carry beyond the model's payload, taken for a cube of 0.1 m: the
-            limit of gamma is that of an estimate with it, often a hundredth of the limit of an empty flange.
+            limit of gamma is that of an estimate with it.
         links: "payload", the body that carries the tool with its payload, or "all" bodies.
         gamma_friction: Adaptation gain of viscous and dry friction; without it friction is no part of the law. The
             estimates start at the model's friction, and what is zero there stays zero.
         width: Speed over which the estimated dry friction changes its sign.
         dead_zone: Of sqrt(s . M s): residual torque / (k sqrt(min eig M)), so that a disturbance is not learned.
-        prior: Mass that the tool is taken to carry at first beyond the model's payload, a cube of 0.1 m: half the
-            rated load is a good start, since the error of a nearly massless flange is large relative to itself.
+        prior: Mass that the tool is taken to carry at first beyond the model's payload, a cube of 0.1 m.
         composite: Weight of the error of the filtered torques in composite adaptation; without it the tracking error
-            alone adapts. It takes all torque for the bodies', so that friction is no part of it.
+            alone adapts.
         cutoff: Of the low-pass of composite adaptation.
 
     Raises:

@@ -21,8 +21,7 @@ class DisturbanceRejection(Law):
                   with a model M^ of an arm M the observer's pole is K_O M^/M; sampled, stable while
                   K_O T max eig(M^ M^-1) < 2 approximately: keep it <= 0.5
 
-    It proves nothing about a wrong model, whose d changes with the motion. Unlike an integral it does not wind up:
-    the observer is given the torque after limits. Contact is a disturbance too: the arm pushes against it.
+    It does not wind up: the observer is given the torque after limits. It pushes against contact.
 
     References:
         Ohnishi, Shibata and Murakami, Motion control for advanced mechatronics, IEEE/ASME Transactions on
@@ -42,9 +41,7 @@ class CollisionReflex(Law):
     Closed loop:  M a + C v = tau_ext + gain r: below the observer's bandwidth contact finds an arm whose inertia is
                   divided by 1 + gain
 
-    The arm is pushed away and goes on in free motion: without friction nothing stops it, so damping or a stop follows
-    once it is free. K_O T <= 0.5 for a reflex: beyond it the estimate, and the torque with it, alternates from tick
-    to tick under a model whose inertia is twice the arm's.
+    Nothing stops the arm once it is free, so damping or a stop must follow. Keep K_O T <= 0.5.
 
     Args:
         gain: Torque per estimated torque.

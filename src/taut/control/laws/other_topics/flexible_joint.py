@@ -3,13 +3,10 @@
     Links:   M(q) a + C v + g = tau_J,   tau_J = K (q_motor - q) + D (v_motor - v)      Spong (1987)
     Motors:  B a_motor + tau_J = tau
 
-B is the rotor inertia of the controller's arm, which rigid laws count as part of M; these laws take it from there,
-and use the model of the links alone. So it is stated once and counted once. K is a parameter of each law,
-`stiffness`: the arm has none (a plant's spring is its `taut.drives.Transmission`), and so it may be wrong, change and
-be swept like any gain. It is a Field and no Gain, for it is a datum of the joint: the judgement of a loop never
-proposes a lower one. Only `FullStateFeedback` needs D; the others leave it out of their model.
-
-q_motor and v_motor are measured on the motor's side of the spring, in joint units; tau_J is the joint torque sensor.
+B is the rotor inertia of the controller's arm, which rigid laws count as part of M; these laws use the model of the
+links alone. K is a parameter of each law, `stiffness`: a Field and no Gain, so that the judgement of a loop never
+proposes a lower one. q_motor and v_motor are measured on the motor's side of the spring, in joint units; tau_J is the
+joint torque sensor.
 """
 
 from __future__ import annotations
@@ -94,14 +91,11 @@ class MotorSidePD(Law):
                   v_m,des and a_m,des are its rates, by the reference's jerk and snap; m = M_ii(q_des), B included
                   for a set-point: m (kp (q_des + g(q_des) / K - q_motor) - kd v_motor) + g(q_des)
     Closed loop:  of a set-point globally asymptotically stable, in continuous time, where for each joint
-                  K m kp / (K + m kp) > alpha >= |dg/dq|: spring and gain in series are stiffer than gravity, which is
-                  K > alpha and m kp > alpha K / (K - alpha); `taut.analysis.set_point_condition` gives the margin
+                  K m kp / (K + m kp) > alpha >= |dg/dq|: spring and gain in series are stiffer than gravity;
+                  `taut.analysis.set_point_condition` gives the margin
                   with an exact model and start it follows a motion exactly; an error of the link decays as kd and D
                   damp the joint
                   held over a tick, m kd dt must stay well below 2 B, the rotor that it acts on
-
-    No measurement of the link is used: encoders and tachometers of the motors are enough. A wrong model leaves the
-    error that it leaves in a rigid arm, and the error of gravity / K in the spring.
 
     Args:
         stiffness: K of each joint.
@@ -140,8 +134,7 @@ class MotorSide(Wrapper):
 
     Law:          that of the law, with q_motor and v_motor in the place of q and v
     Closed loop:  that of the law for the motors; the links hang on them by their springs, with the error tau_J / K
-                  and their own oscillation, which D alone damps. On link measurements most laws of rigid joints are
-                  unstable, because the motor between torque and link is not in their model
+                  and their own oscillation, which D alone damps
 
     Args:
         law: A law of rigid joints.
@@ -173,19 +166,10 @@ class FastTorqueLoop(Wrapper):
                     (Tikhonov's theorem), for a bandwidth well above that of the law
                   sampled, it needs bandwidth dt well below 1; a torque sensor's delay comes on top
 
-    It is fragile where the joint's resonance is: a is a feedback of tau_J / M. Needs link and motor velocities.
-
     Args:
         law: Any law that gives torques, such as `taut.laws.ComputedTorque` or `Impedance`.
         stiffness: K of each joint.
         bandwidth: Of the torque, both poles.
-
-    Example:
-        >>> import taut
-        >>> rigid = taut.laws.ComputedTorque(kp=100.0, kd=20.0)
-        >>> law = taut.laws.FastTorqueLoop(law=rigid, stiffness=500.0, bandwidth=200.0)
-        >>> sorted(law.parameters())
-        ['bandwidth', 'kd', 'ki', 'kp', 'stiffness']
 
     References:
         Spong, Modeling and control of elastic joint robots, J. Dynamic Systems, Measurement and Control 109 (1987).
@@ -221,22 +205,11 @@ class JointTorqueFeedback(Wrapper):
     Closed loop:  B_des a_motor + tau_J = tau_law: passive in continuous time where the law is
                   B / B_des > 1 also divides motor friction by that factor, and amplifies noise of the sensor by it
                   sampled, B / B_des has a limit of stability, the lower the stiffer the joint and the later the
-                  torque: M 0.5, B 0.2 kg m^2, D 1, 1 kHz, motor-side PD of 70 N m/rad and 14 N m s/rad: 26 without
-                  delay; with one tick of it 12 (K 2000 N m/rad), 9.7 (5000), 4.0 (10000)
-
-    `taut.linearise` of the loop shows how near the limit is. A law on link measurements is as unstable in it as
-    without it: take a law of the motor's side.
+                  torque, which `taut.linearise` shows
 
     Args:
         law: Any law that gives torques, such as `MotorSidePD`.
         inertia: B_des of each joint.
-
-    Example:
-        >>> import taut
-        >>> motor = taut.laws.MotorSidePD(stiffness=500.0, kp=100.0, kd=20.0)
-        >>> law = taut.laws.JointTorqueFeedback(law=motor, inertia=0.05)
-        >>> sorted(law.parameters())
-        ['kd', 'kp', 'stiffness']
 
     References:
         Albu-Schaeffer, Ott and Hirzinger, A unified passivity-based control framework for position, torque and
@@ -264,19 +237,10 @@ class FullStateFeedback(Law):
                   x_des and the torques along the reference as of `MotorSidePD`
     Closed loop:  the four poles that `placed` is given, exactly, also in the sampled loop, with M, K, D and the
                   slope of gravity at the pose for which it was made
-                  poles slower than the anti-resonance sqrt(K / M) need negative gains on the link; poles faster than
-                  the resonance need torques that grow as pole^4 B M / K
 
     Args:
         stiffness: K of the joint, for x_des.
         feedback: (4,) k: of link position and velocity, motor position and velocity [N m/rad, N m s/rad, ...].
-
-    Example:
-        >>> import taut
-        >>> arm = taut.load_arm("one_joint", gravity=[0.0, 0.0, 0.0]).with_gears(ratio=100.0, motor_inertia=2e-5)
-        >>> law = FullStateFeedback.placed(arm, stiffness=500.0, poles=[-20.0, -22.0, -24.0, -26.0], rate=1000.0)
-        >>> law.feedback.as_array().shape
-        (4,)
 
     References:
         Spong, Hutchinson and Vidyasagar, Robot Modeling and Control (2006), section 6.5, drive train dynamics.
@@ -366,21 +330,12 @@ class FlexibleJointLinearisation(Law):
                   s_des + 4 omega (j_des - j) + 6 omega^2 (a_des - a) + 4 omega^3 e_dot + omega^4 e
     Closed loop:  (d/dt + omega)^4 e = 0, with an exact model, exact measurements and D = 0; a sampled loop tends to
                   it, and leaves an error that falls fast with omega
-                  not robust: an error of the model in a enters with 6 omega^2, and slow poles are the unsafe ones
-                  0.1 kg too much on a two-link arm at omega = 15 is an error of half a radian, 0.5 kg throws it off
-
-    One derivative of inverse dynamics by the tracer gives M-dot-dot and C-dot-dot. Needs both sides of the joint and
-    its torque sensor: a friction of the motor that is left in, D, or a late sensor count as errors of the model.
+                  not robust: an error of the model in a enters with 6 omega^2, and slow poles are the unsafe ones;
+                  friction of the motor, D and a late sensor are such errors
 
     Args:
         stiffness: K of each joint.
         omega: The four poles of each joint.
-
-    Example:
-        >>> import taut
-        >>> law = taut.laws.FlexibleJointLinearisation(stiffness=1000.0, omega=30.0)
-        >>> law.reference.__name__
-        'SmoothMotion'
 
     References:
         Spong (1987). De Luca and Book, Springer Handbook of Robotics.

@@ -17,13 +17,11 @@ from taut.control.law import Law
 from taut.control.trajectories.reference import JointMotion
 from taut.maths import dynamics as dyn
 from taut.maths.model import Model, PayloadValues, RigidBody, links_of
-from taut.maths.regressor import parameters_of, pseudo_inertia
+from taut.maths.regressor import body_of, parameters_of, pseudo_inertia
 from taut.maths.snapshot import Snapshot
 from taut.trace import math as tm
 
 SMALLEST_EIGENVALUE = -1e-9  # of a pseudo-inertia, relative to the largest: a thin rod has eigenvalues of zero
-KILOGRAM = PayloadValues(mass=1.0, com=np.zeros(3), inertia=np.zeros(6))
-NO_BODY = RigidBody(m=0.0, h=np.zeros(3), I=np.zeros((3, 3)))
 
 
 def _rows(interval: Any) -> Float64Array:
@@ -34,42 +32,32 @@ def _rows(interval: Any) -> Float64Array:
         raise ShapeError(f"must be (smallest, largest), each a number or one per joint; got {interval!r}") from cause
 
 
-class _Interval(Field):
+def _interval(unit: str) -> Field:
     """The smallest and the largest value of a number, or of one for each joint: kept as (2, k), k = 1 or n."""
-
-    def __init__(self, *, unit: str) -> None:
-        super().__init__(unit=unit, shape=(2, "k"), minimum=0.0, run_time=False, optional=True, convert=_rows)
+    return Field(unit=unit, shape=(2, "k"), minimum=0.0, run_time=False, optional=True, convert=_rows)
 
 
 class Uncertainty(Declared):
     """Everything that is not known of an arm, as intervals: stated once, for the law, its layer and its certificate.
 
-    Model:        link l is known to +-links[l], mass and inertia together
-                  the arm carries a point mass of min..max kg at the tool beyond its own payload
-                  friction is b v + c sgn(v) with b and c between min and max, whatever the load
-                  a further torque of at most +-d acts on each joint
-                  every combination belongs to the set; rotors, lengths and gravity are known
+    Friction is b v + c sgn(v), whatever the load. Every combination belongs to the set; rotors, lengths and gravity
+    are known.
 
     Args:
-        links: (n,) or a number, relative, below 1 [1].
-        payload: (min, max) at the tool's origin, beyond the arm's own payload, or short of it if negative [kg].
+        links: (n,) or a number, relative, below 1: of mass and inertia of each link together [1].
+        payload: (min, max) point mass at the tool's origin beyond the arm's own payload, or short of it [kg].
         viscous: (min, max), each a number or (n,) [N m s/rad | N s/m]; the model's own if left out.
         coulomb: (min, max), each a number or (n,), static friction included [N m | N]; the model's own if left out.
         disturbance: (n,) or a number, the largest further torque [N m | N].
 
     Raises:
         RangeError: A link known to +-100 % or worse, whose mass may be zero; negative friction; min above max.
-
-    Example:
-        >>> import taut
-        >>> taut.laws.Uncertainty(links=0.2, payload=(0.0, 1.0), viscous=(0.05, 0.15)).payload.tolist()
-        [0.0, 1.0]
     """
 
     links: Field = Field(0.0, unit="1", shape="n", minimum=0.0, run_time=False)
     payload: Field = Field((0.0, 0.0), unit="kg", shape=2, run_time=False)
-    viscous: _Interval = _Interval(unit="N m s/rad | N s/m")
-    coulomb: _Interval = _Interval(unit="N m | N")
+    viscous: Field = _interval("N m s/rad | N s/m")
+    coulomb: Field = _interval("N m | N")
     disturbance: Field = Field(0.0, unit="N m | N", shape="n", minimum=0.0, run_time=False)
 
     def check(self) -> None:
@@ -114,33 +102,32 @@ class Uncertainty(Declared):
         made = arm.with_friction(Friction(viscous=b, coulomb=c))
         if not np.any(self.payload):
             return made
-        point = scaled(KILOGRAM.body(), float(np.mean(self.payload)))
-        load = PayloadValues.of_body(PayloadValues.of(arm.payload).body() + point)
+        load = PayloadValues.of_body(PayloadValues.of(arm.payload).body() + _point_mass(np.mean(self.payload)))
         return made.with_payload(load.mass, load.com, load.inertia)
 
     def middle(self, model: Model, bodies: list[RigidBody]) -> list[RigidBody]:
         """The bodies with the payload in the middle of its interval."""
-        carried = _carried(model, float(np.mean(self.payload)))
-        return [own + more for own, more in zip(bodies, carried, strict=True)] if np.any(self.payload) else bodies
+        return [own + body_of(row) for own, row in zip(bodies, _carried(model, np.mean(self.payload)), strict=True)]
 
     def lightest(self, model: Model, bodies: list[RigidBody]) -> list[RigidBody]:
         """The bodies without what may be too much of them."""
-        each = zip(self.middle(model, bodies), *(part for _, part in self.unknown(model)), strict=True)
-        return [body - sum(unknown, start=NO_BODY) for body, *unknown in each]
+        unknown = sum(self.unknown(model), start=np.zeros((model.n, 10)))
+        return [own - body_of(row) for own, row in zip(self.middle(model, bodies), unknown, strict=True)]
 
-    def unknown(self, model: Model) -> list[tuple[str, list[RigidBody]]]:
-        """What may be missing or too much: sets of bodies, each of which acts by any factor from -1 to 1."""
-        links = np.broadcast_to(self.links, (model.n,)).tolist()
-        parts = [("links", _alone(model, i, scaled(model.links[i], x))) for i, x in enumerate(links)]
-        parts.append(("payload", _carried(model, 0.5 * float(np.ptp(self.payload)))))
-        return [(name, bodies) for name, bodies in parts if any(body.m > 0.0 for body in bodies)]
+    def unknown(self, model: Model) -> list[Float64Array]:
+        """What may be missing or too much: parameters (n, 10) of bodies, which act by any factor from -1 to 1."""
+        links = np.diag(np.broadcast_to(self.links, (model.n,)))
+        known = np.array([parameters_of(link) for link in model.links])
+        carried = _carried(model, 0.5 * np.ptp(self.payload))
+        return [rows for rows in (*(row[:, np.newaxis] * known for row in links), carried) if rows.any()]
 
     def torques(self, model: Model, q: Vector, v: Vector, v_ref: Vector, a_ref: Vector) -> Array:
         """(m, n) torques Y_l pi_l of each unknown at its largest: s . (M a_ref + C v_ref + g) errs by their sum."""
         bare, unknown = links_of(model.arm), self.unknown(model)
         if not unknown:
             return tm.zeros((0, model.n))
-        return tm.array([dyn.reference_dynamics(bare, part, q, v, v_ref, a_ref) for _, part in unknown])
+        bodies = ([body_of(row) for row in rows] for rows in unknown)
+        return tm.array([dyn.reference_dynamics(bare, part, q, v, v_ref, a_ref) for part in bodies])
 
     def friction(self, known: Friction) -> tuple[Float64Array, Float64Array]:
         """(2, n) each: viscous and Coulomb friction, smallest and largest; that of the model where none is given."""
@@ -176,20 +163,14 @@ def friction_and_error(
     return b_mid * v_des + c_mid * assumed, error
 
 
-def scaled(body: RigidBody, factor: float) -> RigidBody:
-    """A body of the same shape and another density."""
-    return RigidBody(m=factor * body.m, h=factor * body.h, I=factor * body.I)
+def _point_mass(mass: Any) -> RigidBody:
+    return PayloadValues(mass=mass, com=np.zeros(3), inertia=np.zeros(6)).body()
 
 
-def _alone(model: Model, i: int, body: RigidBody) -> list[RigidBody]:
-    """One body of an arm without mass, none where it belongs to the base."""
-    return [body if j == i else NO_BODY for j in range(model.n)]
-
-
-def _carried(model: Model, mass: float) -> list[RigidBody]:
-    """A point mass at the tool, on an arm without mass."""
+def _carried(model: Model, mass: Any) -> Float64Array:
+    """(n, 10) parameters of the bodies of an arm without mass that carries a point mass at the tool."""
     body, R, p = model.placement(None)
-    return _alone(model, body, scaled(KILOGRAM.body().seen_from(R, p), mass))
+    return np.outer(np.arange(model.n) == body, parameters_of(_point_mass(mass).seen_from(R, p)))
 
 
 class Robust(Law):
@@ -204,10 +185,9 @@ class Robust(Law):
                   V = s . M s / 2 falls at the rate (2 k / c) V less (1/4) sum rho_i phi_i,   c = max eig(M^^-1 M)
                   with an exact model and no friction e_ddot + (k + lam) e_dot + k lam e = -M^-1 u
 
-    Proved, for every arm of the set, in continuous time and while no torque saturates: from a start on the reference,
-    s stays in a level set of V and e inside eps, which `taut.analysis.certify` computes. Not proved: the sampled loop
-    (`taut.linearise`; a layer that is too thin chatters) and anything at torque limits; nor that s_i
-    stays within phi_i, joint by joint. `taut.analysis.boundary_layer` gives the thinnest layer that a rate allows.
+    Proved, for every arm of the set, in continuous time and while no torque saturates: from a start on the reference
+    e stays inside what `taut.analysis.certify` computes. Not proved: the sampled loop; a layer that is too thin
+    chatters, and `taut.analysis.boundary_layer` gives the thinnest one that a rate allows.
 
     Args:
         lam: Rate at which e follows s, a number or (n,) [1/s].
@@ -218,12 +198,6 @@ class Robust(Law):
 
     Raises:
         RangeError, ShapeError, MatchError: An uncertainty without width or for another arm, when it is compiled.
-
-    Example:
-        >>> import taut
-        >>> unknown = taut.laws.Uncertainty(links=0.2, payload=(0.0, 1.0))
-        >>> law = taut.laws.Robust(lam=10.0, k=10.0, phi=0.2, uncertainty=unknown)
-        >>> ctrl = taut.compile(law, taut.load_arm("planar2"))
 
     References:
         Slotine and Li, Applied Nonlinear Control (1991), chapters 7 to 9. Corless and Leitmann, IEEE TAC 26 (5)

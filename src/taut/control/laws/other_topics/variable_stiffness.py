@@ -25,12 +25,11 @@ class VariableStiffness(Law):
                   sigma follows `stiffness` at no more than `slew`, so that the motors keep up with it
     Closed loop:  M e_ddot + (b + D + kd) e_dot + sigma e = tau_dist, by steel and without a sensor; D is the damping
                   of the drives, kd moves the motors and is theirs up to their bandwidth
-                  with an exact model and fast motors a change of sigma does not move the joint. Motors of bandwidth w
-                  lag, and push the joint by about 2 tau (sigma_dot / (sigma w))^2 meanwhile
-                  left out are D d/dt (tau / sigma), by which dampers drag, and the half tick that q_des is late
+                  with an exact model and fast motors a change of sigma does not move the joint; motors of bandwidth w
+                  push it by about 2 tau (sigma_dot / (sigma w))^2 meanwhile
 
     With kd = 0 nothing measured is fed back, so that no rate or delay of the controller makes it unstable, and it is
-    passive while sigma rests and nothing is limited. A change of stiffness may bring energy in, as any does.
+    passive while sigma rests and nothing is limited.
 
     Args:
         springs: Those of the drives: how stiff they get, and what they carry.
