@@ -7,9 +7,9 @@ if TYPE_CHECKING:
     from taut.control.faults import FAULTS as FAULTS
     from taut.control.faults import Fault as Fault
     from taut.runtime.realtime.robot import Robot as Robot
-    from taut.runtime.realtime.status import RobotFault as RobotFault
+    from taut.runtime.realtime.status import RobotError as RobotError
     from taut.runtime.realtime.status import RobotStatus as RobotStatus
-    from taut.runtime.robots.driver import DriverFault as DriverFault
+    from taut.runtime.robots.driver import DriverError as DriverError
     from taut.runtime.robots.driver import RobotDriver as RobotDriver
     from taut.runtime.robots.driver import RobotInfo as RobotInfo
 

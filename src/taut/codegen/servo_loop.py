@@ -1,15 +1,14 @@
 """The real-time loop in native code: wait, read, tick, write, record; and the watchdog of another process.
 
-All words are 64 bits. `STATUS` lies in memory that the processes share; `LOOP` and `SET` belong to the loop's process.
-A set is one compiled tick with its blocks; the loop takes another one between two ticks.
+All words are 64 bits. `STATUS` lies in memory that the processes share; `LOOP` and `SET` belong to the loop's
+process. A set is one compiled tick with its blocks; the loop takes another one between two ticks.
 """
 
 from __future__ import annotations
 
 import ctypes
 import functools
-from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
 
 from taut.codegen.llvm import Writer
 from taut.codegen.native import NativeModule, compiled
@@ -45,7 +44,8 @@ STATUS: Final = _numbered(
 STATUS_WORDS: Final = 64
 
 LOOP: Final = _numbered(
-    "status", "set", "next", "read", "write", "user", "measured", "period", "host_paced", "deadline", "last", "recovered",
+    "status", "set", "next", "read", "write", "user", "measured", "period", "host_paced", "deadline", "last",
+    "recovered",
     "partner",  # status of the robot that stops together with this one, or null
 )  # fmt: skip
 SET: Final = _numbered(
@@ -461,7 +461,7 @@ def servo_code() -> NativeModule:
     return compiled(b"servo loop", _text, NAMES, symbols=_symbols())
 
 
-def struct_of(names: dict[str, int], values: dict[str, int | float]) -> Sequence[int]:
+def struct_of(names: dict[str, int], values: dict[str, int | float]) -> Any:
     """Words by name as they lie in memory."""
     import numpy as np
 
@@ -471,4 +471,4 @@ def struct_of(names: dict[str, int], values: dict[str, int | float]) -> Sequence
             words[names[name] : names[name] + 1].view(np.float64)[0] = value
         else:
             words[names[name]] = value
-    return words  # type: ignore[return-value]
+    return words

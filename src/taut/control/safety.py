@@ -49,10 +49,10 @@ SIGNALS: Final = (
 )
 """Numbers that the loop gives to each tick.
 
-valid: 1 where there is a sample; age [s] of a stream's sample; hold_after, stop_after [s] its time-outs; hold, recover:
-1 where it is asked for; begin: 1 in the first tick of a law; over [s]: time in which its command, or that of changed
-parameters, comes in; changed: 1 where parameters have; fault: code of what the loop itself saw, or 0; lost: periods
-missed before this tick.
+valid: 1 where there is a sample; age [s] of a stream's sample; hold_after, stop_after [s] its time-outs; hold,
+recover: 1 where it is asked for; begin: 1 in the first tick of a law; over [s]: time in which its command, or that
+of changed parameters, comes in; changed: 1 where parameters have; fault: code of what the loop itself saw, or 0;
+lost: periods missed before this tick.
 """
 
 
@@ -442,7 +442,8 @@ class SafeSide:
                 command = tm.clip(command, before - step, before + step)
             low = -LARGEST if limits.lower is None else np.maximum(limits.lower, -LARGEST)
             high = LARGEST if limits.upper is None else np.minimum(limits.upper, LARGEST)
-            return tm.clip(command, low, high)
+            within: Vector = tm.clip(command, low, high)
+            return within
         rate, most = (None, limits.v) if kind == "velocity" else (limits.tau_dot, limits.tau)
         if kind == "velocity" and limits.deceleration is not None:
             rate = 2.0 * np.asarray(limits.deceleration)

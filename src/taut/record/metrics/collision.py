@@ -12,10 +12,10 @@ from taut.base.checks import instance_of, read_only
 from taut.base.errors import UsageError, quoted_list, warn
 from taut.base.types import Array, Float64Array
 from taut.codegen.program import over_rows
-from taut.control.laws.other_topics.robust import NO_BODY, Uncertainty, friction_and_error
+from taut.control.laws.other_topics.robust import Uncertainty, friction_and_error
 from taut.control.observer import MomentumObserver
 from taut.maths import dynamics as dyn
-from taut.maths.model import links_of, model_of
+from taut.maths.model import body_of, links_of, model_of
 from taut.record.run import Run
 from taut.trace import math as tm
 
@@ -103,8 +103,9 @@ def _largest_error(run: Run, uncertainty: Uncertainty) -> Float64Array:
     gain, width = (np.broadcast_to(at[f"sensing.observer.{name}"], run.n) for name in ("bandwidth", "width"))
     model, bare = model_of(arm), links_of(arm)
     uncertainty.check_arm(model)
-    middle = uncertainty.middle(model, [NO_BODY] * run.n)  # of the payload's interval, beyond what the observer knows
-    parts = [middle, *(bodies for _, bodies in uncertainty.unknown(model))]
+    nothing = [body_of(np.zeros(10))] * run.n  # of the payload's interval, beyond what the observer knows
+    unknown = ([body_of(row) for row in rows] for rows in uncertainty.unknown(model))
+    parts = [uncertainty.middle(model, nothing), *unknown]
 
     def momenta(q: Array, v: Array) -> dict[str, Array]:
         models = [dataclasses.replace(bare, bodies=(*bodies,)) for bodies in parts]

@@ -44,7 +44,7 @@ def connect(
     """Connect to a robot, or run a model plant as one in real time. Nothing moves yet.
 
     Args:
-        robot: An address, franka://172.16.0.2, udp://127.0.0.1:4000, ur://..., can://...; or a model plant such as
+        robot: An address (franka://172.16.0.2, udp://127.0.0.1:4000, ur://..., can://...), a model plant such as
             `taut.RigidPlant`; or a class of your own, a RobotDriver in a file.
         arm: The robot's model; that of a plant if left out.
         limits: `taut.SafetyLimits.of(arm)` unless given.
@@ -56,13 +56,14 @@ def connect(
 
     Raises:
         UsageError, MatchError: Something that does not fit; nothing was sent.
-        DriverFault: The robot cannot be reached, or is not ready.
+        DriverError: The robot cannot be reached, or is not ready.
 
     Example:
         >>> import taut
         >>> arm = taut.load_arm("planar2")
         >>> with taut.connect(taut.RigidPlant(arm)) as robot:
-        ...     ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm, rate=robot.rate, adds=robot.adds)
+        ...     law = taut.laws.ComputedTorque(kp=100.0, kd=20.0)
+        ...     ctrl = taut.compile(law, arm, rate=robot.rate, adds=robot.adds)
         ...     robot.start(ctrl)
         ...     robot.wait(0.1)
         ...     run = robot.stop()
@@ -92,8 +93,8 @@ def connect(
         link = Link({"plant": plant, "info": dataclasses.asdict(info), "measured": made.measured}, partner=partner)
     else:
         raise UsageError(
-            "connect takes an address such as franka://172.16.0.2, a model plant such as taut.RigidPlant(arm), or a class of "
-            f"your own, a RobotDriver; got {type(robot).__name__}", name="robot",
+            "connect takes an address such as franka://172.16.0.2, a model plant such as taut.RigidPlant(arm), or a "
+            f"class of your own, a RobotDriver; got {type(robot).__name__}", name="robot",
         )  # fmt: skip
     try:
         info = checked_info(link.info, arm.n, arm.name)

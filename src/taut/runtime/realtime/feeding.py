@@ -80,11 +80,11 @@ def references_of(ctrl: Controller, ref: object, q: Float64Array, duration: floa
             tables.append(Table(rows=None))
         else:
             x = Snapshot(side.model, q=q, v=np.zeros(len(q)))
-            tables.append(Table(rows=_phase_rows(side, feeds, name, x, numbers)))
+            tables.append(Table(rows=_phase_rows(side, feeds, name, x)))
     return References(tables=tables, streams=streams, task=feeds)
 
 
-def _phase_rows(side: LawSide, feed: TaskFeed, name: str, x: Snapshot, numbers: dict[str, Any]) -> Float64Array:
+def _phase_rows(side: LawSide, feed: TaskFeed, name: str, x: Snapshot) -> Float64Array:
     """The samples of a phase that begins at x."""
     assert side.task is not None
     feed.begin(name, 0)
@@ -135,7 +135,7 @@ class Feeder(threading.Thread):
     def __init__(self, acting: Acting, references: References) -> None:
         super().__init__(daemon=True, name="taut feeder")
         self._acting, self._references = acting, references
-        self._numbers = {path: view for path, view in acting.controls.views.items()}
+        self._numbers = dict(acting.controls.views)
         self._ended = threading.Event()
         self.error: TautError | None = None
         """Why it ended; the loop holds, or stops by its time-out."""
@@ -188,7 +188,7 @@ class Feeder(threading.Thread):
         assert side.task is not None
         assert task is not None
         name = side.task.names[phase]
-        made = _phase_rows(side, task, name, self._seen(rows), self._numbers)
+        made = _phase_rows(side, task, name, self._seen(rows))
         self._acting.controls.fill(phase, made)
 
     def _seen(self, rows: Float64Array) -> Snapshot:

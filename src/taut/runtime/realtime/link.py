@@ -17,7 +17,7 @@ from typing import Any, Final
 from taut.base.errors import MatchError, UsageError, unknown_name
 from taut.codegen.servo_loop import STATUS, STATUS_WORDS
 from taut.runtime.realtime.shared import Shared
-from taut.runtime.robots.driver import DriverFault, RobotDriver, RobotInfo
+from taut.runtime.robots.driver import DriverError, RobotDriver, RobotInfo
 
 WATCHDOG: Final = 0.08  # [s] without a tick after which the loop's process is ended; acts within 0.1
 PATIENCE: Final = 30.0  # [s] for the answer of the loop's process, which may be connecting to a robot
@@ -29,7 +29,7 @@ SCHEMES: Final[Mapping[str, tuple[str, str]]] = {
 }
 
 
-class LinkLost(DriverFault):
+class LinkLostError(DriverError):
     """The loop's process is gone."""
 
 
@@ -38,12 +38,12 @@ class Link:
 
     def __init__(self, hello: Mapping[str, Any], *, partner: Link | None = None) -> None:
         self.status = Shared.create(STATUS_WORDS)
-        self.words = memoryview(self.status.words)
+        self.words = self.status.view
         self._closed = False
         self.failure: tuple[int, str] | None = None  # code and text of a driver's fault
         ours, theirs = socket.socketpair()
         # What the child imports is what this process does, also from a path that only this one knows.
-        paths = os.pathsep.join(dict.fromkeys(path or os.getcwd() for path in sys.path))
+        paths = os.pathsep.join(dict.fromkeys(path or str(Path.cwd()) for path in sys.path))
         self._env = {**os.environ, "PYTHONPATH": paths}
         with theirs:
             self.process = subprocess.Popen(
@@ -91,14 +91,14 @@ class Link:
         try:
             self._mail.send(message)
         except (OSError, ValueError) as cause:
-            raise LinkLost("the loop's process is gone; connect again", code="process_died") from cause
+            raise LinkLostError("the loop's process is gone; connect again", kind="process_died") from cause
 
     def tell(self, kind: str, given: Any = None) -> None:
         """A message that is not answered."""
         self._send((kind, given))
 
     def ask(self, kind: str, given: Any = None) -> Any:
-        """A message, and the answer to it. Raises DriverFault with the error of the loop's process."""
+        """A message, and the answer to it. Raises DriverError with the error of the loop's process."""
         self._send((kind, given))
         return self._answer("done")[1]
 
@@ -114,12 +114,12 @@ class Link:
                     return tuple(message[1:])
                 self._note(message)
                 if message[0] == "error":
-                    raise DriverFault(message[2], code=message[1])
+                    raise DriverError(message[2], kind=message[1])
             elif not self.alive:
                 break
         else:
-            raise DriverFault(f"the loop's process did not answer within {PATIENCE:g} s", code="driver")
-        raise LinkLost("the loop's process died; connect again", code="process_died")
+            raise DriverError(f"the loop's process did not answer within {PATIENCE:g} s", kind="driver")
+        raise LinkLostError("the loop's process died; connect again", kind="process_died")
 
     def _note(self, message: tuple[Any, ...]) -> None:
         if message[0] == "fault":
@@ -136,7 +136,7 @@ class Link:
         if self._closed:
             return
         self._closed = True
-        with contextlib.suppress(DriverFault):
+        with contextlib.suppress(DriverError):
             self.tell("close")
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.process.wait(3.0)
@@ -149,7 +149,6 @@ class Link:
             assert self._watchdog.stdout is not None
             self._watchdog.stdout.close()
         self._mail.close()
-        self.words.release()
         self.status.close()
 
 

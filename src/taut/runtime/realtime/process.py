@@ -33,7 +33,7 @@ from taut.control.faults import CODES
 from taut.runtime.realtime.ring import Ring
 from taut.runtime.realtime.sets import FUNCTIONS, PLANT_FUNCTIONS
 from taut.runtime.realtime.shared import Shared
-from taut.runtime.robots.driver import DriverFault, RobotDriver
+from taut.runtime.robots.driver import DriverError, RobotDriver
 
 PRIORITY: Final = 80  # of SCHED_FIFO
 REST: Final = 2.0  # [s] for the controlled stop where the parent is gone
@@ -46,7 +46,7 @@ class PythonDriver:
     user = 0
 
     def __init__(self, driver: RobotDriver) -> None:
-        self.driver, self.failure = driver, None
+        self.driver = driver
         self.failure: BaseException | None = None
 
     def bind(self, measured: Mapping[str, Float64Array], command: Float64Array) -> tuple[int, int]:
@@ -144,7 +144,7 @@ class Process:
         """Take the first message, connect, and work until the parent ends it or is gone."""
         hello = self._mail.recv()
         self._status = Shared.attach(hello["status"])
-        self._words = memoryview(self._status.words)
+        self._words = self._status.view
         try:
             self._driver, info = self._connected(hello)
         except BaseException as error:
@@ -293,10 +293,10 @@ class Process:
             return True
         self._words[STATUS["armed"]] = 0
         error = self._driver.failure
-        code = CODES.get(getattr(error, "code", "driver"), CODES["driver"])
+        code = CODES.get(getattr(error, "kind", "driver"), CODES["driver"])
         self._words[STATUS["fault"]] = code
         if self._partner is not None:
-            memoryview(self._partner.words)[STATUS["external"]] = CODES["partner"]
+            self._partner.view[STATUS["external"]] = CODES["partner"]
         ended = ""
         try:
             self._end()
@@ -344,8 +344,8 @@ def _module(name: str, file: str | None) -> Any:
 
 def _in_words(error: BaseException | None) -> tuple[str, str]:
     """Code and text of an error, as plain data."""
-    if isinstance(error, DriverFault):
-        return error.code, str(error)
+    if isinstance(error, DriverError):
+        return error.kind, str(error)
     if isinstance(error, TautError):
         return "driver", str(error)
     return "driver", f"the driver raised {type(error).__name__}: {error}"
@@ -369,6 +369,7 @@ def _prepared() -> list[str]:
 
 
 def main() -> None:
+    """Serve the parent at the other end of the socket, whose number is the only argument."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent hears it, and stops the arm
     Process(Connection(int(sys.argv[1]))).run()
 

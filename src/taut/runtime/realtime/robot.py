@@ -32,8 +32,8 @@ from taut.runtime.realtime.acting import Acting
 from taut.runtime.realtime.feeding import NO_ROWS, Feeder, References, references_of, time_outs
 from taut.runtime.realtime.link import Link
 from taut.runtime.realtime.sets import ServoSet, Table
-from taut.runtime.realtime.status import RobotFault, RobotStatus, percentiles
-from taut.runtime.robots.driver import DriverFault, RobotInfo
+from taut.runtime.realtime.status import RobotError, RobotStatus, percentiles
+from taut.runtime.robots.driver import DriverError, RobotInfo
 
 BLEND: Final = 0.2  # [s] in which another law, or new parameters, come in
 THERE: Final = 2e-3  # [rad | m] from the goal of move_to
@@ -81,7 +81,7 @@ class Robot:
     """A robot whose loop runs in a process of its own, under safety limits. Close it, or use it with `with`.
 
     Nothing moves before `start`, `move_to` or `hold`. A fault ends every law in the controlled stop of
-    `taut.SafetyLimits`, within one tick, and is latched: every verb raises it as RobotFault until `recover()`.
+    `taut.SafetyLimits`, within one tick, and is latched: every verb raises it as RobotError until `recover()`.
 
     Args:
         link: Its processes.
@@ -104,7 +104,8 @@ class Robot:
         """Parameters of the law that acts, by path; settable while it runs."""
         hold = References(tables=[Table(rows=NO_ROWS)], streams={})
         self._install(holder, hold, begins=False, sends=True)
-        self._finalizer = weakref.finalize(self, _freed, link, self._all)  # also where the program ends without closing it
+        # Also where the program ends without closing it.
+        self._finalizer = weakref.finalize(self, _freed, link, self._all)
 
     @property
     def adds(self) -> Any:
@@ -130,7 +131,7 @@ class Robot:
         Raises:
             MatchError, UsageError, RangeError: Controller, robot and reference do not fit, or the sampled loop is
                 unstable here; nothing was sent.
-            RobotFault: A fault is latched.
+            RobotError: A fault is latched.
         """
         self.check()
         references = self._checked(ctrl, ref, duration)
@@ -158,7 +159,7 @@ class Robot:
         self._install(ctrl, self._checked(ctrl, ref, duration), begins=True, sends=False)
 
     def move_to(self, q: ArrayLike, *, speed: float = 0.2) -> None:
-        """Move the joints to q (n,) [rad | m], each with at most `speed` times its speed limit; returns when there."""
+        """Move the joints to q (n,) [rad | m], at most at `speed` times its speed limit; returns when there."""
         arm = self.arm
         goal = finite_array("q", q, shape=(arm.n,), joints=arm.joint_names, unit="rad | m")
         i = int(np.argmax(np.maximum(arm.lower - goal, goal - arm.upper)))
@@ -200,7 +201,7 @@ class Robot:
                 time.sleep(LOOK)
         self._end_feeding()
         run = self.run()
-        with contextlib.suppress(DriverFault):
+        with contextlib.suppress(DriverError):
             if self.link.word("control"):
                 self.link.ask("end")
         return run
@@ -208,7 +209,7 @@ class Robot:
     def recover(self) -> None:
         """Clear what is latched, in the robot too. It is then as after `taut.connect`."""
         if not self.link.alive:
-            raise RobotFault(self.fault or fault_of(CODES["process_died"], 0))
+            raise RobotError(self.fault or fault_of(CODES["process_died"], 0))
         hold = References(tables=[Table(rows=NO_ROWS)], streams={})
         self._install(self._holder, hold, begins=False, sends=True, recovers=True)
         self._pause()
@@ -216,8 +217,8 @@ class Robot:
     def stream(self, *, period: float) -> Callable[[Sample], None]:
         """The function that sends a sample to the law that acts, which was started with `taut.stream(period=)`.
 
-        Where none came for two periods the loop holds; after three (and 50 ms at least, for a period of 20 ms or less)
-        it stops with the fault `stream_stopped`.
+        Where none came for two periods the loop holds; after three (and 50 ms at least, for a period of 20 ms or
+        less) it stops with the fault `stream_stopped`.
         """
         require_range("period", np.asarray(period, dtype=np.float64), above=0.0, unit="s")
         controls = self._all[-1].controls
@@ -239,10 +240,10 @@ class Robot:
             time.sleep(min(LOOK, remaining))
 
     def check(self) -> None:
-        """Raise what is latched, as RobotFault; and what a source or a phase's reference raised."""
+        """Raise what is latched, as RobotError; and what a source or a phase's reference raised."""
         fault = self.fault
         if fault is not None:
-            raise RobotFault(fault)
+            raise RobotError(fault)
         if self._feeder is not None and self._feeder.error is not None:
             raise self._feeder.error
 
@@ -254,8 +255,8 @@ class Robot:
         """Tell the robot its load, which it compensates from then on; between motions."""
         instance_of("payload", payload, Payload, "a taut.Payload, such as arm.payload")
         self.link.ask("load", (payload.mass, np.array(payload.com), np.array(payload.inertia)))
-        load = (float(payload.mass), tuple(float(x) for x in payload.com))
-        self.info = dataclasses.replace(self.info, load=load)
+        x, y, z = (float(value) for value in payload.com)
+        self.info = dataclasses.replace(self.info, load=(float(payload.mass), (x, y, z)))
 
     @property
     def acting(self) -> Acting:
@@ -266,12 +267,14 @@ class Robot:
     @property
     def q(self) -> Float64Array:
         """(n,) the newest measured positions [rad | m]."""
-        return self._last("q")[-1]
+        newest: Float64Array = self._last("q")[-1]
+        return newest
 
     @property
     def v(self) -> Float64Array:
         """(n,) the newest measured velocities [rad/s | m/s]."""
-        return self._last("v")[-1]
+        newest: Float64Array = self._last("v")[-1]
+        return newest
 
     @property
     def fault(self) -> Fault | None:
@@ -360,7 +363,7 @@ class Robot:
                 return (np.diff(q, axis=0, prepend=q[:1]) * self.rate)[-count:]
             self._require_alive()
             time.sleep(1e-3)
-        raise DriverFault(f"{self.info.name} sent no state within {SETTLE:g} s", code="silent")
+        raise DriverError(f"{self.info.name} sent no state within {SETTLE:g} s", kind="silent")
 
     def _require_alive(self) -> None:
         self.link.hear()

@@ -222,7 +222,7 @@ class Controls:
     def send(self, sample: Sample) -> None:
         """A sample of the stream."""
         flat = [np.ravel(getattr(sample, name)) for name in self._made.fields]
-        words = memoryview(self.words)
+        words = self.shared.view
         words[CONTROLS["sample"]] += 1
         self.numbers[self.reference_at : self.parameters_at] = np.concatenate(flat)
         words[CONTROLS["received"]] = time.monotonic_ns()

@@ -14,7 +14,7 @@ from taut.base.types import Float64Array
 from taut.control.faults import Fault
 
 
-class RobotFault(TautError, RuntimeError):
+class RobotError(TautError, RuntimeError):
     """A robot's loop has latched a fault, `.fault`: go on with `robot.recover()`."""
 
     def __init__(self, fault: Fault) -> None:

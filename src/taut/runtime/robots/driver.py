@@ -11,18 +11,18 @@ from taut.base.errors import TautError
 from taut.base.types import Float64Array
 
 
-class DriverFault(TautError, RuntimeError):
+class DriverError(TautError, RuntimeError):
     """A robot or its connection that fails while the loop runs; it ends the motion and is latched.
 
     Args:
         message: One sentence: what the robot reported and how to go on.
-        code: `disconnected`, `silent`, `robot_error` (the robot stopped itself), `rejected` (a command that it did
+        kind: `disconnected`, `silent`, `robot_error` (the robot stopped itself), `rejected` (a command that it did
             not take) or `busy` (another client has it).
     """
 
-    def __init__(self, message: str, *, code: str = "robot_error") -> None:
-        super().__init__(message, name=code)
-        self.code = code
+    def __init__(self, message: str, *, kind: str = "robot_error") -> None:
+        super().__init__(message, name=kind)
+        self.kind = kind
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +47,7 @@ class RobotDriver(ABC):
 
     The order of calls is open, then any number of (read)*, begin, (read, write)*, end, and at last close. Between
     begin and end every period has one read and one write. Nothing is sent before begin. Any exception ends the
-    motion: the loop calls end, and reports a DriverFault as it is and everything else by its text.
+    motion: the loop calls end, and reports a DriverError as it is and everything else by its text.
 
     Args:
         address: What stands behind `scheme://`, such as "172.16.0.2" or "127.0.0.1:4000".
@@ -63,7 +63,7 @@ class RobotDriver(ABC):
         """Write the newest state into the arrays q (n,) and each of `measures`, in place.
 
         A robot that keeps time blocks until its next state; else the newest state that has arrived is taken, and one
-        that stays away longer than the driver allows is a DriverFault("silent").
+        that stays away longer than the driver allows is a DriverError(kind="silent").
         """
 
     @abstractmethod
@@ -83,11 +83,11 @@ class RobotDriver(ABC):
 
     def set_load(self, mass: float, com: Float64Array, inertia: Float64Array) -> None:  # noqa: ARG002
         """Tell the robot its load: mass [kg], centre [m] at the flange, (3, 3) inertia [kg m^2]."""
-        raise DriverFault("this robot takes no load", code="rejected")
+        raise DriverError("this robot takes no load", kind="rejected")
 
     def call(self, name: str, arguments: Mapping[str, Any]) -> Any:  # noqa: ARG002
         """Whatever else a robot offers between motions, such as its gripper or collision thresholds; plain data."""
-        raise DriverFault(f"this robot has no function '{name}'", code="rejected")
+        raise DriverError(f"this robot has no function '{name}'", kind="rejected")
 
     @abstractmethod
     def close(self) -> None:
