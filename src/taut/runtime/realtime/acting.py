@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from taut.arm.description import Arm
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
-from taut.codegen.servo_loop import CONTROLS
 from taut.control.faults import CODES, Fault, fault_of
 from taut.maths.snapshot import AT_TOOL
 from taut.record.info import Outcome, RunInfo, versions
 from taut.record.run import Run
 from taut.runtime.realtime.ring import HEAD, Ring
 from taut.runtime.realtime.sets import Controls, ServoSet
-from taut.runtime.realtime.sets import Table as Samples
+
+if TYPE_CHECKING:
+    from taut.runtime.realtime.feeding import References
 
 CAPACITY: Final = 8192  # rows of the flight recorder
+KEPT: Final = 1000  # rows with a fault
 MARGIN: Final = 64  # rows that may be overwritten while others are read
 LIMITED: Final = 1e-9  # [N m | ...] smaller is rounding
 NOT_EXTRA: Final = ("t", "q", "v", "command")
@@ -28,12 +30,21 @@ NOT_EXTRA: Final = ("t", "q", "v", "command")
 class Acting:
     """A law on a robot; `sends` is False of a shadow."""
 
-    def __init__(self, made: ServoSet, tables: list[Samples], *, number: int, sends: bool, over: float) -> None:
+    def __init__(
+        self,
+        made: ServoSet,
+        references: References,
+        parameters: Mapping[str, Float64Array],
+        *,
+        number: int,
+        sends: bool,
+    ) -> None:
         self.made, self.number, self.sends = made, number, sends
-        self.controls = Controls(made, tables)
-        self.controls.numbers[CONTROLS["over"]] = max(over, made.safe.side.dt)
+        self.streams = tuple(references.streams.values())
+        self.controls = Controls(made, references.tables, parameters)
         self.ring = Ring.create(CAPACITY, made.row_size)
         self.columns = made.columns()
+        self._stopped: Float64Array | None = None  # the ticks up to a fault
 
     def rows(self, count: int = CAPACITY) -> Float64Array:
         """Copies of the last rows (k, row_size)."""
@@ -45,6 +56,18 @@ class Acting:
         first, shape = self.columns[path]
         size = int(np.prod(shape, dtype=int))
         return rows[:, first : first + size].reshape(len(rows), *shape)
+
+    def keep_fault(self, rows: Float64Array) -> None:
+        """Keep the ticks up to a fault that the last row has, and drop them where it has none any more."""
+        if not len(rows) or self.column(rows, "safe.fault")[-1] < 0.5:
+            self._stopped = None
+        elif self._stopped is None:
+            self._stopped = self.rows(KEPT)
+
+    @property
+    def last_rows(self) -> Float64Array:
+        """The last ticks (1000, row_size), those up to a fault where there is one."""
+        return self.rows(KEPT) if self._stopped is None else self._stopped
 
     def fault(self) -> Fault | None:
         """What the ticks have latched, or None."""
@@ -66,23 +89,22 @@ class Acting:
             who, units = f"joint '{joint}'", (arm.units[i], "N" if arm.units[i] == "m" else "N m")
         return fault_of(code, tick, who=who, value=value, units=units, joint=joint)
 
-    def run(self, name: str, arm: Arm, fault: Fault | None) -> Run:
-        """The rows that are kept as the record of the robot of that name."""
-        rows = self.rows()
+    def run(self, name: str, arm: Arm, fault: Fault | None, rows: Float64Array | None = None) -> Run:
+        """The rows that are kept, or these, as the record of the robot of that name."""
+        rows = self.rows() if rows is None else rows
         side, columns = self.made.safe.side, {path: self.column(rows, path).copy() for path in self.columns}
         t, q = columns["t"], columns["q"]
-        slopes = np.gradient(q, side.dt, axis=0) if len(t) > 1 else np.zeros_like(q)
-        apart = ("ref.", "terms.", "signal.")
+        apart = ("reference.", "terms.")
         limited = int((np.abs(columns["safe.limited"]).max(axis=1) > LIMITED).sum())
         message = f"{len(t)} ticks, {int(columns['loop.lost'].sum())} periods missed, {limited} ticks limited"
         return Run(
             t=t,
             q=q,
-            v=columns.get("v", slopes),
+            v=columns["v"],
             tau=columns.get("tau_meas", columns["command"]),
             command=columns["command"],
             terms=subtree(columns, "terms"),
-            reference=side.law.reference.of(subtree(columns, "ref")),
+            reference=side.law.reference.of(subtree(columns, "reference")),
             outcome=Outcome(
                 kind="completed" if fault is None else "stopped",
                 message=message if fault is None else f"{fault}; {message}",

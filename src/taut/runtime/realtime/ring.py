@@ -66,5 +66,5 @@ class Ring:
 
     def close(self) -> None:
         """Leave the memory; who created the ring removes it."""
-        self.header, self.rows = self.header.copy(), self.rows[:0].copy()
+        self.header, self.rows = np.zeros(WORDS, dtype=np.int64), self.rows[:0].copy()
         self._shared.close()
