@@ -3,6 +3,7 @@
 # make bars   the long counts;  make bench  figures against Pinocchio and MuJoCo;  make docs  the site
 # make firmware   exported C: time here, instructions on a Cortex-M7 in QEMU
 # make scorecard   the rows of docs/reliability.md and how many hold
+# make soak   a robot's loop for a minute beside a busy program
 # make fuzz   10,000 mutants of every kind of file that is read: N=100 takes fewer
 
 PYTHON ?= python3
@@ -10,7 +11,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: demo test bars fuzz scorecard bench firmware docs clean
+.PHONY: demo test bars fuzz scorecard soak bench firmware docs clean
 
 demo: $(VENV)/demo.stamp
 	$(BIN)/taut run panda_payload --out out/demo
@@ -33,6 +34,9 @@ scorecard: $(VENV)/test.stamp
 
 bench: $(VENV)/test.stamp
 	cd benchmarks && ../$(BIN)/python run.py
+
+soak: $(VENV)/test.stamp
+	cd benchmarks && ../$(BIN)/python soak.py
 
 firmware: $(VENV)/test.stamp
 	cd benchmarks && ../$(BIN)/python c_export.py

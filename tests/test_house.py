@@ -45,6 +45,7 @@ DOORS = [
     "guards",
     "laws",
     "math",
+    "robots",
     "sensors",
     "textbook",
     "trajectories",

@@ -19,7 +19,7 @@ NAMES: Final = ("loop", "watch", "plant_read", "plant_write")
 FUNCTIONS: Final = ("kernel", "start")  # of a set
 PLANT_FUNCTIONS: Final = ("step", "substep", "measure")
 PARTNER, UNWATCHED = 62, 63  # codes of `control.faults` that the loop finds itself
-LOOK: Final = 4_000_000  # [ns] between two looks of the watchdog
+WATCH_EVERY: Final = 4_000_000  # [ns] between two looks of the watchdog
 UNSEEN: Final = 500_000_000  # [ns] without a look after which the loop stops: nobody would stop it if it hung
 
 
@@ -53,7 +53,7 @@ LOOP: Final = numbered(
     "status", "set", "next", "read", "write", "user", "measured", "period", "host_paced", "deadline", "last",
     "recovered",
     "group",  # a word that robots share which stop together: when [ns] one of them stopped
-    "told",  # the value of that word which is known
+    "known",  # the value of that word that was seen
 )  # fmt: skip
 SET: Final = numbered(
     "kernel", "start", "inputs", "parameters", "memory", "new", "outputs",  # functions and blocks
@@ -294,11 +294,11 @@ def _tick() -> str:
     # Another robot of the group stopped, or the watchdog does not look: only where commands go out.
     control = w.test("ne", w.acquire(status, STATUS["control"]), 0)
     group = w.load("%loop", LOOP["group"], "ptr")
-    stopped, told = w.acquire(group, 0), w.load("%loop", LOOP["told"])
-    w.store("%loop", LOOP["told"], w.choose(control, told, stopped))
+    stopped, known = w.acquire(group, 0), w.load("%loop", LOOP["known"])
+    w.store("%loop", LOOP["known"], w.choose(control, known, stopped))
     alone = w.test("sgt", w.put(f"sub i64 %now, {w.acquire(status, STATUS['watched'])}"), UNSEEN)
     alone = w.both(alone, w.test("ne", w.acquire(status, STATUS["armed"]), 0))
-    outside = w.choose(w.both(control, w.test("ne", stopped, told)), str(PARTNER), "0")
+    outside = w.choose(w.both(control, w.test("ne", stopped, known)), str(PARTNER), "0")
     outside = w.choose(alone, str(UNWATCHED), outside)
     signals = [
         valid,
@@ -417,11 +417,11 @@ def _loop() -> str:
     before = w.load(status, STATUS["latched"])
     w.release(status, STATUS["latched"], code)
     stops = w.both(w.test("eq", before, 0), w.both(w.test("ne", code, 0), w.test("ne", code, PARTNER)))
-    w.branch(w.both(stops, w.test("ne", w.acquire(status, STATUS["control"]), 0)), "tell", "told")
+    w.branch(w.both(stops, w.test("ne", w.acquire(status, STATUS["control"]), 0)), "tell", "going")
     w.line("tell:")
     w.release(w.load("%loop", LOOP["group"], "ptr"), 0, over)
-    w.store("%loop", LOOP["told"], over)
-    w.line(" br label %told", "told:")
+    w.store("%loop", LOOP["known"], over)
+    w.line(" br label %going", "going:")
     w.branch(w.test("ne", w.acquire(status, STATUS["quit"]), 0), "end", "again")
     w.line("end:", " ret i64 0", "unread:", " ret i64 1", "unwritten:", " ret i64 2")
     return w.function("i64 @loop(ptr %loop) nounwind")
@@ -432,7 +432,7 @@ def _watch() -> str:
     w = WordCode()
     w.line("entry:", " br label %again", "again:")
     w.release("%status", STATUS["watched"], w.put("call i64 @now()"))
-    w.line(f" call void @wait(i64 {w.add(w.put('call i64 @now()'), LOOK)})")
+    w.line(f" call void @wait(i64 {w.add(w.put('call i64 @now()'), WATCH_EVERY)})")
     parent = w.put(f"sext i32 {w.put('call i32 @getppid()')} to i64")
     over = w.put(f"or i1 {w.test('ne', w.acquire('%status', STATUS['dead']), 0)}, {w.test('ne', parent, '%pid')}")
     w.branch(over, "end", "look")

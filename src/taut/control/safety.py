@@ -35,7 +35,7 @@ PLAUSIBLE: Final = 1e6  # [any unit] a measurement beyond is as good as none
 SUDDEN: Final = 10.0  # [-] times the deceleration: change of a speed beyond is none from which a stop begins
 FOLLOWS: Final = 1.1  # [-] of the speed limit, which commands of speed and position keep, that a joint may reach
 OUTWARD: Final = 5e-3  # [rad/s | m/s] slower is at rest: an arm beyond a limit may be moved back
-NEVER: Final = 1e9  # [s] time-out of a reference that does not go stale
+NO_TIME_OUT: Final = 1e9  # [s] time-out of a reference that does not go stale
 SIGNALS: Final = (
     "valid",
     "age",

@@ -193,7 +193,7 @@ class VirtualRobot:
         """What the loop's process does between two ticks."""
         self.status[STATUS["control"]] = 0
         self.status[STATUS["recover"]] += 1
-        self.words[LOOP["told"]] = self.group[0]
+        self.words[LOOP["known"]] = self.group[0]
 
     def row(self, path: str, tick: int = -1) -> Any:
         """A number of a tick of the law that acts."""

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from taut.runtime.realtime.feeding import References
 
 CAPACITY: Final = 8192  # rows of the flight recorder
-KEPT: Final = 1000  # rows with a fault
-MARGIN: Final = 64  # rows that may be overwritten while others are read
+LAST_TICKS: Final = 1000  # rows with a fault
+RING_MARGIN: Final = 64  # rows that may be overwritten while others are read
 LIMITED: Final = 1e-9  # [N m | ...] smaller is rounding
 NOT_EXTRA: Final = ("t", "q", "v", "command")
 
@@ -49,7 +49,7 @@ class Acting:
     def rows(self, count: int = CAPACITY) -> Float64Array:
         """Copies of the last rows (k, row_size)."""
         head = int(self.ring.header[HEAD])
-        return self.ring.read(max(0, head - min(count, CAPACITY - MARGIN)), CAPACITY)[0]
+        return self.ring.read(max(0, head - min(count, CAPACITY - RING_MARGIN)), CAPACITY)[0]
 
     def column(self, rows: Float64Array, path: str) -> Float64Array:
         """One column (k, ...) of rows."""
@@ -62,12 +62,12 @@ class Acting:
         if not len(rows) or self.column(rows, "safe.fault")[-1] < 0.5:
             self._stopped = None
         elif self._stopped is None:
-            self._stopped = self.rows(KEPT)
+            self._stopped = self.rows(LAST_TICKS)
 
     @property
     def last_rows(self) -> Float64Array:
         """The last ticks (1000, row_size), those up to a fault where there is one."""
-        return self.rows(KEPT) if self._stopped is None else self._stopped
+        return self.rows(LAST_TICKS) if self._stopped is None else self._stopped
 
     def fault(self) -> Fault | None:
         """What the ticks have latched, or None."""

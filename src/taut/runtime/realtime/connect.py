@@ -109,7 +109,7 @@ def connect(
 
 
 def _model(plant: ModelPlant, q0: ArrayLike | None, rate: float) -> dict[str, Any]:
-    """What the loop's process is told of a model plant at rest at q0."""
+    """What the loop's process gets of a model plant at rest at q0."""
     n, rate = plant.arm.n, rate_in_hertz(rate)
     joints = plant.arm.joint_names
     q = plant.arm.home if q0 is None else finite_array("q0", q0, shape=(n,), joints=joints)
@@ -118,8 +118,8 @@ def _model(plant: ModelPlant, q0: ArrayLike | None, rate: float) -> dict[str, An
         name=plant.name, n=n, rate=rate, takes=plant.takes,  # type: ignore[arg-type]
         measures=tuple(name for name in made.measured if name != "q"), adds=Adds.of(plant.adds).names,
     )  # fmt: skip
-    told = {name: getattr(made, name) for name in ("code", "layout", "parameters", "memory", "input_size")}
-    return {"plant": told, "info": dataclasses.asdict(info), "measured": made.measured}
+    compiled = {name: getattr(made, name) for name in ("code", "layout", "parameters", "memory", "input_size")}
+    return {"plant": compiled, "info": dataclasses.asdict(info), "measured": made.measured}
 
 
 def _holder(info: RobotInfo, arm: Arm, limits: SafetyLimits) -> Controller:

@@ -34,8 +34,8 @@ from taut.runtime.realtime.sets import MADE_ROWS, NO_ROWS, Table
 
 STARTS_NEAR: Final = 0.1  # [rad | m] between the arm and the first sample of a joint motion
 MAX_TICKS: Final = 1_200_000  # of a reference that is made beforehand
-LOOK: Final = 0.002  # [s] between two looks at whether a phase has begun
-REST: Final = 0.05  # [s] between two looks where nothing is fed
+FEED_EVERY: Final = 0.002  # [s] between two looks at whether a phase has begun
+IDLE_EVERY: Final = 0.05  # [s] between two looks where nothing is fed
 STALE: Final = (2.0, 3.0)  # [periods] of a stream: then it holds, then it stops
 SERVO_PERIOD: Final = 0.02  # [s] streams of this period, or a shorter one, stop after
 SERVO_STOP: Final = 0.05  # [s], if that is more
@@ -175,7 +175,7 @@ class Feeder(threading.Thread):
             self.join(1.0)
 
     def run(self) -> None:
-        while not self._ended.wait(LOOK if self._feeds and self.error is None else REST):
+        while not self._ended.wait(FEED_EVERY if self._feeds and self.error is None else IDLE_EVERY):
             self.step()
 
     def step(self) -> None:

@@ -20,7 +20,7 @@ from taut.codegen.servo_loop import STATUS, STATUS_WORDS
 from taut.runtime.realtime.shared import Shared
 from taut.runtime.robots.driver import DriverError, RobotDriver, RobotInfo
 
-PATIENCE: Final = 30.0  # [s] for the answer of the loop's process, which may be connecting to a robot
+ANSWER_TIME: Final = 30.0  # [s] for the answer of the loop's process, which may be connecting to a robot
 CLOSING: Final = 5.0  # [s] for its end, with a controlled stop before it
 ONE_THREAD: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 SCHEMES: Final[Mapping[str, tuple[str, str]]] = {
@@ -29,10 +29,6 @@ SCHEMES: Final[Mapping[str, tuple[str, str]]] = {
     "ur": ("taut.runtime.robots.ur", "UrDriver"),
     "can": ("taut.runtime.robots.can", "CanDriver"),
 }
-
-
-class LinkLostError(DriverError):
-    """The loop's process is gone."""
 
 
 class Link:
@@ -95,10 +91,10 @@ class Link:
         try:
             self._mail.send(message)
         except (OSError, ValueError) as cause:
-            raise LinkLostError("the loop's process is gone; connect again", kind="process_died") from cause
+            raise DriverError("the loop's process is gone; connect again", kind="process_died") from cause
 
     def _answer(self, kind: str) -> tuple[Any, ...]:
-        until = time.monotonic() + PATIENCE
+        until = time.monotonic() + ANSWER_TIME
         while time.monotonic() < until:
             if self._mail.poll(0.05):
                 try:
@@ -113,8 +109,8 @@ class Link:
             elif not self.alive:
                 break
         else:
-            raise DriverError(f"the loop's process did not answer within {PATIENCE:g} s", kind="driver")
-        raise LinkLostError("the loop's process died; connect again", kind="process_died")
+            raise DriverError(f"the loop's process did not answer within {ANSWER_TIME:g} s", kind="driver")
+        raise DriverError("the loop's process died; connect again", kind="process_died")
 
     def hear(self) -> None:
         """Take what nobody asked for: a fault."""

@@ -39,9 +39,10 @@ from taut.runtime.robots.driver import DriverError, NativeCalls, RobotDriver, Ro
 WATCHDOG: Final = 0.08  # [s] without a tick after which the process is ended; acts within 0.1
 PRIORITY: Final = 80  # of SCHED_FIFO
 WARM_UP: Final = 200  # ticks of a set before it may act
-SHARE: Final = 0.5  # of a period that a tick may take
-REST: Final = 2.0  # [s] for the controlled stop where nobody waits for it
-STILL: Final = 0.01  # [rad/s | m/s]
+MAX_SHARE: Final = 0.5  # of a period that a tick may take
+STOP_TIME: Final = 2.0  # [s] for the controlled stop where nobody waits for it
+PAGE: Final = 512  # [doubles]
+STANDING: Final = 0.01  # [rad/s | m/s]
 PARENT: Final = 0.1  # [s] between two looks at whether the parent is there
 CALLBACK: Final = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p, ctypes.c_void_p)
 KERNEL: Final = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 5)
@@ -131,6 +132,7 @@ class LoadedSet:
         self.number: int = given["number"]
         sizes = given["layout"]
         self.ring, self.controls = Ring.attach(given["ring"]), Shared.attach(given["controls"])
+        self.ring.rows.reshape(-1)[::PAGE] = 0.0  # its first write to a page would delay a tick
         blocks = {name: np.zeros(max(1, sizes[f"{name.removesuffix('s')}_size"]))
                   for name in ("inputs", "memory", "outputs")}  # fmt: skip
         blocks["parameters"], blocks["new"] = given["parameters"].copy(), blocks["memory"].copy()
@@ -162,7 +164,7 @@ class LoadedSet:
             kernel(*arguments)
             times.append(time.perf_counter() - began)
         taken = sorted(times)[WARM_UP // 2]
-        if taken > SHARE * period:
+        if taken > MAX_SHARE * period:
             raise DriverError(
                 f"a tick takes {1e6 * taken:.0f} us here, more than half of the period of {1e6 * period:.0f} us; "
                 "take a lower rate, or a smaller law",
@@ -270,14 +272,14 @@ class Process:
     def _leave(self) -> None:
         """The controlled stop, and then the end, also where the driver does not come to one."""
         self._words[STATUS["hold"]] = 1
-        until, v = time.monotonic() + REST, self._measured.views.get("v")
+        until, v = time.monotonic() + STOP_TIME, self._measured.views.get("v")
         while self._words[STATUS["control"]] and time.monotonic() < until:
             time.sleep(10 * self._period)
-            if v is not None and np.abs(v).max() < STILL:
+            if v is not None and np.abs(v).max() < STANDING:
                 break
         self._jobs.put(("close", None))
         self._words[STATUS["quit"]] = 1
-        time.sleep(REST)
+        time.sleep(STOP_TIME)
         os._exit(1)
 
     def _install(self, made: LoadedSet) -> None:

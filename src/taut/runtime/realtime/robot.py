@@ -38,7 +38,7 @@ from taut.runtime.robots.driver import DriverError, RobotInfo
 BLEND: Final = 0.2  # [s] in which another law, or new parameters, come in
 THERE: Final = 2e-3  # [rad | m] from the goal of move_to
 SETTLE: Final = 3.0  # [s] for a controlled stop, and for the last part of move_to
-AT_REST: Final = 0.01  # [rad/s | m/s]
+STANDING: Final = 0.01  # [rad/s | m/s]
 LOOK: Final = 0.02  # [s] between two looks at what is latched
 SAME_LOAD: Final = 0.05  # [kg]
 LATER: Final = 3  # ticks after which a request has surely been seen
@@ -310,7 +310,7 @@ class Robot:
         fault = self.fault
         if fault is not None:
             acting = self.acting
-            raise RobotError(fault, acting.run(self.info.name, self.arm, fault, acting.last_rows))
+            raise RobotError.of(fault, acting.run(self.info.name, self.arm, fault, acting.last_rows))
         if self._feeder is not None and self._feeder.error is not None:
             raise self._feeder.error
 
@@ -422,7 +422,7 @@ class Robot:
         until = time.monotonic() + SETTLE
         while self.link.word("control") and self.link.failure is None and self.link.alive:
             self.link.set_word("hold", 1)
-            if np.abs(self._last("v", LATER)).max() < AT_REST or time.monotonic() > until:
+            if np.abs(self._last("v", LATER)).max() < STANDING or time.monotonic() > until:
                 return
             time.sleep(LOOK)
 

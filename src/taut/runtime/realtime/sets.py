@@ -18,7 +18,7 @@ from taut.codegen.engine import Flat, verified
 from taut.codegen.llvm import declarations, kernel
 from taut.codegen.program import Block, Values, trace
 from taut.codegen.servo_loop import CONTROLS, FUNCTIONS, PLANT_FUNCTIONS, ROW_HEAD, TABLE
-from taut.control.safety import NEVER, SIGNALS, SafeSide, safe_shapes
+from taut.control.safety import NO_TIME_OUT, SIGNALS, SafeSide, safe_shapes
 from taut.loop import ModelPlant
 from taut.plant.environments.environment import of_plant
 from taut.runtime.realtime.shared import Shared
@@ -124,7 +124,7 @@ class ServoSet:
         }
 
     def message(self, acting: Acting, *, begins: bool) -> dict[str, Any]:
-        """What the loop's process is told of it."""
+        """What the loop's process gets of it."""
         return {
             "code": self.code,
             "layout": self.layout(),
@@ -179,7 +179,7 @@ class Controls:
         self.values = self.numbers[self.parameters_at : self.tables_at]
         self.values[:] = made.packed(parameters)
         self.views = made.parameters.views(self.values)
-        self.time_out(NEVER, NEVER)
+        self.time_out(NO_TIME_OUT, NO_TIME_OUT)
         self.numbers[CONTROLS["over"]] = made.safe.side.dt
         first = 0
         for k, table in enumerate(tables):

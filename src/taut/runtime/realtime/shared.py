@@ -19,7 +19,8 @@ class Shared:
 
     def __init__(self, name: str, handle: int, keep: int | None = None) -> None:
         self.name, self._keep = name, keep
-        self.view = memoryview(mmap.mmap(handle, 0)).cast("q")  # a number costs a third of one from an array
+        mapped = mmap.mmap(handle, 0, mmap.MAP_SHARED | mmap.MAP_POPULATE)
+        self.view = memoryview(mapped).cast("q")  # a number costs a third of one from an array
         self.words: Words = np.frombuffer(self.view, dtype=np.int64)
         self.numbers: Float64Array = self.words.view(np.float64)
 

@@ -24,19 +24,22 @@ PARTS: Final = {
     "driver": "the driver, with its waiting",
 }
 PERCENTILES: Final = (50.0, 99.0, 99.9, 100.0)
-HEIGHT: Final = 2.2  # [in] of a histogram
+HISTOGRAM_HEIGHT: Final = 2.2  # [in] of a histogram
 BINS: Final = 80
 
 
 class RobotError(TautError, RuntimeError):
     """A robot's loop has latched a fault, `.fault`; `.run` is the record of the last 1000 ticks up to it."""
 
-    def __init__(self, fault: Fault, run: Run) -> None:
-        super().__init__(str(fault), name=fault.name, joint=fault.joint, value=fault.value)
-        self.fault, self.run = fault, run
+    fault: Fault
+    run: Run
 
-    def __reduce__(self) -> tuple[type[RobotError], tuple[Fault, Run]]:
-        return type(self), (self.fault, self.run)
+    @classmethod
+    def of(cls, fault: Fault, run: Run) -> RobotError:
+        """The error of a fault."""
+        error = cls(str(fault), name=fault.name, joint=fault.joint, value=fault.value)
+        error.fault, error.run = fault, run
+        return error
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -93,7 +96,7 @@ class Timing(Result):
         """Histograms of lateness, of computing and of the driver's time, on logarithmic axes."""
         from matplotlib.figure import Figure
 
-        figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
+        figure = Figure(figsize=(WIDTH, HISTOGRAM_HEIGHT), layout="constrained")
         for i, (ax, (name, words)) in enumerate(zip(figure.subplots(1, len(PARTS)), PARTS.items(), strict=True)):
             times = 1e6 * np.maximum(getattr(self, name), 1e-8)
             prepared(ax, title=words, xlabel="[us]", ylabel="ticks" if i == 0 else "")

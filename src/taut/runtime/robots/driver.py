@@ -21,10 +21,20 @@ class DriverError(TautError, RuntimeError):
         message: One sentence: what the robot reported and how to go on.
         kind: `disconnected`, `silent`, `robot_error` (the robot stopped itself), `rejected` (a command that it did
             not take) or `busy` (another client has it).
+        name, joint, value, rule: As of every TautError; the name is the kind unless given.
     """
 
-    def __init__(self, message: str, *, kind: str = "robot_error") -> None:
-        super().__init__(message, name=kind)
+    def __init__(
+        self,
+        message: str,
+        *,
+        kind: str = "robot_error",
+        name: str | None = None,
+        joint: str | None = None,
+        value: object = None,
+        rule: str | None = None,
+    ) -> None:
+        super().__init__(message, name=name or kind, joint=joint, value=value, rule=rule)
         self.kind = kind
 
 
