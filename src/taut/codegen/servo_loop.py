@@ -115,6 +115,9 @@ class WordCode(Writer):
     def test(self, how: str, a: str, b: str | int) -> str:
         return self.put(f"icmp {how} i64 {a}, {b}")
 
+    def even(self, whole: str) -> str:
+        return self.test("eq", self.put(f"and i64 {whole}, 1"), 0)
+
     def both(self, a: str, b: str) -> str:
         return self.put(f"and i1 {a}, {b}")
 
@@ -213,11 +216,7 @@ def _tick() -> str:
     # Parameters, under a sequence lock: what is being written is taken in the next tick.
     size = w.load("%set", SET["parameter_size"])
     sequence = w.acquire(controls, CONTROLS["parameters"])
-    differs, whole = (
-        w.test("ne", sequence, w.load("%set", SET["seen"])),
-        w.test("eq", w.put(f"and i64 {sequence}, 1"), 0),
-    )
-    w.branch(w.both(differs, whole), "take", "parameters")
+    w.branch(w.both(w.test("ne", sequence, w.load("%set", SET["seen"])), w.even(sequence)), "take", "parameters")
     w.line("take:")
     w.copy_blocks(w.load("%set", SET["new_parameters"], "ptr"), scratch, size)
     w.line(" fence acquire")
@@ -238,10 +237,8 @@ def _tick() -> str:
     since = w.put(f"load double, ptr {w.doubles(memory, w.load('%set', SET['ticks_at']))}")
     phase, ticks = w.put(f"fptosi double {number} to i64"), w.put(f"fptosi double {since} to i64")
     w.line(" br label %lookup", "lookup:")
-    w.line(
-        f" %phase = phi i64 [0, %parameters], [{phase}, %of_task]",
-        f" %ticks = phi i64 [{count}, %parameters], [{ticks}, %of_task]",
-    )
+    w.line(f" %phase = phi i64 [0, %parameters], [{phase}, %of_task]")
+    w.line(f" %ticks = phi i64 [{count}, %parameters], [{ticks}, %of_task]")
     w.branch(w.test("ult", "%phase", tables), "entries", "none")
     w.line("none:")
     w.store("%set", SET["valid"], "0")
@@ -258,8 +255,7 @@ def _tick() -> str:
     w.line(" br label %known", "known:")
     lock = w.acquire(entry, TABLE["lock"])
     version = w.load(entry, TABLE["version"])
-    whole = w.test("eq", w.put(f"and i64 {lock}, 1"), 0)
-    w.branch(w.both(whole, w.test("ne", version, w.load(entry, TABLE["voided"]))), "row", "old")
+    w.branch(w.both(w.even(lock), w.test("ne", version, w.load(entry, TABLE["voided"]))), "row", "old")
     w.line("row:")
     arrived, received = w.load(entry, TABLE["arrived"]), w.load(entry, TABLE["received"])
     came = w.choose(w.test("sge", arrived, 0), arrived, "%ticks")
@@ -300,20 +296,11 @@ def _tick() -> str:
     alone = w.both(alone, w.test("ne", w.acquire(status, STATUS["armed"]), 0))
     outside = w.choose(w.both(control, w.test("ne", stopped, known)), str(PARTNER), "0")
     outside = w.choose(alone, str(UNWATCHED), outside)
+    holds = w.truth(w.test("ne", w.acquire(status, STATUS["hold"]), 0))
     signals = [
-        valid,
-        "%age",
-        given["hold_after"],
-        given["stop_after"],
-        w.truth(w.test("ne", w.acquire(status, STATUS["hold"]), 0)),
-        w.truth(recovers),
-        w.truth(begins),
-        given["over"],
-        "%changed",
-        w.number(outside),
-        w.number("%lost"),
-        w.truth(control),
-    ]
+        valid, "%age", given["hold_after"], given["stop_after"], holds, w.truth(recovers), w.truth(begins),
+        given["over"], "%changed", w.number(outside), w.number("%lost"), w.truth(control),
+    ]  # fmt: skip
     at = w.load("%set", SET["signals_at"])
     for i, value in enumerate(signals):
         w.set_double(inputs, w.add(at, i), value)

@@ -37,19 +37,9 @@ FOLLOWS: Final = 1.1  # [-] of the speed limit, which commands of speed and posi
 OUTWARD: Final = 5e-3  # [rad/s | m/s] slower is at rest: an arm beyond a limit may be moved back
 NO_TIME_OUT: Final = 1e9  # [s] time-out of a reference that does not go stale
 SIGNALS: Final = (
-    "valid",
-    "age",
-    "hold_after",
-    "stop_after",
-    "hold",
-    "recover",
-    "begin",
-    "over",
-    "changed",
-    "fault",
-    "lost",
+    "valid", "age", "hold_after", "stop_after", "hold", "recover", "begin", "over", "changed", "fault", "lost",
     "control",
-)
+)  # fmt: skip
 """Numbers that the loop gives to each tick.
 
 valid: 1 where there is a sample; age [s] of a stream's sample; hold_after, stop_after [s] its time-outs; hold,
@@ -74,7 +64,7 @@ class SafetyLimits(Declared):
         soft: Zone before these in which the speed towards them is damped to 10/s times the distance [rad | m].
         deceleration: Of the controlled stop [rad/s^2 | m/s^2].
         tool_speed: Largest speed of the tool [m/s].
-        tool_force: Largest force of the environment at the tool [N]; of a measured or observed F_ext.
+        tool_force: Largest force of the environment at the tool [N], of a measured F_ext.
         contact: Largest external torque of each joint [N m | N]; of an observer, `taut.Sensing(observer=...)`.
         power: Largest mechanical power of all drives together [W].
         box: Workspace of the tool's origin in the world: (2, 3) lower and upper corner [m].
@@ -113,13 +103,10 @@ class SafetyLimits(Declared):
         Further limits by name stand in their places.
         """
         instance_of("arm", arm, Arm, "an Arm from taut.load_arm")
-        finite = np.isfinite(arm.velocity)
+        v, room = (np.where(np.isfinite(x), x, 1.0) for x in (arm.velocity, 0.25 * (arm.upper - arm.lower)))
         own: dict[str, Any] = {"tau": arm.effort, "tau_dot": RATE_PER_EFFORT * arm.effort, "v": arm.velocity}
-        own |= {"lower": arm.lower, "upper": arm.upper}
-        own["deceleration"] = np.where(finite, BRAKE_PER_SPEED * np.where(finite, arm.velocity, 1.0), BRAKE_PER_SPEED)
-        room = 0.25 * (arm.upper - arm.lower)
-        own["soft"] = np.minimum(0.1, np.where(np.isfinite(room), room, 0.1))
-        return cls(**{**own, **limits})
+        own |= {"lower": arm.lower, "upper": arm.upper, "soft": np.minimum(0.1, room)}
+        return cls(**{**own, "deceleration": BRAKE_PER_SPEED * v, **limits})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -128,8 +115,19 @@ class Finding:
 
     code: Any
     holds: Any  # whether it is violated
-    index: Any  # of the joint, or of the measurement
+    index: Any  # of the joint, or of the measurement; -1 where it is of none
     value: Any
+
+    @classmethod
+    def of(cls, name: str, conditions: Any, values: Any) -> Finding:
+        """The first of several conditions that holds, with its index and value."""
+        holds: Any = np.bool_(False)
+        index: Any = -1.0
+        value: Any = 0.0
+        for i in reversed(range(len(conditions))):
+            holds = holds | conditions[i]
+            index, value = tm.where(conditions[i], float(i), index), tm.where(conditions[i], values[i], value)
+        return cls(code=CODES[name], holds=holds, index=index, value=value)
 
     def only(self, where: Any) -> Finding:
         """The same, found nowhere else."""
@@ -304,9 +302,7 @@ class SafeSide:
 
     def _resting(self, x: Snapshot) -> Any:
         """(n,) command that keeps the arm where it is: gravity torque, zero speed, or the position."""
-        return {"torque": lambda: tm.array(x.g), "velocity": lambda: tm.zeros(x.n)}.get(
-            self.side.probe.kind, lambda: tm.array(x.q)
-        )()
+        return tm.array(x.g) if self._torques else x.q if self.side.probe.kind == "position" else tm.zeros(x.n)
 
     def _seen(self, inputs: Mapping[str, Any], safe: Mapping[str, Any], signal: Mapping[str, Any], dt: Any) -> Seen:
         """Measurements that can be used, and what was wrong with them.
@@ -316,45 +312,36 @@ class SafeSide:
         measured last; where position and velocity contradict each other, with the speed by position, as far as it is
         not above the measured one, so that no fault makes a joint faster.
         """
-        out: dict[str, Any] = {}
-        wrong: dict[str, list[Any]] = {}
+        out, bad = dict[str, Any](), dict[str, Any]()
         for name, shape in self.measured.items():
             fine = tm.abs(inputs[name]) <= PLAUSIBLE
-            out[name], wrong[name] = tm.where(fine, inputs[name], np.zeros(shape)), [~x for x in fine]
-        every = [bad for conditions in wrong.values() for bad in conditions]
-        holds, index, value = _among(every, [x for name in wrong for x in inputs[name]])
-        value = tm.where(tm.abs(value) <= LARGEST, value, LARGEST)  # a latched value is finite
-        findings = [Finding(code=CODES["sensor_not_finite"], holds=holds, index=index, value=value)]
-        recovers = signal["recover"] > 0.5
+            out[name], bad[name] = tm.where(fine, inputs[name], np.zeros(shape)), ~fine
+        values = [tm.where(tm.abs(x) <= LARGEST, x, LARGEST) for name in bad for x in inputs[name]]
+        findings = [Finding.of("sensor_not_finite", [x for name in bad for x in bad[name]], values)]
+        recovers, ran = signal["recover"] > 0.5, safe["mode"] > 0.5
         known = (safe["started"] > 0.5) & ~recovers
-        lost = [(blind > 0.5) & ~recovers for blind in safe["blind"]]
-        broken = [a | b for a, b in zip(wrong["q"], wrong.get("v", wrong["q"]), strict=True)]
         moved, periods = self.side.arm.difference(out["q"], safe["q"]), dt * (1.0 + signal["lost"])
+        by_position = moved / periods
         if "v" not in self.measures:
-            out["v"] = moved / periods
-        jumped: list[Any] = [np.bool_(False)] * len(lost)
+            out["v"] = by_position
+        speed = tm.abs(out["v"])
+        lost = ((safe["blind"] > 0.5) & ~recovers) | bad["q"] | bad.get("v", bad["q"])
+        residual, contrary = 0.0 * moved, np.zeros(self.side.arm.n) > 0.0
         if self._v_max is not None:
-            excess = tm.abs(moved) - JUMP[0] * self._v_max * periods - JUMP[1]
-            sound = [known & ~(a | b) for a, b in zip(lost, broken, strict=True)]
-            jumped = [(x > 0.0) & fine for x, fine in zip(excess, sound, strict=True)]
-            holds, index, value = _among(jumped, list(tm.abs(moved)))
-            findings.append(Finding(code=CODES["sensor_jump"], holds=holds, index=index, value=value))
-        lost = [a | b | c for a, b, c in zip(lost, broken, jumped, strict=True)]
-        residual, contrary = 0.0 * moved, np.zeros(len(lost)) > 0.0
+            jumped = (tm.abs(moved) > JUMP[0] * self._v_max * periods + JUMP[1]) & known & ~lost
+            findings.append(Finding.of("sensor_jump", jumped, tm.abs(moved)))
+            lost = lost | jumped
         if self._v_max is not None and "v" in self.measures:
             gain = tm.minimum(periods / CONSISTENCY_TIME, 1.0)
-            now = (1.0 - gain) * safe["residual"] + gain * (moved / periods - 0.5 * (out["v"] + safe["v"]))
-            residual = tm.array([tm.where(known & ~gone, r, 0.0) for r, gone in zip(now, lost, strict=True)])
-            contrary = tm.abs(residual) > CONSISTENCY[0] * self._v_max + CONSISTENCY[1] * tm.abs(out["v"])
-            holds, index, value = _among(list(contrary), list(tm.abs(residual)))
-            findings.append(Finding(code=CODES["sensor_inconsistent"], holds=holds, index=index, value=value))
-        gone = tm.array([tm.where(a | b, 1.0, 0.0) for a, b in zip(lost, contrary, strict=True)]) > 0.5
-        ran = safe["mode"] > 0.5
-        out["q"] = tm.where(gone, tm.where(ran, safe["q"], safe["q_stop"]), out["q"])
-        by_position = tm.clip(moved / periods, -tm.abs(out["v"]), tm.abs(out["v"]))
-        begun = tm.where(contrary, by_position, safe["v"])
-        out["v"] = tm.where(gone, tm.where(ran, begun, safe["v_stop"]), out["v"])
-        return Seen(measured=out, lost=gone, residual=residual, findings=findings)
+            residual = (1.0 - gain) * safe["residual"] + gain * (by_position - 0.5 * (out["v"] + safe["v"]))
+            residual = tm.where(known & ~lost, residual, 0.0)
+            contrary = tm.abs(residual) > CONSISTENCY[0] * self._v_max + CONSISTENCY[1] * speed
+            findings.append(Finding.of("sensor_inconsistent", contrary, tm.abs(residual)))
+        lost = lost | contrary
+        out["q"] = tm.where(lost, tm.where(ran, safe["q"], safe["q_stop"]), out["q"])
+        begun = tm.where(contrary, tm.clip(by_position, -speed, speed), safe["v"])
+        out["v"] = tm.where(lost, tm.where(ran, begun, safe["v_stop"]), out["v"])
+        return Seen(measured=out, lost=lost, residual=residual, findings=findings)
 
     @cached_property
     def _v_max(self) -> Float64Array | None:
@@ -365,28 +352,26 @@ class SafeSide:
 
     def _finite(self, tick: Tick, own: Mapping[str, Any]) -> tuple[Vector, Any, Finding]:
         """The law's command, or zero where it or its memory is not finite."""
-        conditions = [~(tm.abs(x) <= LARGEST) for x in tick.command]
-        wrong, index, _ = _among(conditions, list(tick.command))
+        fine = tm.abs(tick.command) <= LARGEST
+        found = Finding.of("law_not_finite", ~fine, [LARGEST] * len(fine))
         memory = [x for path in own for x in np.ravel(tm.array(tick.memory[path]))]
-        wild = reduce(lambda a, b: a | b, [~(tm.abs(x) <= LARGEST) for x in memory], wrong)
-        command = tm.where(tm.abs(tick.command) <= LARGEST, tick.command, 0.0)
-        return command, ~wild, Finding(code=CODES["law_not_finite"], holds=wild, index=index, value=LARGEST)
+        wild = reduce(lambda a, b: a | b, [~(tm.abs(x) <= LARGEST) for x in memory], found.holds)
+        return tm.where(fine, tick.command, 0.0), ~wild, replace(found, holds=wild)
 
     def _checks(self, x: Snapshot, safe: Mapping[str, Any], tick: Tick) -> list[Finding]:
         """Limits of motion and force. Each is checked where it is stated."""
         limits, out = self.limits, list[Finding]()
 
-        def of_joints(name: str, excess: Any, value: Any = None) -> None:
-            holds, index, found = _among([y > 0.0 for y in excess], list(excess if value is None else value))
-            out.append(Finding(code=CODES[name], holds=holds, index=index, value=found))
+        def of_joints(name: str, excess: Any) -> None:
+            out.append(Finding.of(name, excess > 0.0, excess))
 
         def single(name: str, excess: Any) -> None:
             out.append(Finding(code=CODES[name], holds=excess > 0.0, index=-1.0, value=excess))
 
         for limit, sign in self._ends:
             outward, room = sign * x.v, sign * (limit - x.q)
-            remaining = room - self._stopping_distance(outward)
-            of_joints("position", tm.where(outward > OUTWARD, -remaining, -1.0 + 0.0 * room), room)
+            hardly = (outward > OUTWARD) & (room < self._stopping_distance(outward))
+            out.append(Finding.of("position", hardly, room))
         if self._v_max is not None:
             of_joints("speed", tm.abs(x.v) - (1.0 if self._torques else FOLLOWS) * self._v_max)
         if limits.tool_speed is not None:
@@ -506,17 +491,6 @@ def safe_shapes(n: int) -> dict[str, tuple[int, ...]]:
     joints = ("q", "v", "tau", "law", "bump", "residual", "q_stop", "v_stop", "blind")
     numbers = ("phase", "mode", "fault", "index", "value", "started", "ease")
     return dict.fromkeys(joints, (n,)) | dict.fromkeys(numbers, ())
-
-
-def _among(conditions: list[Any], values: list[Any]) -> tuple[Any, Any, Any]:
-    """Whether one of them holds, the index of the first one, and its value."""
-    holds: Any = np.bool_(False)
-    index: Any = -1.0
-    value: Any = 0.0
-    for i in reversed(range(len(conditions))):
-        holds = holds | conditions[i]
-        index, value = tm.where(conditions[i], float(i), index), tm.where(conditions[i], values[i], value)
-    return holds, index, value
 
 
 def _first(found: list[Finding]) -> tuple[Any, Any, Any]:

@@ -396,7 +396,9 @@ class TestMisuse:
             with refused(taut.TautError):
                 calm.start(ctrl)  # type: ignore[arg-type]
         with refused(taut.errors.RangeError):
-            calm.start(compiled(calm), taut.trajectories.Quintic(q0=calm.q + 0.5, q1=calm.q, duration=1.0))
+            calm.start(
+                compiled(calm), taut.trajectories.Quintic(q0=calm.q + np.array([0.5, 0.0]), q1=calm.q, duration=1.0)
+            )
         with refused(taut.errors.RangeError):
             calm.move_to([90.0, 0.0])
         with refused(taut.errors.ShapeError):

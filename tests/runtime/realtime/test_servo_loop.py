@@ -228,7 +228,7 @@ def torn_reads(ticks: int) -> tuple[float, float, float]:
 def test_no_read_is_torn(share: Callable[[int], int], bar: Any) -> None:
     worst, seen, ticks = torn_reads(share(10_000_000) // (1 if share(10) == 10 else 5))
     assert worst == 0.0
-    assert seen > 100
+    assert seen > (100 if share(10) == 10 else 3)
     bar("samples and parameters that four threads write meanwhile: torn, of the loop's reads", f"0 of {int(ticks)}")
 
 

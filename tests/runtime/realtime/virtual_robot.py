@@ -12,14 +12,15 @@ from typing import Any
 import numpy as np
 
 import taut
-from taut.codegen.servo_loop import LOOP, SET, STATUS, STATUS_WORDS, servo_code, servo_module, struct_of
+from taut.codegen.program import Block
+from taut.codegen.servo_loop import LOOP, STATUS, STATUS_WORDS, servo_code, servo_module, struct_of
 from taut.control.safety import SafeSide
 from taut.maths.snapshot import snapshot
 from taut.runtime.realtime.acting import Acting
 from taut.runtime.realtime.feeding import References
-from taut.runtime.realtime.process import Calls, Float64Block, LoadedSet, PlantDriver
+from taut.runtime.realtime.process import Calls, LoadedSet, PlantDriver
 from taut.runtime.realtime.robot import HOLD
-from taut.runtime.realtime.sets import PlantSet, ServoSet
+from taut.runtime.realtime.sets import ServoSet, compiled_plant
 from taut.runtime.robots.driver import RobotDriver, RobotInfo
 
 CLOCK = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int, ctypes.c_void_p)
@@ -27,6 +28,15 @@ SLEEP = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int, ctypes.c_int, ctypes.c_void
 NUMBER = ctypes.CFUNCTYPE(ctypes.c_int)
 KILL = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_int, ctypes.c_int)
 READ = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p, ctypes.c_void_p)
+
+
+class Float64Block:
+    """Named arrays in one flat one."""
+
+    def __init__(self, shapes: Any) -> None:
+        block = Block.of(shapes)
+        self.flat = block.zeros()
+        self.views = block.views(self.flat)
 
 
 @dataclass(frozen=True)
@@ -93,12 +103,12 @@ class Setup:
         safe = SafeSide(side=self.ctrl.side, limits=self.limits, measures=self.measures)
         safe.check()
         self.made = ServoSet(safe)
-        self.started: dict[bytes, PlantSet] = {}
+        self.started: dict[bytes, Any] = {}
 
-    def plant_set(self, q: Any, v: Any) -> PlantSet:
+    def plant_set(self, q: Any, v: Any) -> Any:
         key = np.concatenate([q, v]).tobytes()
         if key not in self.started:
-            self.started[key] = PlantSet.of(self.plant, q, v, self.rate)
+            self.started[key] = compiled_plant(self.plant, q, v, self.rate)
         return self.started[key]
 
 
@@ -131,9 +141,8 @@ class VirtualRobot:
                 np.array(setup.arm.home if q0 is None else q0, float), np.zeros(n) if v0 is None else v0
             )
             info = RobotInfo(name="plant", n=n, rate=setup.rate, takes=setup.plant.takes, measures=setup.measures)
-            told = {name: getattr(made, name) for name in ("code", "layout", "parameters", "memory", "input_size")}
-            driver = PlantDriver(told, info)
-        self._true = Float64Block(made.measured if made is not None else setup.made.safe.measured)
+            driver = PlantDriver(made, info)
+        self._true = Float64Block(made["measured"] if made is not None else setup.made.safe.measured)
         self.calls = Calls(driver, self._true.views, self._command)
         self.driver = driver
         calls = (self.code["plant_read"], self.code["plant_write"]) if made else (self.calls.read, self.calls.write)
@@ -164,10 +173,8 @@ class VirtualRobot:
         """Give the loop another law."""
         setup = self.setup if setup is None else setup
         values = setup.ctrl.parameters if parameters is None else parameters
-        acting = Acting(setup.made, references, values, number=len(self._sets) + 1, sends=sends)
-        acting.controls.set({}, over)
+        acting = Acting(setup.made, references, values, number=len(self._sets) + 1, sends=sends, over=over)
         loaded = LoadedSet(setup.made.message(acting, begins=begins))
-        loaded.words[SET["seen"]] = acting.controls.words[0]
         self._sets.append((acting, loaded))
         word = "set" if self.words[LOOP["set"]] == 0 else "next"
         self.words[LOOP[word]] = loaded.address
@@ -239,14 +246,13 @@ class FlatOut:
 
     def __init__(self, of: Setup, references: References = HOLD) -> None:
         n = of.arm.n
-        self.acting = Acting(of.made, references, of.ctrl.parameters, number=1, sends=True)
+        self.acting = Acting(of.made, references, of.ctrl.parameters, number=1, sends=True, over=0.2)
         self.loaded = LoadedSet(of.made.message(self.acting, begins=True))
         made = of.plant_set(of.arm.home, np.zeros(n))
-        told = {name: getattr(made, name) for name in ("code", "layout", "parameters", "memory", "input_size")}
-        told["layout"] = {**told["layout"], "period": 10**15}
-        self._plant = PlantDriver(told, RobotInfo(name="plant", n=n, rate=of.rate, takes="torque"))
-        self._measured = Float64Block(made.measured)
-        assert list(made.measured) == list(of.made.safe.measured)
+        made = {**made, "layout": {**made["layout"], "period": 10**15}}
+        self._plant = PlantDriver(made, RobotInfo(name="plant", n=n, rate=of.rate, takes="torque"))
+        self._measured = Float64Block(made["measured"])
+        assert list(made["measured"]) == list(of.made.safe.measured)
         calls = Calls(self._plant, self._measured.views, np.zeros(n))
         self.status, self._group = np.zeros(STATUS_WORDS, np.int64), np.zeros(1, np.int64)
         self.status[STATUS["control"]] = 1

@@ -31,17 +31,11 @@ class Acting:
     """A law on a robot; `sends` is False of a shadow."""
 
     def __init__(
-        self,
-        made: ServoSet,
-        references: References,
-        parameters: Mapping[str, Float64Array],
-        *,
-        number: int,
-        sends: bool,
-    ) -> None:
+        self, made: ServoSet, references: References, parameters: Mapping[str, Float64Array], *, number: int,
+        sends: bool, over: float,
+    ) -> None:  # fmt: skip
         self.made, self.number, self.sends = made, number, sends
-        self.streams = tuple(references.streams.values())
-        self.controls = Controls(made, references.tables, parameters)
+        self.controls = Controls(made, references.tables, parameters, over)
         self.ring = Ring.create(CAPACITY, made.row_size)
         self.columns = made.columns()
         self._stopped: Float64Array | None = None  # the ticks up to a fault

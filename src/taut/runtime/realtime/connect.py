@@ -25,7 +25,7 @@ from taut.loop import ModelPlant
 from taut.maths.model import Adds
 from taut.runtime.realtime.link import Link, driver_of
 from taut.runtime.realtime.robot import Robot
-from taut.runtime.realtime.sets import PlantSet
+from taut.runtime.realtime.sets import compiled_plant
 from taut.runtime.robots.driver import RobotDriver, RobotInfo
 
 OBSERVER: Final = (50.0, 0.1)  # [1/s], and of the rate: bandwidth where a threshold of contact is stated
@@ -113,13 +113,12 @@ def _model(plant: ModelPlant, q0: ArrayLike | None, rate: float) -> dict[str, An
     n, rate = plant.arm.n, rate_in_hertz(rate)
     joints = plant.arm.joint_names
     q = plant.arm.home if q0 is None else finite_array("q0", q0, shape=(n,), joints=joints)
-    made = PlantSet.of(plant, q, np.zeros(n), rate)
+    made = compiled_plant(plant, q, np.zeros(n), rate)
     info = RobotInfo(
         name=plant.name, n=n, rate=rate, takes=plant.takes,  # type: ignore[arg-type]
-        measures=tuple(name for name in made.measured if name != "q"), adds=Adds.of(plant.adds).names,
+        measures=tuple(name for name in made["measured"] if name != "q"), adds=Adds.of(plant.adds).names,
     )  # fmt: skip
-    compiled = {name: getattr(made, name) for name in ("code", "layout", "parameters", "memory", "input_size")}
-    return {"plant": compiled, "info": dataclasses.asdict(info), "measured": made.measured}
+    return {"plant": made, "info": dataclasses.asdict(info), "measured": made["measured"]}
 
 
 def _holder(info: RobotInfo, arm: Arm, limits: SafetyLimits) -> Controller:

@@ -58,46 +58,47 @@ class References:
 
 def references_of(ctrl: Controller, ref: object, q: Float64Array, duration: float | None) -> References:
     """What a controller follows that starts at q. Raises UsageError, RangeError."""
-    side, task = ctrl.side, ctrl.side.task
+    side, task, numbers = ctrl.side, ctrl.side.task, dict(ctrl.parameters)
     if task is None:
         reference: Reference = Hold() if ref is None else as_reference(ref)
-        side.check_start(q, dict(ctrl.parameters), reference)
+        side.check_start(q, numbers, reference)
         if isinstance(reference, Stream) and reference.source is None:
-            _require_plain(reference)
-            return References(tables=[Table(rows=None, stream=True)], streams={0: reference})
+            return References(tables=[_of_stream(reference)], streams={0: reference})
         feed = ReferenceFeed(reference, side.law.reference, side.arm, side.dt, side.at_rest(q))
         if isinstance(reference, Stream):
-            return References(tables=[Table(rows=None, stream=True)], streams={0: reference}, feed=feed)
-        here = isinstance(reference, Hold) and reference.sample is None
-        rows = NO_ROWS if here else _rows(side, feed, duration, lambda: None)
+            return References(tables=[_of_stream(reference)], streams={0: reference}, feed=feed)
+        rows = NO_ROWS if _here(reference) else _rows(side, feed, duration, lambda: None)
         if isinstance(reference, Trajectory):
             _require_near(side, rows, q)
         return References(tables=[Table(rows=rows)])
     if ref is not None:
         raise UsageError("each phase of a task has its own reference; leave ref out", name="ref")
-    side.check_start(q, dict(ctrl.parameters))
-    tables, streams, numbers = list[Table](), dict[int, Stream](), dict(ctrl.parameters)
-    feeds = TaskFeed(side, task, lambda: numbers)
+    side.check_start(q, numbers)
+    tables, streams, feeds = list[Table](), dict[int, Stream](), TaskFeed(side, task, lambda: numbers)
     for i, (name, phase) in enumerate(task.phases.items()):
         given = phase.reference
-        if given is None or (isinstance(given, Hold) and given.sample is None):
+        if given is None or _here(given):
             tables.append(Table(rows=NO_ROWS))
         elif isinstance(given, Stream):
-            _require_plain(given)
             streams[i] = given
-            tables.append(Table(rows=None, stream=True))
+            tables.append(_of_stream(given))
         elif callable(given) and not isinstance(given, Trajectory):
             tables.append(Table(rows=None))
         else:
-            x = Snapshot(side.model, q=q, v=np.zeros(len(q)))
-            tables.append(Table(rows=_phase_rows(side, feeds, name, x)))
+            tables.append(Table(rows=_phase_rows(side, feeds, name, Snapshot(side.model, q=q, v=np.zeros(len(q))))))
     return References(tables=tables, streams=streams, feed=feeds)
 
 
-def _require_plain(stream: Stream) -> None:
-    """Samples that a program sends act as they are."""
+def _here(reference: object) -> bool:
+    """Whether it holds where the arm is."""
+    return isinstance(reference, Hold) and reference.sample is None
+
+
+def _of_stream(stream: Stream) -> Table:
+    """Its table. Samples that a program sends act as they are."""
     if stream.source is None and stream.blend is not None:
         raise UsageError("blend is for a stream with source=; leave it out", name="blend")
+    return Table(rows=None, stream=True)
 
 
 def _phase_rows(side: LawSide, feed: TaskFeed, name: str, x: Snapshot) -> Float64Array:
@@ -143,13 +144,10 @@ def _require_near(side: LawSide, rows: Float64Array, q: Float64Array) -> None:
     apart = np.abs(short_way(rows[0, :n] - q, side.arm.continuous))
     i = int(np.argmax(apart))
     if apart[i] > STARTS_NEAR:
-        raise RangeError(
-            f"the reference begins {apart[i]:.3g} {side.arm.units[i]} away from joint '{side.arm.joint_names[i]}'; "
-            "robot.move_to its beginning first",
-            name="ref",
-            joint=side.arm.joint_names[i],
-            value=float(apart[i]),
-        )
+        joint = side.arm.joint_names[i]
+        far = f"the reference begins {apart[i]:.3g} {side.arm.units[i]} away from joint '{joint}'"
+        hint = "robot.move_to its beginning first"
+        raise RangeError(f"{far}; {hint}", name="ref", joint=joint, value=float(apart[i]))
 
 
 class Feeder(threading.Thread):
@@ -167,6 +165,11 @@ class Feeder(threading.Thread):
         self._begun, self._due = (-1, 0), 0  # the phase that is fed, and its ticks; the tick of the next question
         self.error: TautError | None = None
         """Why it feeds no more; the loop holds, or stops by its time-out."""
+
+    @property
+    def periods(self) -> list[float]:
+        """Of the streams that a program sends [s]."""
+        return [float(one.period) for one in self._references.streams.values() if one.source is None]
 
     def end(self) -> None:
         """Stop feeding."""
@@ -217,17 +220,15 @@ class Feeder(threading.Thread):
             return
         ticks, stream = self._acting.controls.ticks(phase), self._references.streams.get(phase)
         begins, self._begun = self._begun[0] != phase or ticks < self._begun[1], (phase, ticks)
+        name = "" if side.task is None else side.task.names[phase]
         if stream is None:
-            if self._acting.controls.waits(phase):
-                assert isinstance(feed, TaskFeed)
-                assert side.task is not None
-                self._acting.controls.fill(phase, _phase_rows(side, feed, side.task.names[phase], self._seen(rows)))
+            if self._acting.controls.waits(phase) and isinstance(feed, TaskFeed):
+                self._acting.controls.fill(phase, _phase_rows(side, feed, name, self._seen(rows)))
             return
         if begins:
             self._due = 0
-            if isinstance(feed, TaskFeed):
-                assert side.task is not None
-                feed.begin(side.task.names[phase], 0)
+        if begins and isinstance(feed, TaskFeed):
+            feed.begin(name, 0)
         if stream.source is None or ticks < self._due:
             return
         while not begins and (following := feed.next_question(self._due)) is not None and following <= ticks:

@@ -95,36 +95,28 @@ class Link:
 
     def _answer(self, kind: str) -> tuple[Any, ...]:
         until = time.monotonic() + ANSWER_TIME
-        while time.monotonic() < until:
-            if self._mail.poll(0.05):
-                try:
+        with contextlib.suppress(EOFError, OSError):
+            while self._mail.poll(0.05) or self.alive:
+                if self._mail.poll(0):
                     message = self._mail.recv()
-                except (EOFError, OSError):
-                    break
-                if message[0] == kind:
-                    return tuple(message[1:])
-                if message[0] == "error":
-                    raise DriverError(message[2], kind=message[1])
-                self.failure = message[1], message[2]
-            elif not self.alive:
-                break
-        else:
-            raise DriverError(f"the loop's process did not answer within {ANSWER_TIME:g} s", kind="driver")
+                    if message[0] == kind:
+                        return tuple(message[1:])
+                    if message[0] == "error":
+                        raise DriverError(message[2], kind=message[1])
+                    self.failure = message[1], message[2]
+                if time.monotonic() > until:
+                    raise DriverError(f"the loop's process did not answer within {ANSWER_TIME:g} s", kind="driver")
         raise DriverError("the loop's process died; connect again", kind="process_died")
 
     def hear(self) -> None:
         """Take what nobody asked for: a fault."""
         if not self._alone.acquire(blocking=False):
             return  # who waits for an answer takes it
-        try:
+        with contextlib.suppress(EOFError, OSError):
             while self._mail.poll(0):
                 message = self._mail.recv()
-                if message[0] == "fault":
-                    self.failure = message[1], message[2]
-        except (EOFError, OSError):
-            pass
-        finally:
-            self._alone.release()
+                self.failure = (message[1], message[2]) if message[0] == "fault" else self.failure
+        self._alone.release()
 
     def close(self) -> bool:
         """End the process, the robot's motion first; False in another process than the one that made it."""
@@ -167,9 +159,4 @@ def driver_of(robot: str | type[RobotDriver], address: str | None) -> dict[str, 
             "write it into a file of its own (.py) and import it from there",
             name="robot",
         )
-    return {
-        "module": robot.__module__,
-        "class": robot.__qualname__,
-        "file": str(Path(file).resolve()),
-        "address": address or "",
-    }
+    return {"module": robot.__module__, "class": robot.__qualname__, "address": address or ""}

@@ -12,7 +12,6 @@ import ctypes
 import dataclasses
 import gc
 import importlib
-import importlib.util
 import os
 import queue
 import signal
@@ -21,7 +20,6 @@ import threading
 import time
 from collections.abc import Mapping
 from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -29,6 +27,7 @@ import numpy as np
 from taut.base.errors import TautError
 from taut.base.types import Float64Array
 from taut.codegen import native
+from taut.codegen.program import Block
 from taut.codegen.servo_loop import FUNCTIONS, LOOP, PLANT, PLANT_FUNCTIONS, SET, STATUS, servo_code, struct_of
 from taut.control.faults import CODES
 from taut.maths.snapshot import measurement_shapes
@@ -53,9 +52,14 @@ class PlantDriver(RobotDriver):
 
     def __init__(self, given: Mapping[str, Any], info: RobotInfo) -> None:
         self._info = info
-        code = native.link(given["code"], PLANT_FUNCTIONS)
-        blocks = [given["parameters"].copy(), given["memory"].copy(), given["memory"].copy(), np.zeros(1)]
-        blocks.insert(0, np.zeros(given["input_size"]))
+        code, memory = native.link(given["code"], PLANT_FUNCTIONS), given["memory"]
+        blocks = [
+            np.zeros(given["input_size"]),
+            given["parameters"].copy(),
+            memory.copy(),
+            memory.copy(),
+            np.zeros(1),
+        ]
         pointers = zip(("inputs", "parameters", "memory", "new", "outputs"), blocks, strict=True)
         values = {**given["layout"], **{name: array.ctypes.data for name, array in pointers}}
         self._words = struct_of(PLANT, {**values, **{name: code[name] for name in PLANT_FUNCTIONS}})
@@ -70,21 +74,13 @@ class PlantDriver(RobotDriver):
             read=code["plant_read"], write=code["plant_write"], user=user, failure=lambda: DriverError("no failure")
         )
 
-    def read(self, measured: Mapping[str, Float64Array]) -> None:
-        """In native code."""
-
-    def write(self, command: Float64Array) -> None:
-        """In native code."""
-
-    def begin(self) -> None:
-        """Nothing to do."""
-
     def end(self) -> None:
-        """It stands still as long as nobody moves it on."""
-        self._words[PLANT["wrote"]] = 0
+        self._words[PLANT["wrote"]] = 0  # it stands still as long as nobody moves it on
 
-    def close(self) -> None:
-        """Nothing to do."""
+    def read(self, measured: Mapping[str, Float64Array]) -> None: ...
+    def write(self, command: Float64Array) -> None: ...
+    def begin(self) -> None: ...
+    def close(self) -> None: ...
 
 
 class Calls:
@@ -133,12 +129,10 @@ class LoadedSet:
         sizes = given["layout"]
         self.ring, self.controls = Ring.attach(given["ring"]), Shared.attach(given["controls"])
         self.ring.rows.reshape(-1)[::PAGE] = 0.0  # its first write to a page would delay a tick
-        blocks = {name: np.zeros(max(1, sizes[f"{name.removesuffix('s')}_size"]))
-                  for name in ("inputs", "memory", "outputs")}  # fmt: skip
-        blocks["parameters"], blocks["new"] = given["parameters"].copy(), blocks["memory"].copy()
+        blocks = {f"{name}s": np.zeros(max(1, sizes[f"{name}_size"])) for name in ("input", "output")}
+        blocks |= {name: np.zeros(max(1, sizes["memory_size"])) for name in ("memory", "new")}
+        blocks["parameters"] = given["parameters"].copy()
         blocks["scratch"] = np.zeros(max(len(block) for block in blocks.values()) + sizes["reference_size"])
-        for first in given["rotations"]:  # a rotation that nobody has written yet
-            blocks["inputs"][first : first + 9] = np.eye(3).ravel()
         at, base = given["places"], self.controls.address
         values: dict[str, Any] = {
             **sizes,
@@ -189,7 +183,7 @@ class Process:
         self._words = self._status.view
         watchdog = self._watched()
         try:
-            self._serve(hello)
+            self._serve(hello, _real_time(PRIORITY))  # which threads of the driver inherit
         except BaseException as error:
             self._answer("error", *_in_words(error))
         self._words[STATUS["dead"]] = 1
@@ -204,37 +198,37 @@ class Process:
         if child == 0:
             os.closerange(3, os.sysconf("SC_OPEN_MAX"))
             _real_time(PRIORITY + 1)
-            watch(self._status.address, self._group.address, pid, round(1e9 * WATCHDOG),
-                  CODES["silent"], CODES["watchdog"])  # fmt: skip
+            codes = CODES["silent"], CODES["watchdog"]
+            watch(self._status.address, self._group.address, pid, round(1e9 * WATCHDOG), *codes)
             os._exit(0)
         return child
 
-    def _serve(self, hello: Mapping[str, Any]) -> None:
+    def _serve(self, hello: Mapping[str, Any], notes: list[str]) -> None:
         if "plant" in hello:
             driver: RobotDriver = PlantDriver(hello["plant"], RobotInfo(**hello["info"]))
         else:
-            module = _module(hello["module"], hello.get("file"))
-            driver = getattr(module, hello["class"])(hello["address"], **hello["options"])
+            kind = getattr(importlib.import_module(hello["module"]), hello["class"])
+            driver = kind(hello["address"], **hello["options"])
         self._driver = driver
         try:
             info = driver.open()
             self._period = 1.0 / info.rate
-            measured = Float64Block({**hello.get("measured", {})} or _shapes(info))
-            self._measured = measured
-            self._command = np.zeros((5, info.n) if info.takes == "mit" else info.n)
-            self._calls = Calls(driver, measured.views, self._command)
+            shapes = measurement_shapes(info.n)
+            block = Block.of(hello.get("measured") or {name: shapes[name] for name in ("q", *info.measures)})
+            self._flat = block.zeros()
+            self._measured = block.views(self._flat)
+            self._calls = Calls(driver, self._measured, np.zeros((5, info.n) if info.takes == "mit" else info.n))
             self._loop_words = struct_of(LOOP, {
                 "status": self._status.address, "read": self._calls.read, "write": self._calls.write,
-                "user": self._calls.user, "measured": measured.flat.ctypes.data,
+                "user": self._calls.user, "measured": self._flat.ctypes.data, "group": self._group.address,
                 "period": round(1e9 / info.rate), "host_paced": int(info.paced_by == "host"),
-                "group": self._group.address,
             })  # fmt: skip
             self._loop = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p)(servo_code()["loop"])
             gc.collect()
             gc.freeze()
             gc.disable()
             sys.setswitchinterval(1e-4)
-            self._answer("info", dataclasses.asdict(info), _real_time(PRIORITY))
+            self._answer("info", dataclasses.asdict(info), notes)
             threading.Thread(target=self._take_mail, daemon=True).start()
             self._work()
         finally:
@@ -272,7 +266,7 @@ class Process:
     def _leave(self) -> None:
         """The controlled stop, and then the end, also where the driver does not come to one."""
         self._words[STATUS["hold"]] = 1
-        until, v = time.monotonic() + STOP_TIME, self._measured.views.get("v")
+        until, v = time.monotonic() + STOP_TIME, self._measured.get("v")
         while self._words[STATUS["control"]] and time.monotonic() < until:
             time.sleep(10 * self._period)
             if v is not None and np.abs(v).max() < STANDING:
@@ -377,40 +371,6 @@ class Process:
     def _answer(self, *message: Any) -> None:
         with self._lock, contextlib.suppress(OSError, ValueError):
             self._mail.send(message)
-
-
-class Float64Block:
-    """Named arrays in one flat one."""
-
-    def __init__(self, shapes: Mapping[str, tuple[int, ...]]) -> None:
-        sizes = [int(np.prod(shape)) for shape in shapes.values()]
-        self.flat = np.zeros(sum(sizes))
-        ends = np.cumsum([0, *sizes])
-        self.views = {
-            name: self.flat[ends[i] : ends[i + 1]].reshape(shape) for i, (name, shape) in enumerate(shapes.items())
-        }
-
-
-def _shapes(info: RobotInfo) -> dict[str, tuple[int, ...]]:
-    shapes = measurement_shapes(info.n)
-    return {name: shapes[name] for name in ("q", *info.measures)}
-
-
-def _module(name: str, file: str | None) -> Any:
-    """The module of a driver: by its name where that finds the same file, else from the file."""
-    if file is None:
-        return importlib.import_module(name)
-    with contextlib.suppress(ImportError):
-        module = importlib.import_module(name)
-        if Path(module.__file__ or "").resolve() == Path(file):
-            return module
-    spec = importlib.util.spec_from_file_location(f"taut_driver_{Path(file).stem}", file)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 def _in_words(error: BaseException | None) -> tuple[str, str]:

@@ -68,9 +68,9 @@ class RobotPlant:
 class RobotParameters(Parameters):
     """Parameters of the law that acts, by path; new values are blended in within 0.2 s."""
 
-    def __init__(self, robot: Robot, ctrl: Controller) -> None:
+    def __init__(self, robot: Robot, ctrl: Controller, acting: Acting) -> None:
         super().__init__("the robot's law", {path: np.array(value) for path, value in ctrl.parameters.items()})
-        self._robot, self._ctrl, self._acting = robot, ctrl, robot.acting
+        self._robot, self._ctrl, self._acting = robot, ctrl, acting
 
     def __setitem__(self, path: str, value: ArrayLike) -> None:
         self.update({path: value})
@@ -226,14 +226,11 @@ class Robot:
         self.start(self.holder, ref)
         self.wait(float(getattr(ref, "duration", 0.0)))
         until = time.monotonic() + SETTLE
-        while np.abs(self.q - there).max() > THERE:
+        while (apart := np.abs(self.q - there)).max() > THERE:
             if time.monotonic() > until:
-                i = int(np.argmax(np.abs(self.q - there)))
-                raise DriverError(
-                    f"joint '{arm.joint_names[i]}' is still {abs(self.q - there)[i]:.3g} {arm.units[i]} away from "
-                    "its goal; free the arm, or raise limits.tau",
-                    kind="rejected",
-                )
+                name = arm.joint_names[int(np.argmax(apart))]
+                away = f"joint '{name}' is still {apart.max():.3g} away from its goal"
+                raise DriverError(f"{away}; free the arm, or raise limits.tau", kind="rejected")
             self.wait(LOOK)
 
     def hold(self) -> None:
@@ -280,13 +277,12 @@ class Robot:
         Where none came for two periods the loop holds; after three (and 50 ms at least, for a period of 20 ms or
         less) it stops with the fault `stream_stopped`.
         """
-        feeder, streams = self._feeder, self.acting.streams
-        declared = [float(one.period) for one in streams if one.source is None]
+        feeder = self._feeder
+        declared = [] if feeder is None else feeder.periods
         if feeder is None or not any(abs(period - one) <= 1e-9 for one in declared):
             stated = f"with a period of {declared[0]:g} s" if declared else "without a stream to be sent"
-            raise UsageError(
-                f"the law that acts was started {stated}; start it with taut.stream(period={period:g})", name="period"
-            )
+            hint = f"start it with taut.stream(period={period:g})"
+            raise UsageError(f"the law that acts was started {stated}; {hint}", name="period")
 
         def send(sample: Sample | Chunk) -> None:
             if feeder is not self._feeder:
@@ -438,7 +434,10 @@ class Robot:
             if not self.link.alive or self.link.failure is not None:
                 self.check()
             time.sleep(1e-3)
-        raise DriverError(f"{self.info.name} sent no state within {SETTLE:g} s", kind="silent")
+        raise self._silent()
+
+    def _silent(self) -> DriverError:
+        return DriverError(f"{self.info.name} sent no state within {SETTLE:g} s", kind="silent")
 
     def _begin(
         self, ctrl: Controller, ref: object, duration: float | None, *, sends: bool = True, over: float = BLEND
@@ -462,18 +461,13 @@ class Robot:
         name, q = self.info.name, self.q
         check_fit(ctrl.side, self.plant)
         if abs(ctrl.rate - self.rate) > 1e-6 * self.rate:
-            raise MatchError(
-                f"{name} takes commands at {self.rate:g} Hz and the controller was compiled for {ctrl.rate:g} Hz; "
-                "taut.compile(..., rate=robot.rate)",
-                name="rate",
-            )
+            rates = f"takes commands at {self.rate:g} Hz and the controller was compiled for {ctrl.rate:g} Hz"
+            raise MatchError(f"{name} {rates}; taut.compile(..., rate=robot.rate)", name="rate")
         load, mass = self.info.load, float(ctrl.arm.payload.mass)
         if load is not None and "gravity" in self.info.adds and abs(load[0] - mass) > SAME_LOAD:
-            raise MatchError(
-                f"{name} compensates a load of {load[0]:g} kg and the controller's arm carries {mass:g} kg; "
-                "robot.set_load(arm.payload), or load the arm with what is there",
-                name="load",
-            )
+            loads = f"compensates a load of {load[0]:g} kg and the controller's arm carries {mass:g} kg"
+            hint = "robot.set_load(arm.payload), or load the arm with what is there"
+            raise MatchError(f"{name} {loads}; {hint}", name="load")
         return references_of(ctrl, ref, q, duration)
 
     def _compiled(self, ctrl: Controller) -> ServoSet:
@@ -482,36 +476,28 @@ class Robot:
         return ServoSet(safe)
 
     def _act(
-        self,
-        ctrl: Controller,
-        made: ServoSet,
-        references: References,
-        *,
-        begins: bool,
-        sends: bool = True,
-        controls: bool = False,
-        over: float = BLEND,
-    ) -> None:
+        self, ctrl: Controller, made: ServoSet, references: References, *, begins: bool, sends: bool = True,
+        controls: bool = False, over: float = BLEND,
+    ) -> None:  # fmt: skip
         """Send a compiled tick, with which control may begin; wait until it acts, and feed it."""
         self._end_feeding()
         self._number += 1
-        acting = Acting(made, references, ctrl.parameters, number=self._number, sends=sends)
+        acting = Acting(made, references, ctrl.parameters, number=self._number, sends=sends, over=over)
         try:
-            acting.controls.set({}, over)
             controls = controls and not self.link.word("control")
             self.link.ask("set", {**made.message(acting, begins=begins), "control": controls})
         except BaseException:
             acting.close()
             raise
         self._all.append(acting)
-        self.parameters = RobotParameters(self, ctrl)
+        self.parameters = RobotParameters(self, ctrl, acting)
         self._feeder = Feeder(acting, references)
         self._feeder.start()
         until = time.monotonic() + SETTLE
         while self.link.word("running") != self._number:
             self.check()
             if time.monotonic() > until:
-                raise DriverError(f"{self.info.name} sent no state within {SETTLE:g} s", kind="silent")
+                raise self._silent()
             time.sleep(5e-4)
         for old in self._all[:-1]:
             old.close()

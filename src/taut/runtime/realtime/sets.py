@@ -135,7 +135,6 @@ class ServoSet:
             "number": acting.number,
             "begins": int(begins),
             "sends": int(acting.sends),
-            "rotations": [f.offset for f in self.inputs.fields if f.path.startswith("ref.") and f.shape == (3, 3)],
         }
 
     def columns(self) -> dict[str, tuple[int, tuple[int, ...]]]:
@@ -164,7 +163,9 @@ class Table:
 class Controls:
     """What the parent writes while the loop runs: samples, parameters; without locks that the loop waits for."""
 
-    def __init__(self, made: ServoSet, tables: Sequence[Table], parameters: Mapping[str, Float64Array]) -> None:
+    def __init__(
+        self, made: ServoSet, tables: Sequence[Table], parameters: Mapping[str, Float64Array], over: float
+    ) -> None:
         size, count = made.reference_size, made.parameters.size
         self._made, self._count, self._alone = made, len(tables), threading.Lock()
         self.parameters_at = len(CONTROLS)
@@ -180,7 +181,7 @@ class Controls:
         self.values[:] = made.packed(parameters)
         self.views = made.parameters.views(self.values)
         self.time_out(NO_TIME_OUT, NO_TIME_OUT)
-        self.numbers[CONTROLS["over"]] = made.safe.side.dt
+        self._blend_within(over)
         first = 0
         for k, table in enumerate(tables):
             entry = self._entry(k)
@@ -229,11 +230,14 @@ class Controls:
     def set(self, values: Mapping[str, Float64Array], over: float) -> None:
         """New values of parameters by path, which come in within `over` [s]; all in one tick."""
         with self._alone:
-            self.numbers[CONTROLS["over"]] = max(over, self._made.safe.side.dt)
+            self._blend_within(over)
             self.words[CONTROLS["parameters"]] += 1
             for path, value in values.items():
                 self.views[path][...] = value
             self.words[CONTROLS["parameters"]] += 1
+
+    def _blend_within(self, over: float) -> None:
+        self.numbers[CONTROLS["over"]] = max(over, self._made.safe.side.dt)
 
     def layout(self) -> dict[str, int]:
         """Where things lie, in words."""
@@ -241,60 +245,41 @@ class Controls:
                 "table_count": self._count}  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PlantSet:
-    """A model plant, compiled as a robot for the loop's process."""
+def compiled_plant(plant: ModelPlant, q: Float64Array, v: Float64Array, rate: float) -> dict[str, Any]:
+    """A model plant in its true state, compiled as a robot: what the loop's process gets of it."""
+    dt = 1.0 / rate
+    values = {path: np.asarray(value, dtype=np.float64) for path, value in plant.parameters.items()}
+    state = {path: np.asarray(x, dtype=np.float64) for path, x in plant.start(q, v, values, dt).items()}
+    n = plant.arm.n
+    inputs = Block.of({"command": (5, n) if plant.takes == "mit" else (n,), "t": ()})
+    parameters, memory = (Block.of({path: x.shape for path, x in part.items()}) for part in (values, state))
+    noise = {name: np.zeros(shape) for name, shape in plant.noise.items()}
+    names = ("q", *sorted(plant.measures))
 
-    code: bytes
-    layout: dict[str, Any]
-    parameters: Float64Array
-    memory: Float64Array
-    input_size: int
-    measured: dict[str, tuple[int, ...]]
+    def advance(i: Values, p: Values, m: Values, command: bool) -> tuple[Values, Values]:
+        after = plant.command(i["command"], m, i["t"]) if command else m
+        return {}, plant.advance(after, {**p, **of_plant({})}, dt / plant.substeps)
 
-    @classmethod
-    def of(cls, plant: ModelPlant, q: Float64Array, v: Float64Array, rate: float) -> PlantSet:
-        """The plant at its true state."""
-        dt = 1.0 / rate
-        values = {path: np.asarray(value, dtype=np.float64) for path, value in plant.parameters.items()}
-        state = {path: np.asarray(x, dtype=np.float64) for path, x in plant.start(q, v, values, dt).items()}
-        n = plant.arm.n
-        inputs = Block.of({"command": (5, n) if plant.takes == "mit" else (n,), "t": ()})
-        parameters, memory = (
-            Block.of({p: v.shape for p, v in values.items()}),
-            Block.of({p: np.shape(x) for p, x in state.items()}),
-        )
-        noise = {name: np.zeros(shape) for name, shape in plant.noise.items()}
-        names = ("q", *sorted(plant.measures))
+    def measure(i: Values, p: Values, m: Values) -> tuple[Values, Values]:  # noqa: ARG001
+        seen = plant.measure(m, noise, p)
+        return {name: seen[name] for name in names}, m
 
-        def advance(i: Values, p: Values, m: Values, command: bool) -> tuple[Values, Values]:
-            after = plant.command(i["command"], m, i["t"]) if command else m
-            return {}, plant.advance(after, {**p, **of_plant({})}, dt / plant.substeps)
+    functions: dict[str, Callable[..., Any]] = {
+        "step": partial(advance, command=True), "substep": partial(advance, command=False), "measure": measure,
+    }  # fmt: skip
+    programs = {name: trace(function, inputs, parameters, memory) for name, function in functions.items()}
+    content = b"plant" + b"".join(program.content for program in programs.values())
 
-        def measure(i: Values, p: Values, m: Values) -> tuple[Values, Values]:  # noqa: ARG001
-            seen = plant.measure(m, noise, p)
-            return {name: seen[name] for name in names}, m
+    def text() -> str:
+        return "\n".join([declarations(), *(kernel(program, name) for name, program in programs.items())])
 
-        functions: dict[str, Callable[..., Any]] = {
-            "step": partial(advance, command=True), "substep": partial(advance, command=False), "measure": measure,
-        }  # fmt: skip
-        programs = {name: trace(function, inputs, parameters, memory) for name, function in functions.items()}
-        content = b"plant" + b"".join(program.content for program in programs.values())
-
-        def text() -> str:
-            return "\n".join([declarations(), *(kernel(program, name) for name, program in programs.items())])
-
-        return cls(
-            code=native.object_code(content, text, PLANT_FUNCTIONS),
-            layout={
-                "repeats": plant.substeps - 1,
-                "command_size": inputs.size - 1,
-                "memory_size": memory.size,
-                "dt": dt,
-                "period": round(1e9 * dt),
-            },
-            parameters=parameters.pack(values),
-            memory=memory.pack(state),
-            input_size=inputs.size,
-            measured=dict(programs["measure"].outputs.shapes),
-        )
+    layout = {"repeats": plant.substeps - 1, "command_size": inputs.size - 1, "memory_size": memory.size,
+              "dt": dt, "period": round(1e9 * dt)}  # fmt: skip
+    return {
+        "code": native.object_code(content, text, PLANT_FUNCTIONS),
+        "layout": layout,
+        "parameters": parameters.pack(values),
+        "memory": memory.pack(state),
+        "input_size": inputs.size,
+        "measured": dict(programs["measure"].outputs.shapes),
+    }
