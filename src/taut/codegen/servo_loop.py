@@ -45,6 +45,7 @@ STATUS: Final = numbered(
     "control",  # whether commands go out
     "latched",  # code that the ticks latched
     "watched",  # [ns] of the watchdog's last look
+    "patience",  # [ns] without a tick after which it acts
 )
 """Words of the shared status."""
 STATUS_WORDS: Final = 64
@@ -415,7 +416,7 @@ def _loop() -> str:
 
 
 def _watch() -> str:
-    """`i64 watch(status, group, pid, timeout, silent, hung)`: end the parent where its loop does not tick."""
+    """`i64 watch(status, group, pid, silent, hung)`: end the parent where its loop does not tick."""
     w = WordCode()
     w.line("entry:", " br label %again", "again:")
     w.release("%status", STATUS["watched"], w.put("call i64 @now()"))
@@ -426,7 +427,7 @@ def _watch() -> str:
     w.line("look:")
     beat = w.acquire("%status", STATUS["heartbeat"])
     now = w.put("call i64 @now()")
-    late = w.test("sgt", w.put(f"sub i64 {now}, {beat}"), "%timeout")
+    late = w.test("sgt", w.put(f"sub i64 {now}, {beat}"), w.acquire("%status", STATUS["patience"]))
     w.branch(w.both(late, w.test("ne", w.acquire("%status", STATUS["armed"]), 0)), "late", "again")
     w.line("late:")
     code = w.choose(w.test("eq", w.acquire("%status", STATUS["where"]), 1), "%silent", "%hung")
@@ -435,7 +436,7 @@ def _watch() -> str:
     w.line(f" {w.name()} = call i32 @kill(i32 {process}, i32 9)")
     w.release("%group", 0, now)
     w.line(f" ret i64 {code}", "end:", " ret i64 0")
-    return w.function("i64 @watch(ptr %status, ptr %group, i64 %pid, i64 %timeout, i64 %silent, i64 %hung) nounwind")
+    return w.function("i64 @watch(ptr %status, ptr %group, i64 %pid, i64 %silent, i64 %hung) nounwind")
 
 
 def _plant() -> str:

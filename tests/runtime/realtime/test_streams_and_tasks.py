@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from refusals import refused
 from test_fault_table import stated
-from test_robot import compiled
+from test_robot import compiled, limits, patient
 from virtual_robot import Setup, VirtualRobot
 
 import taut
@@ -26,7 +26,7 @@ SOFT = L.ComputedTorque(kp=100.0, kd=20.0)
 
 @pytest.fixture(scope="module")
 def plant() -> Iterator[Robot]:
-    with taut.connect(taut.RigidPlant(ARM), limits=stated(ARM)) as robot:
+    with patient(taut.connect(taut.RigidPlant(ARM), limits=limits())) as robot:
         yield robot
 
 
@@ -162,7 +162,7 @@ def test_a_task_approaches_presses_and_retreats(robot: Robot) -> None:
         taut.Phase(stiff, to("retreat", [0.05, 0.05]), name="retreat", until=lambda x: x.elapsed > 0.7),
         taut.Phase(SOFT, name="rest"),
     ]
-    with taut.connect(plant, limits=stated(ARM)) as pressing:
+    with patient(taut.connect(plant, limits=limits())) as pressing:
         ctrl = compiled(pressing, task, limits=taut.Limits(blend=0.02))
         pressing.start(ctrl)
         pressing.wait(1.9)

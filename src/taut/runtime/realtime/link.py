@@ -54,7 +54,7 @@ class Link:
 
     def open(self, hello: Mapping[str, Any]) -> RobotInfo:
         """Connect to the robot. Raises DriverError."""
-        self._send({**hello, "status": self.status.name, "group": self.group.name})
+        self._send(("hello", {**hello, "status": self.status.name, "group": self.group.name}))
         info, self.notes = self._answer("info")
         return RobotInfo(**info)
 

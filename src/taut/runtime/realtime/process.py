@@ -35,7 +35,7 @@ from taut.runtime.realtime.ring import Ring
 from taut.runtime.realtime.shared import Shared
 from taut.runtime.robots.driver import DriverError, NativeCalls, RobotDriver, RobotInfo
 
-WATCHDOG: Final = 0.08  # [s] without a tick after which the process is ended; acts within 0.1
+WATCHDOG: Final = (0.08, 3.0)  # [s], [periods] without a tick: after the longer one the process is ended, 5 ms later
 PRIORITY: Final = 80  # of SCHED_FIFO
 WARM_UP: Final = 200  # ticks of a set before it may act
 MAX_SHARE: Final = 0.5  # of a period that a tick may take
@@ -178,7 +178,9 @@ class Process:
 
     def run(self) -> None:
         """Take the first message, connect, and work until the parent ends it or is gone."""
-        hello = self._mail.recv()
+        kind, hello = self._mail.recv()
+        if kind == "close":
+            return
         self._status, self._group = Shared.attach(hello["status"]), Shared.attach(hello["group"])
         self._words = self._status.view
         watchdog = self._watched()
@@ -191,7 +193,7 @@ class Process:
 
     def _watched(self) -> int:
         """The watchdog. It is there before there is a robot, so that it shares no connection of it."""
-        watch = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_void_p] * 2, *[ctypes.c_int64] * 4)(servo_code()["watch"])
+        watch = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_void_p] * 2, *[ctypes.c_int64] * 3)(servo_code()["watch"])
         pid = os.getpid()
         self._words[STATUS["watched"]] = time.monotonic_ns()
         child = os.fork()
@@ -199,7 +201,7 @@ class Process:
             os.closerange(3, os.sysconf("SC_OPEN_MAX"))
             _real_time(PRIORITY + 1)
             codes = CODES["silent"], CODES["watchdog"]
-            watch(self._status.address, self._group.address, pid, round(1e9 * WATCHDOG), *codes)
+            watch(self._status.address, self._group.address, pid, *codes)
             os._exit(0)
         return child
 
@@ -213,6 +215,7 @@ class Process:
         try:
             info = driver.open()
             self._period = 1.0 / info.rate
+            self._words[STATUS["patience"]] = round(1e9 * max(WATCHDOG[0], WATCHDOG[1] * self._period))
             shapes = measurement_shapes(info.n)
             block = Block.of(hello.get("measured") or {name: shapes[name] for name in ("q", *info.measures)})
             self._flat = block.zeros()
@@ -360,12 +363,12 @@ class Process:
         self._words[STATUS["fault"]] = code
         if self._words[STATUS["control"]]:
             self._group.view[0] = time.monotonic_ns()
-        ended = ""
+        text = _in_words(error)[1]
+        self._answer("fault", code, text)  # first: what follows may take its time
         try:
             self._end()
         except BaseException as second:
-            ended = f"; then {_in_words(second)[1]}"
-        self._answer("fault", code, _in_words(error)[1] + ended)
+            self._answer("fault", code, f"{text}; then {_in_words(second)[1]}")
         return False
 
     def _answer(self, *message: Any) -> None:
