@@ -31,7 +31,7 @@ FULL_TURN: Final = np.pi  # [rad] either way, of a joint without limits
 DIED_OUT: Final = 1e-5  # [-] of the largest input of an inverse, at both ends of the window in which it is computed
 LONGEST: Final = 2**16  # ticks of that window before and after the motion
 STEADY: Final = 1e-6  # [-] of a step: an error that stays
-AT_REST: Final = 1e-6  # [rad/s | m/s]
+REST_SPEED: Final = 1e-6  # [rad/s | m/s]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -148,7 +148,7 @@ def stable_inversion(ctrl: Controller, plant: ModelPlant, motion: object, *, lea
         )
     wanted = known_motion(ctrl, motion, math.ceil(float(duration) / dt) + 1)
     speed = float(np.abs(wanted.v[[0, -1]]).max())
-    if speed > AT_REST:
+    if speed > REST_SPEED:
         raise UsageError(f"motion must begin and end at rest; got {speed:.3g} [rad/s | m/s] there", name="motion")
     lin = linearise(Loop(ctrl, plant, duration=dt), at=wanted.q[0])
     if not lin.stable:
