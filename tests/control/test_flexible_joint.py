@@ -307,6 +307,13 @@ class TestSetPoints:
         assert not found.ok
         assert "joint2" in str(found)
 
+    def test_without_weight_any_stiffness_will_do_but_none(self) -> None:
+        arm = PLANAR2.with_gravity([0.0, 0.0, 0.0])
+        for kp, ok in ((1e-3, True), (0.0, False)):
+            assert (
+                taut.analysis.set_point_condition(taut.laws.MotorSidePD(stiffness=400.0, kp=kp, kd=5.0), arm).ok is ok
+            )
+
 
 class TestClosedLoops:
     @pytest.mark.parametrize("arm", [PLANAR2, UR10, PANDA], ids=lambda arm: arm.name)

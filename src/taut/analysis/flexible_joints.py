@@ -45,7 +45,7 @@ class SetPointCondition(Result):
     @property
     def margin(self) -> float:
         """Smallest stiffness over alpha [-]: above 1 the set-point is globally asymptotically stable."""
-        return float(self.series.min() / self.alpha) if self.alpha else np.inf
+        return float(self.series.min()) * (1.0 / self.alpha if self.alpha else np.inf)  # no number if both are zero
 
     @property
     def ok(self) -> bool:

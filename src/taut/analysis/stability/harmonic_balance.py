@@ -110,8 +110,8 @@ def limit_cycles(
 
     Raises:
         UnknownNameError: No such input or output.
-        UsageError: No element, or one that is not a function of a signal and its rate.
-        RangeError: Amplitudes that do not increase.
+        UsageError: No element, or one between several outputs and inputs.
+        RangeError, ShapeError: Amplitudes that do not increase; an element that gives no number for each sample.
 
     Example:
         A relay of 1 around 1 / (s (s + 1) (s + 2)) oscillates at sqrt(2) rad/s with an amplitude of 2 / (3 pi).

@@ -72,6 +72,7 @@ class Uncertainty(Declared):
 
     def check_arm(self, model: Model) -> None:
         """Refuse intervals without width, and an arm they are not for: other joints, links that are no bodies."""
+        self.check_size(model.arm.joint_names, "uncertainty.")
         own = model.arm.payload
         if own.mass + self.payload[0] < 0.0:
             raise RangeError(
