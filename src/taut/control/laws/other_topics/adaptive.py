@@ -7,8 +7,8 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from taut.arm.description import BASE, Friction
-from taut.base.errors import MatchError, RangeError
+from taut.arm.description import BASE, Arm, Friction
+from taut.base.errors import MatchError, RangeError, warn
 from taut.base.fields import Choice
 from taut.base.types import Float64Array, Matrix, Vector
 from taut.control.command import Command, Terms, Torque
@@ -158,6 +158,16 @@ class Adaptive(Law):
                 f"five below; got {self.gamma[()]:g}",
                 name="gamma",
                 value=float(self.gamma[()]),
+            )
+
+    def check_plant(self, path: str, arm: Arm, plant: str, parameters: Mapping[str, Any]) -> None:
+        """Warn of a plant that carries more than `max_payload`."""
+        excess = float(parameters.get("plant.payload.mass", 0.0)) - arm.payload.mass
+        if excess > self.max_payload[()]:
+            warn(
+                f"{path}.max_payload is {self.max_payload[()]:g} kg and plant '{plant}' carries {excess:g} kg more "
+                "than the controller's arm, for which gamma may be too large: the adaptation may oscillate with "
+                "growing amplitude; raise max_payload"
             )
 
     def start(self, x: Snapshot, ref: Sample) -> Mapping[str, Any]:  # noqa: ARG002
