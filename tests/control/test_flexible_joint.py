@@ -310,9 +310,10 @@ class TestSetPoints:
     def test_without_weight_any_stiffness_will_do_but_none(self) -> None:
         arm = PLANAR2.with_gravity([0.0, 0.0, 0.0])
         for kp, ok in ((1e-3, True), (0.0, False)):
-            assert (
-                taut.analysis.set_point_condition(taut.laws.MotorSidePD(stiffness=400.0, kp=kp, kd=5.0), arm).ok is ok
-            )
+            law = taut.laws.MotorSidePD(stiffness=400.0, kp=kp, kd=5.0)
+            assert taut.analysis.set_point_condition(law, arm).ok is ok
+        with refused(taut.errors.ShapeError):
+            taut.analysis.set_point_condition(dataclasses.replace(law, stiffness=[400.0] * 3), arm)
 
 
 class TestClosedLoops:

@@ -94,6 +94,7 @@ def set_point_condition(law: MotorSidePD, arm: Arm, *, at: ArrayLike | None = No
         Tomei, A simple PD controller for robots with elastic joints, IEEE Trans. Automatic Control 36 (10), 1991.
     """
     instance_of("law", law, MotorSidePD, "a taut.laws.MotorSidePD")
+    law.check_size(arm.joint_names)
     x = snapshot(arm, arm.home if at is None else finite_array("at", at, shape=(arm.n,), joints=arm.joint_names))
     model, payload = model_of(arm), PayloadValues.of(arm.payload)
 
