@@ -344,6 +344,8 @@ class TestBeyondTheSprings:
         errors = taut.errors
         with refused(errors.RangeError):
             AntagonisticSprings(a=40.0, c_min=0.75, c_max=0.25)
+        with refused(errors.ShapeError):
+            AntagonisticSprings(a=40.0, c_min=[0.1, 0.2], c_max=[0.3, 0.4, 0.5])
         with refused(errors.RangeError):
             law(200.0)
         with refused(errors.RangeError):
