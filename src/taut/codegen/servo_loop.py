@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+from collections.abc import Sequence
 from typing import Any, Final
 
 from taut.codegen.llvm import Writer
@@ -18,11 +19,12 @@ PARTNER: Final = 62  # code of `control.faults`: the other robot stopped
 NAMES: Final = ("loop", "watch", "plant_read", "plant_write")
 
 
-def _numbered(*names: str) -> dict[str, int]:
+def numbered(*names: str) -> dict[str, int]:
+    """Words by name, in this order."""
     return {name: i for i, name in enumerate(names)}
 
 
-STATUS: Final = _numbered(
+STATUS: Final = numbered(
     "heartbeat",  # [ns] of the last tick
     "ticks",  # in total
     "where",  # the loop is in: 1 the read, 2 the tick, 3 the write; 0 outside
@@ -43,12 +45,12 @@ STATUS: Final = _numbered(
 """Words of the shared status."""
 STATUS_WORDS: Final = 64
 
-LOOP: Final = _numbered(
+LOOP: Final = numbered(
     "status", "set", "next", "read", "write", "user", "measured", "period", "host_paced", "deadline", "last",
     "recovered",
     "partner",  # status of the robot that stops together with this one, or null
 )  # fmt: skip
-SET: Final = _numbered(
+SET: Final = numbered(
     "kernel", "start", "inputs", "parameters", "memory", "new", "outputs",  # functions and blocks
     "memory_size", "safe_size", "input_size", "output_size", "parameter_size", "reference_size", "measured_size",
     "t_at", "measured_at", "reference_at", "signals_at", "command_at", "fault_at",  # offsets in doubles
@@ -57,20 +59,20 @@ SET: Final = _numbered(
     "controls", "reference", "new_parameters", "tables", "table_count", "table_rows",  # what the parent writes
     "scratch", "count", "number", "begins", "sends", "seen", "valid", "received", "dt",
 )  # fmt: skip
-CONTROLS: Final = _numbered("sample", "received", "parameters", "hold_after", "stop_after", "over")
+CONTROLS: Final = numbered("sample", "received", "parameters", "hold_after", "stop_after", "over")
 """Words before the reference in what the parent writes: two sequence locks, and numbers."""
 CONTROL_WORDS: Final = 16
-TABLE: Final = _numbered("first", "length", "arrived", "dynamic")
+TABLE: Final = numbered("first", "length", "arrived", "dynamic")
 """Words of a table of samples: its first row and length (-1: the stream), the tick with which it began."""
 ROW_HEAD: Final = ("tick", "time", "late", "compute", "driver", "lost")
 """Columns before inputs and outputs in a row of the ring; times in seconds."""
-PLANT: Final = _numbered(
+PLANT: Final = numbered(
     "step", "substep", "repeats", "measure", "inputs", "parameters", "memory", "new", "outputs", "command_size",
     "memory_size", "count", "dt",
 )  # fmt: skip
 
 
-class _Code(Writer):
+class WordCode(Writer):
     """Lines with words by name."""
 
     def at(self, base: str, index: int | str) -> str:
@@ -122,7 +124,7 @@ class _Code(Writer):
         self.line(f" br i1 {condition}, label %{yes}, label %{no}")
 
 
-_HELPERS: Final = """
+HELPERS: Final = """
 declare i32 @clock_gettime(i32, ptr)
 declare i32 @clock_nanosleep(i32, i32, ptr, ptr)
 declare i32 @kill(i32, i32)
@@ -172,7 +174,7 @@ end:
 
 def _tick() -> str:
     """`void tick(loop, now, lost)`: take what the parent wrote, run the kernel, keep its memory."""
-    w = _Code()
+    w = WordCode()
     w.line("entry:")
     status, old, new = (w.load("%loop", LOOP[name], "ptr") for name in ("status", "set", "next"))
     w.branch(w.put(f"icmp ne ptr {new}, null"), "swap", "going")
@@ -310,7 +312,7 @@ def _tick() -> str:
 
 def _loop() -> str:
     """`i64 loop(loop)`: until it is asked to quit (0), or the read (1) or the write (2) fails."""
-    w = _Code()
+    w = WordCode()
     w.line("entry:")
     status, buffer, user = (w.load("%loop", LOOP[name], "ptr") for name in ("status", "measured", "user"))
     read, write = w.load("%loop", LOOP["read"], "ptr"), w.load("%loop", LOOP["write"], "ptr")
@@ -396,7 +398,7 @@ def _loop() -> str:
 
 def _watch() -> str:
     """`i64 watch(status, pid, timeout, silent, hung)`: end a process whose loop does not tick; the code latched."""
-    w = _Code()
+    w = WordCode()
     w.line("entry:", " br label %again", "again:")
     w.line(f" call void @wait(i64 {w.add(w.put('call i64 @now()'), 4_000_000)})")
     w.branch(w.test("ne", w.acquire("%status", STATUS["dead"]), 0), "end", "look")
@@ -418,7 +420,7 @@ def _watch() -> str:
 
 def _plant() -> str:
     """A model plant as a robot: its read and its write, which advances it by one period."""
-    w = _Code()
+    w = WordCode()
     parts = ("inputs", "parameters", "memory", "new")
     w.line("entry:")
     fixed = ", ".join(f"ptr {w.load('%plant', PLANT[name], 'ptr')}" for name in parts)
@@ -446,19 +448,19 @@ def _plant() -> str:
 
 
 def _text() -> str:
-    return "\n".join([_HELPERS, _tick(), _loop(), _watch(), _plant()])
+    return "\n".join([HELPERS, _tick(), _loop(), _watch(), _plant()])
 
 
-@functools.cache
-def _symbols() -> dict[str, int]:
+def symbols_of(names: Sequence[str]) -> dict[str, int]:
+    """Addresses of functions of the C library, for code that calls them."""
     library = ctypes.CDLL(None)
-    return {name: ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0 for name in SYMBOLS}
+    return {name: ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0 for name in names}
 
 
 @functools.cache
 def servo_code() -> NativeModule:
     """The loop, the watchdog and a model plant's read and write, linked into this process."""
-    return compiled(b"servo loop", _text, NAMES, symbols=_symbols())
+    return compiled(b"servo loop", _text, NAMES, symbols=symbols_of(SYMBOLS))
 
 
 def struct_of(names: dict[str, int], values: dict[str, int | float]) -> Any:

@@ -33,7 +33,7 @@ from taut.control.faults import CODES
 from taut.runtime.realtime.ring import Ring
 from taut.runtime.realtime.sets import FUNCTIONS, PLANT_FUNCTIONS
 from taut.runtime.realtime.shared import Shared
-from taut.runtime.robots.driver import DriverError, RobotDriver
+from taut.runtime.robots.driver import DriverError, NativeCalls, RobotDriver
 
 PRIORITY: Final = 80  # of SCHED_FIFO
 REST: Final = 2.0  # [s] for the controlled stop where the parent is gone
@@ -41,17 +41,22 @@ CALLBACK: Final = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p, ctypes.c_voi
 
 
 class PythonDriver:
-    """A driver of Python code, as the native loop calls it."""
+    """A driver, as the native loop calls it."""
 
     user = 0
 
     def __init__(self, driver: RobotDriver) -> None:
         self.driver = driver
         self.failure: BaseException | None = None
+        self.native: NativeCalls | None = None
 
     def bind(self, measured: Mapping[str, Float64Array], command: Float64Array) -> tuple[int, int]:
         """Addresses of read and write on these arrays."""
         driver, target = self.driver, command
+        self.native = driver.native()
+        if self.native is not None:
+            self.user = self.native.user
+            return self.native.read, self.native.write
         read, write = driver.read, driver.write
 
         def reading(_: int, __: int) -> int:
@@ -145,6 +150,7 @@ class Process:
         hello = self._mail.recv()
         self._status = Shared.attach(hello["status"])
         self._words = self._status.view
+        notes = _prepared()  # first: threads of a driver inherit the priority
         try:
             self._driver, info = self._connected(hello)
         except BaseException as error:
@@ -164,7 +170,7 @@ class Process:
             "partner": self._partner.address if self._partner else 0,
         })  # fmt: skip
         self._loop = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p)(servo_code()["loop"])
-        self._mail.send(("info", info, _prepared()))
+        self._mail.send(("info", info, notes))
         threading.Thread(target=self._take_mail, daemon=True).start()
         try:
             self._work()
@@ -293,6 +299,8 @@ class Process:
             return True
         self._words[STATUS["armed"]] = 0
         error = self._driver.failure
+        if isinstance(self._driver, PythonDriver) and self._driver.native is not None:
+            error = self._driver.native.failure()
         code = CODES.get(getattr(error, "kind", "driver"), CODES["driver"])
         self._words[STATUS["fault"]] = code
         if self._partner is not None:

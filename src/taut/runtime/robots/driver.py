@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from taut.base.checks import finite_scalar, instance_of, one_of, rate_in_hertz, vector, whole_number
 from taut.base.errors import TautError
 from taut.base.types import Float64Array
+from taut.maths.model import Adds
+from taut.maths.snapshot import MEASUREMENTS
 
 
 class DriverError(TautError, RuntimeError):
@@ -40,6 +43,30 @@ class RobotInfo:
     joint_names: tuple[str, ...] = ()  # where it knows them
     load: tuple[float, tuple[float, float, float]] | None = None  # mass [kg] and centre [m] that it compensates
     facts: Mapping[str, Any] = field(default_factory=dict)  # further plain values, for bring-up and messages
+
+    def __post_init__(self) -> None:
+        instance_of("name", self.name, str, "a text")
+        whole_number("n", self.n, minimum=1)
+        rate_in_hertz(self.rate)
+        one_of("takes", self.takes, ("torque", "velocity", "position", "mit"))
+        for name in self.measures:
+            one_of("measures", name, ("v", *MEASUREMENTS))
+        Adds.of(self.adds)
+        one_of("paced_by", self.paced_by, ("robot", "host"))
+        finite_scalar("silence", self.silence, unit="s", minimum=0.0)
+        if self.load is not None:
+            finite_scalar("load", self.load[0], unit="kg", minimum=0.0)
+            vector("load", self.load[1], 3, unit="m")
+
+
+@dataclass(frozen=True, kw_only=True)
+class NativeCalls:
+    """Read and write of a driver in native code, of which the loop calls nothing in Python."""
+
+    read: int  # address of i64 read(user, double *measured): not 0 ends the motion
+    write: int  # address of i64 write(user, double *command), likewise
+    user: int
+    failure: Callable[[], DriverError]  # why one of them was not 0
 
 
 class RobotDriver(ABC):
@@ -77,6 +104,10 @@ class RobotDriver(ABC):
     @abstractmethod
     def end(self) -> None:
         """Give control back, from any state and after any error; the robot holds itself or brakes."""
+
+    def native(self) -> NativeCalls | None:
+        """What the loop calls in place of read and write, between open and close; None for Python."""
+        return None
 
     def recover(self) -> None:  # noqa: B027  (most robots need nothing)
         """Clear the robot's own errors, so that begin may follow."""
