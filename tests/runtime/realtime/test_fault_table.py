@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -77,6 +78,12 @@ def fault_tick(robot: VirtualRobot) -> int:
     return int(np.argmax(faults > 0)) if faults[-1] > 0 else -1
 
 
+def in_table(bar: Any, kind: str, code: str, ticks: int = 0) -> None:
+    """A row of the table that `make bars` prints."""
+    seen = "in its tick" if ticks == 0 else f"after {ticks} ticks"
+    bar(f"fault: {kind}", f"{code} ({CODES[code]}), seen {seen}; the stop's torque in that tick, latched, recovered")
+
+
 def check_stop(
     robot: VirtualRobot,
     code: str,
@@ -150,7 +157,7 @@ SENSORS: dict[
 
 @pytest.mark.parametrize("arm", ARMS)
 @pytest.mark.parametrize("kind", SENSORS)
-def test_a_sensor_fails(kind: str, arm: str) -> None:
+def test_a_sensor_fails(kind: str, arm: str, bar: Any) -> None:
     fault, code, within, contrary = SENSORS[kind]
     of = setup(arm)
     robot = started(of, fault)
@@ -158,12 +165,37 @@ def test_a_sensor_fails(kind: str, arm: str) -> None:
     k = fault_tick(robot)
     assert AT <= k <= AT + within
     check_stop(robot, code, k, joint=of.arm.joint_names[JOINT], lost=[JOINT], contrary=contrary)
+    in_table(bar, kind, code, k - AT)
+
+
+@pytest.mark.parametrize("arm", ["planar2", "panda"])
+def test_every_number_that_is_measured_fails(arm: str, bar: Any) -> None:
+    """NaN and infinity in each entry of each measurement: a finite torque, and the sensor by name, in that tick."""
+    of, count = feeling(arm, "force"), 0
+    names = [(name, i) for name, shape in of.made.safe.measured.items() for i in range(int(np.prod(shape)))]
+    robot = VirtualRobot(of)
+    for name, i in names:
+        for value in (np.nan, np.inf, -np.inf):
+            robot.schedule[:] = [Fault(name, lambda x, b, value=value: value, i, 3, 3)]
+            robot.status[STATUS["control"]], robot._began = 1, robot.ticks
+            robot.run(6)
+            fault = robot.acting.fault()
+            assert fault is not None
+            assert (fault.name, fault.tick) == ("sensor_not_finite", robot._began + 3)
+            assert fault.message.startswith(name)
+            assert fault.joint == (None if name == "F_ext" else of.arm.joint_names[i])
+            robot.recover()
+            robot.run(3)
+            assert robot.acting.fault() is None
+            count += 1
+    assert np.isfinite(robot.sent).all()
+    bar(f"NaN and infinity in each measurement of {arm}: not stopped and named in that tick", f"0 of {count}")
 
 
 @pytest.mark.parametrize("arm", ["planar2", "gantry3"])
 @pytest.mark.parametrize("kind", ["command", "memory"])
 @pytest.mark.parametrize("value", ["NaN", "infinite"])
-def test_a_law_breaks_down(value: str, kind: str, arm: str) -> None:
+def test_a_law_breaks_down(value: str, kind: str, arm: str, bar: Any) -> None:
     of = broken(arm, kind == "memory")
     robot = VirtualRobot(of)
     numbers = dict(of.ctrl.parameters) | {"law.value": np.array(0.0 if value == "NaN" else 1.0)}
@@ -174,6 +206,7 @@ def test_a_law_breaks_down(value: str, kind: str, arm: str) -> None:
     assert robot.row("safe.mode") == 0.0
     first = of.arm.joint_names[0] if kind == "command" else None
     check_stop(robot, "law_not_finite", AT, joint=first, again=False)
+    in_table(bar, f"the {kind} of a law is {value}", "law_not_finite")
 
 
 @cache
@@ -194,7 +227,7 @@ LIMITED: dict[str, tuple[str, dict[str, Any], str]] = {  # the arm, its limits, 
 
 
 @pytest.mark.parametrize("kind", LIMITED)
-def test_a_limit_is_met(kind: str) -> None:
+def test_a_limit_is_met(kind: str, bar: Any) -> None:
     name, limits, code = LIMITED[kind]
     if code == "workspace":
         p = np.asarray(taut.snapshot(taut.load_arm(name), taut.load_arm(name).home).T().p)
@@ -210,6 +243,7 @@ def test_a_limit_is_met(kind: str) -> None:
     fault = robot.acting.fault()
     assert fault is not None
     check_stop(robot, code, k, joint=fault.joint, again=False)
+    in_table(bar, kind, code)
     q = robot.rows("q")
     assert (q <= np.asarray(of.limits.upper) + 1e-3).all()  # it stands before its limit
     assert (q >= np.asarray(of.limits.lower) - 1e-3).all()
@@ -228,23 +262,24 @@ def feeling(name: str, what: str) -> Setup:
     return Setup(ctrl, stated(arm, contact=3.0), plant=taut.RigidPlant(arm, environment=push))
 
 
-def test_a_force_at_the_tool_is_too_large() -> None:
+def test_a_force_at_the_tool_is_too_large(bar: Any) -> None:
     push = Fault("F_ext", lambda x, b: x + np.array([0.0, 16.0, 0.0, 0.0, 0.0, 0.0]), None, AT)
     robot = started(feeling("planar2", "force"), push)
     robot.run(AT + 1)
     check_stop(robot, "force", AT, joint=None)
+    in_table(bar, "a force of 16 N at the tool, limit 15", "force")
 
 
 @pytest.mark.parametrize("field", ["nan", "inf"])
-def test_a_force_sensor_fails(field: str) -> None:
+def test_a_force_sensor_fails(field: str, bar: Any) -> None:
     robot = started(feeling("planar2", "force"), Fault("F_ext", lambda x, b: float(field), 4, AT))
     robot.run(AT + 1)
     check_stop(robot, "sensor_not_finite", AT, joint=None)
-    assert robot._sets
+    in_table(bar, f"F_ext is {field}", "sensor_not_finite")
 
 
 @pytest.mark.parametrize("arm", ["planar2", "panda"])
-def test_a_contact_is_found_by_the_torques(arm: str) -> None:
+def test_a_contact_is_found_by_the_torques(arm: str, bar: Any) -> None:
     of = feeling(arm, "contact")
     robot = VirtualRobot(of)
     robot.start()
@@ -255,10 +290,12 @@ def test_a_contact_is_found_by_the_torques(arm: str) -> None:
     assert fault is not None
     assert fault.value is not None
     assert 0.0 < fault.value < 3.0
+    bar(f"a push of 36 N on {arm}, threshold 3 N m: controlled stop after [ms]", k - 100)
     check_stop(robot, "contact", k, joint=fault.joint, again=False)
+    in_table(bar, "a push of 36 N, threshold 3 N m", "contact", k - 100)
 
 
-def test_a_stream_stops() -> None:
+def test_a_stream_stops(bar: Any) -> None:
     of = setup("planar2")
     robot = VirtualRobot(of)
     acting = robot.start(references=References(tables=[Table(rows=None, stream=True)]))
@@ -273,6 +310,7 @@ def test_a_stream_stops() -> None:
     assert k in (120, 121)  # sent before tick 90, which sees it with no age; older than 30 ms
     assert (robot.rows("reference.v")[112:120] == 0.0).all()  # held
     check_stop(robot, "stream_stopped", k, joint=None, again=False)
+    in_table(bar, "a stream stops", "stream_stopped")
 
 
 def send(robot: VirtualRobot, q: Any) -> None:
@@ -283,7 +321,7 @@ def send(robot: VirtualRobot, q: Any) -> None:
     acting.controls._entry(0)[TABLE["received"]] = robot.clock.ns + 10**6  # of the coming tick
 
 
-def test_periods_are_missed() -> None:
+def test_periods_are_missed(bar: Any) -> None:
     of = setup("planar2")
     robot = started(
         of, Fault("late", lambda *_: 20.5, tick=AT, ticks=1), Fault("late", lambda *_: 21.5, tick=AT + 50, ticks=1)
@@ -293,9 +331,10 @@ def test_periods_are_missed() -> None:
     assert list(robot.rows("loop.lost")[[AT + 1, AT + 51]]) == [20.0, 21.0]
     assert fault_tick(robot) == AT + 51
     assert robot.acting.fault().name == "deadline"  # type: ignore[union-attr]
+    in_table(bar, "21 periods are missed", "deadline")
 
 
-def test_another_robot_stops() -> None:
+def test_another_robot_stops(bar: Any) -> None:
     of, group = setup("planar2"), np.zeros(1, np.int64)
     one, two, three = (VirtualRobot(of, group=group) for _ in range(3))
     one.start(references=moving(of), over=0.005)
@@ -307,6 +346,7 @@ def test_another_robot_stops() -> None:
         robot.run(1)
     assert one.acting.fault().name == "sensor_not_finite"  # type: ignore[union-attr]
     check_stop(two, "partner", AT, joint=None)
+    in_table(bar, "another robot of the group stops", "partner")
     three.run(5)
     assert three.acting.fault() is None  # it is not controlled
     one.schedule.clear()
@@ -317,11 +357,12 @@ def test_another_robot_stops() -> None:
     assert two.acting.fault() is None
 
 
-def test_the_watchdog_does_not_look() -> None:
+def test_the_watchdog_does_not_look(bar: Any) -> None:
     robot = started(setup("planar2"))
     robot.status[STATUS["armed"]], robot.status[STATUS["watched"]] = 1, robot.clock.ns + AT * 10**6 - 5 * 10**8
     robot.run(AT + 2)
     check_stop(robot, "unwatched", AT, joint=None, again=False)
+    in_table(bar, "the watchdog does not look", "unwatched")
 
 
 # Faults that nobody can name at once: what follows is bounded, or named when it is seen
@@ -411,10 +452,10 @@ def test_a_load_that_is_dropped_is_borne_or_named() -> None:
         assert np.abs(robot.rows("q") - arm.home).max() < 0.25
 
 
-@pytest.mark.parametrize("arm", ARMS)
+@pytest.mark.parametrize("arm", [*ARMS, "panda with an observer"])
 def test_a_healthy_robot_raises_no_alarm(arm: str, share: Callable[[int], int], bar: Any) -> None:
     """Motions up to nine tenths of the limits, with noisy sensors."""
-    of, rng = setup(arm), np.random.default_rng(4)
+    of, rng = observed() if " " in arm else setup(arm), np.random.default_rng(4)
     n, limits = of.arm.n, of.limits
     noise = [
         Fault("q", lambda x, b: x + 2e-5 * rng.standard_normal(n), None, 0),
@@ -433,6 +474,14 @@ def test_a_healthy_robot_raises_no_alarm(arm: str, share: Callable[[int], int], 
         assert robot.acting.fault() is None
         assert np.abs(robot.row("q") - goal).max() < 0.03
     bar(f"motions of a healthy {arm} at nine tenths of its limits, noisy: false alarms", f"0 of {count}")
+
+
+@cache
+def observed() -> Setup:
+    """A Panda whose contact threshold is 3 N m, and nothing touches it."""
+    of = copy.copy(feeling("panda", "contact"))
+    of.plant, of.started = taut.RigidPlant(of.arm), {}
+    return of
 
 
 def test_every_code_has_words_a_remedy_and_a_place_in_the_page() -> None:

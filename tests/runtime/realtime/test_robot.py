@@ -145,8 +145,9 @@ class TestVerbs:
         assert steps.max() < 0.5
         with refused(taut.errors.RangeError):
             calm.parameters["law.kp"] = -1.0
-        with pytest.raises(taut.errors.RangeError, match="unstable"):
+        with pytest.raises(taut.errors.RangeError) as found:
             calm.parameters["law.kd"] = 5000.0
+        assert found.value.name == "law"
         with refused(taut.errors.UnknownNameError):
             calm.parameters["law.kpp"] = 1.0
         assert calm.parameters["law.kd"] == 20.0
@@ -189,7 +190,9 @@ KINDS = ("silent", "disconnected", "robot_error", "busy", "ValueError")
 class TestDriverFaults:
     @pytest.mark.parametrize("where", ["read", "write"])
     @pytest.mark.parametrize("kind", KINDS)
-    def test_every_exception_ends_the_motion(self, driven: tuple[Robot, Path], where: str, kind: str) -> None:
+    def test_every_exception_ends_the_motion(
+        self, driven: tuple[Robot, Path], where: str, kind: str, bar: Any
+    ) -> None:
         robot, log = driven
         robot.start(compiled(robot))
         robot.wait(0.01)
@@ -208,6 +211,10 @@ class TestDriverFaults:
         robot.wait(0.01)
         robot.stop()
         assert events(log)[-2:] == ["begin", "end"]
+        bar(
+            f"fault: {kind} in the driver's {where}",
+            "nothing more is sent, control is given back; latched, recovered",
+        )
 
     def test_a_robot_that_does_not_begin_goes_on_to_be_read(self, driven: tuple[Robot, Path]) -> None:
         robot, log = driven
@@ -410,8 +417,11 @@ class TestMisuse:
         ):
             with refused(taut.TautError):
                 calm.start(ctrl)  # type: ignore[arg-type]
-        with pytest.raises(taut.errors.RangeError, match="unstable at the start pose"):
+        with pytest.raises(
+            taut.errors.RangeError
+        ) as found:  # unstable as a sampled loop; at which joint, the pose decides
             calm.start(compiled(calm, L.ComputedTorque(kp=100.0, kd=3000.0)))
+        assert found.value.name == "law"
         with refused(taut.errors.RangeError):
             calm.start(
                 compiled(calm), taut.trajectories.Quintic(q0=calm.q + np.array([0.5, 0.0]), q1=calm.q, duration=1.0)
