@@ -23,7 +23,7 @@ PAYLOAD: Final = (5, 6, 0)
 WATCHDOG_RATE: Final = 20.0  # [Hz] slower commands end the controller's program
 POLL: Final = 1e-4  # [s] between two looks for a new state
 SILENT_POLLS: Final = 600  # without one until the robot is silent: 0.06 s; the loop's watchdog acts after 0.08
-ANSWER_TIME: Final = 2.0  # [s] for an answer, or for a connection to end
+UR_ANSWER: Final = 2.0  # [s] for an answer, or for a connection to end
 ACCELERATION: Final = 40.0  # [rad/s^2] largest of speedj; the loop's limits are lower
 LOOKAHEAD, GAIN = 0.1, 300.0  # [s], [-] of servoj: the vendor's defaults
 STOP_DECELERATION: Final = 10.0  # [rad/s^2] of the stop at the end
@@ -129,7 +129,7 @@ class UrDriver(RobotDriver):
             raise DriverError(f"UR at {self._address} gives no control: {cause}", kind=kind) from cause
 
     def _until(self, holds: Callable[[], bool]) -> None:
-        until = time.monotonic() + ANSWER_TIME
+        until = time.monotonic() + UR_ANSWER
         while not holds() and time.monotonic() < until:
             time.sleep(POLL)
 
@@ -147,7 +147,7 @@ class UrDriver(RobotDriver):
             with contextlib.suppress(Exception):  # a program that ends meanwhile stops the arm too
                 self._stop(STOP_DECELERATION)
                 control.stopScript()
-        _dropped(control, 0.0 if self._lost else ANSWER_TIME)
+        _dropped(control, 0.0 if self._lost else UR_ANSWER)
 
     def recover(self) -> None:
         """Unlock a protective stop, by the dashboard server of CB3 and e-Series; connect anew where it was lost."""
@@ -158,7 +158,7 @@ class UrDriver(RobotDriver):
         if self._stopped() and self._version[0] < 10:
             try:
                 with (
-                    socket.create_connection((self._address, DASHBOARD), ANSWER_TIME) as port,
+                    socket.create_connection((self._address, DASHBOARD), UR_ANSWER) as port,
                     port.makefile() as lines,
                 ):
                     lines.readline()  # its name
@@ -178,7 +178,7 @@ class UrDriver(RobotDriver):
     def close(self) -> None:
         self.end()
         if self._receive is not None:
-            _dropped(self._receive, 0.0 if self._lost else ANSWER_TIME)
+            _dropped(self._receive, 0.0 if self._lost else UR_ANSWER)
 
 
 def _module(name: str) -> Any:
@@ -201,7 +201,7 @@ def _dropped(interface: Any, patience: float) -> None:
 def _version(address: str) -> tuple[int, int, int]:
     """PolyScope's version, by the RTDE protocol. Raises DriverError where none answers."""
     try:
-        with socket.create_connection((address, RTDE), ANSWER_TIME) as port, port.makefile("rb") as answers:
+        with socket.create_connection((address, RTDE), UR_ANSWER) as port, port.makefile("rb") as answers:
             port.sendall(struct.pack(">HBH", 5, ord("V"), 2) + struct.pack(">HB", 3, ord("v")))
             accepted, found = answers.read(4), answers.read(19)
             if len(found) == 19 and accepted[3]:
