@@ -62,8 +62,8 @@ CONTROLS: Final = _numbered("sample", "received", "parameters", "hold_after", "s
 CONTROL_WORDS: Final = 16
 TABLE: Final = _numbered("first", "length", "arrived", "dynamic")
 """Words of a table of samples: its first row and length (-1: the stream), the tick with which it began."""
-ROW_HEAD: Final = ("tick", "time", "late", "compute", "driver", "lost")
-"""Columns before inputs and outputs in a row of the ring; times in seconds."""
+ROW_HEAD: Final = ("tick", "time", "late", "compute", "driver", "lost", "sent")
+"""Columns before inputs, parameters, memory and outputs in a row of the ring; times in seconds."""
 PLANT: Final = _numbered(
     "step", "substep", "repeats", "measure", "inputs", "parameters", "memory", "new", "outputs", "command_size",
     "memory_size", "count", "dt",
@@ -171,7 +171,11 @@ end:
 
 
 def _tick() -> str:
-    """`void tick(loop, now, lost)`: take what the parent wrote, run the kernel, keep its memory."""
+    """`ptr tick(loop, now, lost)`: take what the parent wrote, run the kernel, keep its memory; the row in the ring.
+
+    All that the kernel reads stands in the row: from any row its outputs, and the memory of the next one, can be
+    computed again.
+    """
     w = _Code()
     w.line("entry:")
     status, old, new = (w.load("%loop", LOOP[name], "ptr") for name in ("status", "set", "next"))
@@ -300,12 +304,20 @@ def _tick() -> str:
     w.line(f" call void {starter}({fixed}, ptr {blocks['new']}, ptr {scratch})")
     w.copy_blocks(scratch, memory, size)
     w.line(" br label %step", "step:")
+    ring, rows = w.load("%set", SET["ring"], "ptr"), w.load("%set", SET["rows"], "ptr")
+    place = w.put(f"urem i64 {w.load(ring, 0)}, {w.load('%set', SET['capacity'])}")
+    row = w.doubles(rows, w.put(f"mul i64 {place}, {w.load('%set', SET['row_size'])}"))
+    target = w.doubles(row, str(len(ROW_HEAD)))
+    for name in ("input", "parameter", "memory"):
+        size = w.load("%set", SET[f"{name}_size"])
+        w.copy_blocks(blocks[name if name == "memory" else f"{name}s"], target, size)
+        target = w.doubles(target, size)
     kernel = w.load("%set", SET["kernel"], "ptr")
     w.line(f" call void {kernel}({fixed}, ptr {blocks['new']}, ptr {blocks['outputs']})")
     w.copy_blocks(blocks["new"], memory, w.load("%set", SET["memory_size"]))
     w.store("%set", SET["count"], w.add(count, 1))
-    w.line(" ret void")
-    return w.function("internal void @tick(ptr %loop, i64 %now, i64 %lost) nounwind")
+    w.line(f" ret ptr {row}")
+    return w.function("internal ptr @tick(ptr %loop, i64 %now, i64 %lost) nounwind")
 
 
 def _loop() -> str:
@@ -343,7 +355,7 @@ def _loop() -> str:
     behind = w.choose(host, "%behind", w.put(f"sub i64 {since}, {period}"))
     w.store("%loop", LOOP["last"], began)
     w.release(status, STATUS["lost"], w.add(w.load(status, STATUS["lost"]), lost))
-    w.line(f" call void @tick(ptr %loop, i64 {began}, i64 {lost})")
+    row = w.put(f"call ptr @tick(ptr %loop, i64 {began}, i64 {lost})")
     ended = w.put("call i64 @now()")
     set_ = w.load("%loop", LOOP["set"], "ptr")
     outputs = w.load(set_, SET["outputs"], "ptr")
@@ -354,7 +366,7 @@ def _loop() -> str:
     command = w.doubles(outputs, w.load(set_, SET["command_at"]))
     refused = w.put(f"call i64 {write}(ptr {user}, ptr {command})")
     w.branch(w.test("ne", refused, 0), "unwritten", "sent")
-    w.line("sent:")
+    w.line("sent:", " %went = phi double [0.0, %got], [1.0, %send]")
     over = w.put("call i64 @now()")
     w.release(status, STATUS["where"], "0")
 
@@ -365,19 +377,15 @@ def _loop() -> str:
     slow = w.truth(w.test("sgt", computing, period), "i64")
     w.store(status, STATUS["overruns"], w.add(w.load(status, STATUS["overruns"]), slow))
     ticks = w.load(status, STATUS["ticks"])
-    ring, rows = w.load(set_, SET["ring"], "ptr"), w.load(set_, SET["rows"], "ptr")
-    head = w.load(ring, 0)
-    place = w.put(f"urem i64 {head}, {w.load(set_, SET['capacity'])}")
-    row = w.doubles(rows, w.put(f"mul i64 {place}, {w.load(set_, SET['row_size'])}"))
     times = (w.seconds(part) for part in (began, behind, computing, driving))
-    values = [w.number(ticks), *times, w.number(lost)]
+    values = [w.number(ticks), *times, w.number(lost), "%went"]
     for i, value in enumerate(values):
         w.set_double(row, str(i), value)
-    size = w.load(set_, SET["input_size"])
-    after = w.doubles(row, str(len(ROW_HEAD)))
-    w.copy_blocks(w.load(set_, SET["inputs"], "ptr"), after, size)
-    w.copy_blocks(outputs, w.doubles(after, size), w.load(set_, SET["output_size"]))
-    w.release(ring, 0, w.add(head, 1))
+    size = w.load(set_, SET["output_size"])
+    last = w.put(f"sub i64 {w.load(set_, SET['row_size'])}, {size}")
+    w.copy_blocks(outputs, w.doubles(row, last), size)
+    ring = w.load(set_, SET["ring"], "ptr")
+    w.release(ring, 0, w.add(w.load(ring, 0), 1))
     w.release(status, STATUS["ticks"], w.add(ticks, 1))
     w.release(status, STATUS["heartbeat"], over)
     latched = w.put(f"load double, ptr {w.doubles(outputs, w.load(set_, SET['fault_at']))}")

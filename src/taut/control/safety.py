@@ -254,6 +254,8 @@ class SafeSide:
         }
         out["terms.safety"] = sent - tm.where(runs & good_law, command, 0.0 * command)
         out |= {column: law_memory[path] for column, path in side.recorded.items()}
+        out |= {f"reference.{name}": getattr(sample, name) for name in fields}
+        out |= {} if "v" in self.measures else {"v": measured["v"]}
         return out, {f"safe.{k}": v for k, v in new.items()} | {f"held.{k}": v for k, v in held.items()} | law_memory
 
     @property

@@ -17,7 +17,7 @@ from taut.arm.rules import indefinite
 from taut.base.errors import printable
 from taut.base.types import Float64Array
 from taut.control.closed_loop import ApparentImpedance
-from taut.maths.model import Chain
+from taut.maths.model import Adds, Chain
 
 POSES: Final = "scene.poses"  # column of a run: (m, 7) position [m] and quaternion wxyz of each thing that moves
 PACKAGES: Final = ("numpy", "llvmlite", "mujoco")
@@ -152,6 +152,16 @@ class ScenarioInfo:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class ServoInfo:
+    """The compiled tick of a robot's loop, with which each row of its record can be computed again."""
+
+    digest: str  # of its program
+    measures: tuple[str, ...]  # by the robot, besides q
+    limits: Mapping[str, Float64Array]  # fields of its `taut.SafetyLimits`
+    adds: Adds  # by the robot, to its commands
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class RunInfo:
     """What a run was made with; what is left out is not known, as of a run that `taut.run` did not make."""
 
@@ -176,6 +186,7 @@ class RunInfo:
     versions: Mapping[str, str] = field(default_factory=dict)  # of the programs that made the run
     controller_arm: Arm | None = None  # without what is only drawn, as the plant's
     plant_arm: Arm | None = None
+    servo: ServoInfo | None = None  # of a robot
 
 
 def check_info(info: RunInfo, joints: Sequence[str]) -> None:

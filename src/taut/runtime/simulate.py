@@ -113,8 +113,8 @@ def run(
         seed=seed,
         law=repr(law),
         arm=side.arm.name,
-        controller_arm=_undrawn(side.arm),
-        plant_arm=_undrawn(target.arm),
+        controller_arm=undrawn(side.arm),
+        plant_arm=undrawn(target.arm),
         plant=target.name,
         events=tuple(
             Change(t=event.t, set=_arrays(event.set)) for event in sorted(changes, key=lambda event: event.t)
@@ -125,8 +125,8 @@ def run(
         stability=stability,
         versions=versions(),
         around=around_info(target, q, length),
-        limits=_limits(side.arm),
-        **_of_tool(law, side, q, made.parameters),
+        limits=joint_limits(side.arm),
+        **of_tool(law, side, q, made.parameters),
     )
     return _recorded(going, log, progress)
 
@@ -135,12 +135,12 @@ def _arrays(values: Mapping[str, ArrayLike]) -> dict[str, Float64Array]:
     return {path: np.array(value, dtype=np.float64) for path, value in values.items()}
 
 
-def _undrawn(arm: Arm) -> Arm:
+def undrawn(arm: Arm) -> Arm:
     """An arm without what is only drawn of it."""
     return dataclasses.replace(arm, visuals=(), source="", notes=())
 
 
-def _limits(arm: Arm) -> dict[str, dict[str, float]]:
+def joint_limits(arm: Arm) -> dict[str, dict[str, float]]:
     """Effort and velocity limits by joint, of those that have one."""
     return {
         name: {
@@ -150,7 +150,7 @@ def _limits(arm: Arm) -> dict[str, dict[str, float]]:
     }
 
 
-def _of_tool(law: Law | Task, side: LawSide, q: Float64Array, parameters: Mapping[str, Any]) -> dict[str, Any]:
+def of_tool(law: Law | Task, side: LawSide, q: Float64Array, parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Tool and impedance of the law with the gains of the run, at the start; of each part or phase of it too."""
     payload = {name: np.array(value) for name, value in subtree(parameters, "model.payload").items()}
     x = Snapshot(side.model, q=q, v=np.zeros(len(q)), payload=PayloadValues.of(payload))

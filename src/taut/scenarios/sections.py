@@ -11,6 +11,7 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from taut import laws as all_laws
+from taut import sensors
 from taut.arm.builtin import BUILT_IN, one_joint_tree
 from taut.arm.catalogue import CATALOGUE
 from taut.arm.change import joints_replaced
@@ -173,6 +174,24 @@ def law_of_text(text: str) -> tuple[str, Law]:
             value=text,
         ) from cause
     return name, read_law(Table(f"law '{name}':", "", table))
+
+
+def side_of_text(text: str) -> Any:
+    """Sensing or limits of a controller from the text that a record has: Sensing(velocity=LowPass(cutoff=30.0)).
+
+    None for "none". Raises UsageError.
+    """
+
+    def made(value: Any) -> Any:
+        if not isinstance(value, dict):
+            return None if value == "none" else value
+        kind = {"Sensing": Sensing, "Limits": Limits}.get(value["law"]) or getattr(sensors, value["law"])
+        return kind(**{name: made(x) for name, x in value.items() if name != "law"})
+
+    try:
+        return None if text == "none" else made(_written(ast.parse(text, mode="eval").body))
+    except (ValueError, TypeError, LookupError, AttributeError, SyntaxError, RecursionError, MemoryError) as cause:
+        raise UsageError(f"{short(text, MAX_SHOWN)!r} cannot be made again from its text", name="sensing") from cause
 
 
 def _written(node: ast.expr) -> Any:

@@ -11,18 +11,22 @@ from taut.arm.description import Arm
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.servo_loop import CONTROLS
-from taut.control.faults import CODES, Fault, fault_of
-from taut.maths.snapshot import AT_TOOL
-from taut.record.info import Outcome, RunInfo, versions
+from taut.control.faults import Fault
+from taut.control.safety import SafetyLimits
+from taut.record.info import RunInfo, ServoInfo, versions
 from taut.record.run import Run
-from taut.runtime.realtime.ring import HEAD, Ring
+from taut.runtime.realtime.ring import DROPPED, ERRNO, HEAD, Ring, Rows, outcome_of
 from taut.runtime.realtime.sets import Controls, ServoSet
 from taut.runtime.realtime.sets import Table as Samples
+from taut.runtime.simulate import joint_limits, of_tool, undrawn
 
 CAPACITY: Final = 8192  # rows of the flight recorder
 MARGIN: Final = 64  # rows that may be overwritten while others are read
-LIMITED: Final = 1e-9  # [N m | ...] smaller is rounding
-NOT_EXTRA: Final = ("t", "q", "v", "command")
+
+
+def _stated(limits: SafetyLimits) -> dict[str, Float64Array]:
+    values = {name: vars(limits)[name] for name in limits.declared}
+    return {name: np.asarray(value, dtype=np.float64) for name, value in values.items() if value is not None}
 
 
 class Acting:
@@ -33,7 +37,15 @@ class Acting:
         self.controls = Controls(made, tables)
         self.controls.numbers[CONTROLS["over"]] = max(over, made.safe.side.dt)
         self.ring = Ring.create(CAPACITY, made.row_size)
-        self.columns = made.columns()
+        arm = made.safe.side.arm
+        self.layout = Rows(
+            columns=made.columns(), measured=made.safe.measured, joint_names=arm.joint_names, units=arm.units
+        )
+
+    @property
+    def columns(self) -> Mapping[str, tuple[int, tuple[int, ...]]]:
+        """First double and shape of every number of a row, by path."""
+        return self.layout.columns
 
     def rows(self, count: int = CAPACITY) -> Float64Array:
         """Copies of the last rows (k, row_size)."""
@@ -42,69 +54,48 @@ class Acting:
 
     def column(self, rows: Float64Array, path: str) -> Float64Array:
         """One column (k, ...) of rows."""
-        first, shape = self.columns[path]
-        size = int(np.prod(shape, dtype=int))
-        return rows[:, first : first + size].reshape(len(rows), *shape)
+        return self.layout.column(rows, path)
 
     def fault(self) -> Fault | None:
         """What the ticks have latched, or None."""
-        last = self.rows(1)
-        code = int(self.column(last, "safe.fault")[-1]) if len(last) else 0
-        if code == 0:
-            return None
-        rows = self.rows()
-        faults = self.column(rows, "safe.fault")
-        first = len(faults) - int(np.argmax(faults[::-1] != code)) if (faults != code).any() else 0
-        tick = int(self.column(rows, "loop.tick")[first])
-        index, value = (float(self.column(last, f"safe.{name}")[-1]) for name in ("index", "value"))
-        arm, i, who, joint, units = self.made.safe.side.arm, int(index), "", None, ("rad", "N m")
-        if code == CODES["sensor_not_finite"]:
-            who, joint = _measurement(self.made.safe.measured, i, arm)
-            value = float(rows[first, self.columns["q"][0] + max(i, 0)])
-        elif i >= 0:
-            joint = arm.joint_names[i]
-            who, units = f"joint '{joint}'", (arm.units[i], "N" if arm.units[i] == "m" else "N m")
-        return fault_of(code, tick, who=who, value=value, units=units, joint=joint)
+        fault = self.layout.fault(self.rows(1))
+        return fault and self.layout.fault(self.rows())
 
-    def run(self, name: str, arm: Arm, fault: Fault | None) -> Run:
-        """The rows that are kept as the record of the robot of that name."""
-        rows = self.rows()
-        side, columns = self.made.safe.side, {path: self.column(rows, path).copy() for path in self.columns}
-        t, q = columns["t"], columns["q"]
-        slopes = np.gradient(q, side.dt, axis=0) if len(t) > 1 else np.zeros_like(q)
-        apart = ("ref.", "terms.", "signal.")
-        limited = int((np.abs(columns["safe.limited"]).max(axis=1) > LIMITED).sum())
-        message = f"{len(t)} ticks, {int(columns['loop.lost'].sum())} periods missed, {limited} ticks limited"
+    def run(self, name: str, arm: Arm, fault: Fault | None, rows: Float64Array | None = None) -> Run:
+        """The rows that are kept, or these, as the record of the robot of that name."""
+        rows = self.rows() if rows is None else rows
+        safe, columns = self.made.safe, {path: x.copy() for path, x in self.layout.of_run(rows).items()}
+        side, counts, header = safe.side, self.layout.counts(rows), self.ring.header
+        q = columns["q"][0] if len(rows) and np.isfinite(columns["q"][0]).all() else arm.home
         return Run(
-            t=t,
-            q=q,
-            v=columns.get("v", slopes),
-            tau=columns.get("tau_meas", columns["command"]),
-            command=columns["command"],
+            **{path: columns[path] for path in ("t", "q", "v", "tau", "command")},
             terms=subtree(columns, "terms"),
-            reference=side.law.reference.of(subtree(columns, "ref")),
-            outcome=Outcome(
-                kind="completed" if fault is None else "stopped",
-                message=message if fault is None else f"{fault}; {message}",
-                tick=len(t) - 1,
-                joint=None if fault is None else fault.joint,
-            ),
+            reference=side.law.reference.of(subtree(columns, "reference")),
+            outcome=outcome_of(counts, fault, int(header[DROPPED]), int(header[ERRNO])),
             joint_names=arm.joint_names,
             units=arm.units,
             continuous=arm.continuous,
             kind=side.probe.kind,
-            extra={p: x for p, x in columns.items() if p not in NOT_EXTRA and not p.startswith(apart)},
+            extra=subtree(columns, "extra"),
             info=RunInfo(
                 rate=side.rate,
-                duration=max(len(t) - 1, 0) * side.dt,
                 law=repr(side.law),
                 arm=side.arm.name,
                 plant=name,
-                controller_arm=side.arm,
-                plant_arm=arm,
+                controller_arm=undrawn(side.arm),
+                plant_arm=undrawn(arm),
                 sensing=str(side.sensing),
-                parameters={path: view.copy() for path, view in self.controls.views.items()},
+                command_limits="none" if side.limits is None else str(side.limits),
+                parameters=self.made.parameters.views(self.made.values.copy()),
                 versions=versions(),
+                limits=joint_limits(side.arm),
+                servo=ServoInfo(
+                    digest=self.made.digest.hex(),
+                    measures=safe.measures,
+                    limits=_stated(safe.limits),
+                    adds=side.adds,
+                ),
+                **of_tool(side.law, side, q, side.parameters),
             ),
             arm=arm,
         )
@@ -113,14 +104,3 @@ class Acting:
         """Free the memory."""
         self.controls.shared.close()
         self.ring.close()
-
-
-def _measurement(measured: Mapping[str, tuple[int, ...]], index: int, arm: Arm) -> tuple[str, str | None]:
-    """What a number of the measurements is called, and its joint."""
-    for name, shape in measured.items():
-        size = int(np.prod(shape, dtype=int))
-        if index < size:
-            joint = arm.joint_names[index] if shape == (arm.n,) and name not in AT_TOOL else None
-            return (f"{name} of joint '{joint}'" if joint else f"{name}[{index}]"), joint
-        index -= size
-    return "a measurement", None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -22,6 +23,7 @@ from taut.controller import Controller, compile
 from taut.loop import ModelPlant
 from taut.maths.model import Adds
 from taut.runtime.realtime.link import Link, checked_info, driver_of
+from taut.runtime.realtime.logger import LogProcess, log_folder
 from taut.runtime.realtime.robot import Robot
 from taut.runtime.realtime.sets import PlantSet
 from taut.runtime.robots.driver import RobotDriver, RobotInfo
@@ -40,6 +42,7 @@ def connect(
     rate: float = 1000.0,
     q0: ArrayLike | None = None,
     together: Robot | None = None,
+    log: str | os.PathLike[str] | None = None,
 ) -> Robot:
     """Connect to a robot, or run a model plant as one in real time. Nothing moves yet.
 
@@ -53,10 +56,13 @@ def connect(
         rate: Of a model plant [Hz].
         q0: (n,) where a model plant is [rad | m]; home unless given.
         together: A robot that is connected: a fault of either stops both.
+        log: A folder, made where it is not there: every law that acts leaves a file in it, TIME-LAW.mcap, which
+            another process writes while it acts. `taut.load_run`, `taut report` and `taut replay` read them.
 
     Raises:
         UsageError, MatchError: Something that does not fit; nothing was sent.
         DriverError: The robot cannot be reached, or is not ready.
+        FileError: No files can be made in the folder of the log.
 
     Example:
         >>> import taut
@@ -71,6 +77,7 @@ def connect(
         True
     """
     partner = together.link if together is not None else None
+    folder = None if log is None else log_folder(log)
     if isinstance(robot, str) or (isinstance(robot, type) and issubclass(robot, RobotDriver)):
         instance_of("arm", arm, Arm, "an Arm from taut.load_arm, the model of the robot")
         assert arm is not None
@@ -96,12 +103,16 @@ def connect(
             "connect takes an address such as franka://172.16.0.2, a model plant such as taut.RigidPlant(arm), or a "
             f"class of your own, a RobotDriver; got {type(robot).__name__}", name="robot",
         )  # fmt: skip
+    logs = None
     try:
         info = checked_info(link.info, arm.n, arm.name)
         limits = SafetyLimits.of(arm) if limits is None else limits
-        return Robot(link, info, arm, limits, _holder(info, arm, limits))
+        logs = None if folder is None else LogProcess(folder, lambda: link.alive)
+        return Robot(link, info, arm, limits, _holder(info, arm, limits), logs)
     except BaseException:
         link.close()
+        if logs is not None:
+            logs.close()
         raise
 
 

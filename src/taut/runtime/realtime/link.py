@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import inspect
-import os
 import socket
 import subprocess
 import sys
@@ -16,7 +15,7 @@ from typing import Any, Final
 
 from taut.base.errors import MatchError, UsageError, unknown_name
 from taut.codegen.servo_loop import STATUS, STATUS_WORDS
-from taut.runtime.realtime.shared import Shared
+from taut.runtime.realtime.shared import Shared, environment
 from taut.runtime.robots.driver import DriverError, RobotDriver, RobotInfo
 
 WATCHDOG: Final = 0.08  # [s] without a tick after which the loop's process is ended; acts within 0.1
@@ -42,9 +41,7 @@ class Link:
         self._closed = False
         self.failure: tuple[int, str] | None = None  # code and text of a driver's fault
         ours, theirs = socket.socketpair()
-        # What the child imports is what this process does, also from a path that only this one knows.
-        paths = os.pathsep.join(dict.fromkeys(path or str(Path.cwd()) for path in sys.path))
-        self._env = {**os.environ, "PYTHONPATH": paths}
+        self._env = environment()
         with theirs:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", "taut.runtime.realtime.process", str(theirs.fileno())],

@@ -31,6 +31,8 @@ from taut.record.run import Run
 from taut.runtime.realtime.acting import Acting
 from taut.runtime.realtime.feeding import NO_ROWS, Feeder, References, references_of, time_outs
 from taut.runtime.realtime.link import Link
+from taut.runtime.realtime.logger import LogProcess
+from taut.runtime.realtime.ring import ENDED
 from taut.runtime.realtime.sets import ServoSet, Table
 from taut.runtime.realtime.status import RobotError, RobotStatus, percentiles
 from taut.runtime.robots.driver import DriverError, RobotInfo
@@ -89,11 +91,20 @@ class Robot:
         arm: Its model.
         limits: Its safety limits.
         holder: The controller that holds and that `move_to` moves by.
+        log: The process that logs, or None.
     """
 
-    def __init__(self, link: Link, info: RobotInfo, arm: Arm, limits: SafetyLimits, holder: Controller) -> None:
+    def __init__(
+        self,
+        link: Link,
+        info: RobotInfo,
+        arm: Arm,
+        limits: SafetyLimits,
+        holder: Controller,
+        log: LogProcess | None = None,
+    ) -> None:
         self.link, self.info, self.arm, self.limits = link, info, arm, limits
-        self._holder = holder
+        self._holder, self._log = holder, log
         self._plant = RobotPlant(
             name=info.name, arm=arm, takes=info.takes, measures=frozenset(info.measures), adds=holder.adds
         )
@@ -105,7 +116,7 @@ class Robot:
         hold = References(tables=[Table(rows=NO_ROWS)], streams={})
         self._install(holder, hold, begins=False, sends=True)
         # Also where the program ends without closing it.
-        self._finalizer = weakref.finalize(self, _freed, link, self._all)
+        self._finalizer = weakref.finalize(self, _freed, link, log, self._all)
 
     @property
     def adds(self) -> Any:
@@ -312,7 +323,8 @@ class Robot:
             overruns=link.word("overruns"),
             compute=percentiles(acting.column(rows, "loop.compute")),
             driver=percentiles(acting.column(rows, "loop.driver")),
-            notes=tuple(link.notes),
+            dropped=0 if self._log is None else self._log.dropped,
+            notes=(*link.notes, *(() if self._log is None else self._log.notes)),
         )
 
     def run(self) -> Run:
@@ -408,18 +420,23 @@ class Robot:
         self._number += 1
         acting = Acting(made, references.tables, number=self._number, sends=sends, over=over)
         first = self._command_at_start(made)
+        if self._log is not None:
+            self._log.follow(acting, self.info.name, self.arm, ctrl.side.title if begins else "hold")
         self.link.tell("set", made.message(acting, first, begins=begins))
         if recovers:  # with the tick that holds already waiting: another one might latch the same again
             self.link.ask("recover")
             self.link.failure = None
-        for old in self._all[:-2]:
+        freed = [old for old in self._all[:-2] if self._log is None or old.ring.done]
+        for old in freed:
             old.close()
-        self._all[:] = [*self._all[-2:], acting]
+        self._all[:] = [*(old for old in self._all if old not in freed), acting]
         self.parameters = RobotParameters(self, ctrl)
         until = time.monotonic() + SETTLE
         while self.link.word("running") != self._number and time.monotonic() < until:
             self._require_alive()
             time.sleep(5e-4)
+        for old in self._all[:-1]:
+            old.ring.header[ENDED] = 1
         feeder = Feeder(acting, references)
         if feeder.needed:
             self._feeder = feeder
@@ -442,8 +459,10 @@ class Robot:
             self._feeder = None
 
 
-def _freed(link: Link, acting: list[Acting]) -> None:
+def _freed(link: Link, log: LogProcess | None, acting: list[Acting]) -> None:
     """End the processes and free the memory of a robot."""
     link.close()
+    if log is not None:
+        log.close()
     for one in acting:
         one.close()

@@ -94,7 +94,7 @@ class ServoSet:
     @property
     def row_size(self) -> int:
         """Doubles of a row of the ring."""
-        return len(ROW_HEAD) + self.inputs.size + self.outputs.size
+        return len(ROW_HEAD) + sum(block.size for block, _ in self._row)
 
     def memory_at_start(self, command: Float64Array) -> Float64Array:
         """Memory before the first tick, of a robot that holds a command (n,)."""
@@ -144,11 +144,18 @@ class ServoSet:
         }
 
     def columns(self) -> dict[str, tuple[int, tuple[int, ...]]]:
-        """Offset and shape of every number of a row, by path."""
+        """Offset and shape of every number of a row, by path; parameters.* and memory.* as the tick began with."""
         out: dict[str, tuple[int, tuple[int, ...]]] = {f"loop.{name}": (i, ()) for i, name in enumerate(ROW_HEAD)}
-        for block, first in ((self.inputs, len(ROW_HEAD)), (self.outputs, len(ROW_HEAD) + self.inputs.size)):
-            out |= {field.path: (first + field.offset, field.shape) for field in block.fields}
+        first = len(ROW_HEAD)
+        for block, prefix in self._row:
+            out |= {prefix + field.path: (first + field.offset, field.shape) for field in block.fields}
+            first += block.size
         return out
+
+    @property
+    def _row(self) -> tuple[tuple[Block, str], ...]:
+        """The blocks of a row, and what is before their paths."""
+        return (self.inputs, ""), (self.parameters, "parameters."), (self.memory, "memory."), (self.outputs, "")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

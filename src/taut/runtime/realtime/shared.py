@@ -1,12 +1,14 @@
-"""Memory that processes share: created by the parent, freed with it, whatever the others do."""
+"""Memory that processes share: created by the parent, freed with it, whatever the others do; their environment."""
 
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 from collections.abc import Callable
 from multiprocessing import resource_tracker
 from multiprocessing.shared_memory import SharedMemory
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,12 @@ from numpy.typing import NDArray
 from taut.base.types import Float64Array
 
 Words = NDArray[np.int64]
+
+
+def environment() -> dict[str, str]:
+    """Environment of a child, which imports what this process does, also from a path that only this one knows."""
+    paths = os.pathsep.join(dict.fromkeys(path or str(Path.cwd()) for path in sys.path))
+    return {**os.environ, "PYTHONPATH": paths}
 
 
 class _Memory(SharedMemory):

@@ -36,7 +36,8 @@ class RobotStatus(Result):
             than a period.
         compute, driver: Median, 99.9th percentile and largest time of a tick's computing, and of the driver with its
             waiting, in the ticks that are kept [s].
-        notes: What the system did not allow: real-time priority, locked memory.
+        dropped: Ticks that should be in the log and are lost.
+        notes: What the system did not allow: real-time priority, locked memory, writing the log.
     """
 
     state: str
@@ -50,6 +51,7 @@ class RobotStatus(Result):
     overruns: int
     compute: tuple[float, float, float]
     driver: tuple[float, float, float]
+    dropped: int
     notes: tuple[str, ...]
 
     def json(self) -> dict[str, Any]:

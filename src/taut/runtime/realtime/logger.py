@@ -1,0 +1,299 @@
+"""The log process of a robot's loop: it copies rows from shared memory to MCAP files, and nothing waits for it.
+
+Each stretch of ticks whose commands went out, or of a shadow, makes one file without gaps. What cannot be written
+stays in the ring and is tried again, in another file; what is overwritten there by then is counted. Started as
+`python -m taut.runtime.realtime.logger FD FOLDER`, and again where it dies: the ring outlives it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import errno
+import itertools
+import os
+import queue
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taut.base.types import Float64Array
+from taut.control.faults import Fault
+from taut.record.log.files import cannot_write
+from taut.record.log.writing import Header, Log
+from taut.runtime.realtime.ring import DROPPED, ENDED, ERRNO, HEAD, LOGGER, SAFE, Ring, Rows, outcome_of
+from taut.runtime.realtime.shared import environment
+
+if TYPE_CHECKING:
+    from taut.arm.description import Arm
+    from taut.runtime.realtime.acting import Acting
+
+PAUSE: Final = 0.02  # [s] between two looks at the rings
+CHUNK: Final = 0.1  # [s] after which what has come is in the file
+TO_DISK: Final = 1.0  # [s] after which it is on the disk
+AGAIN: Final = 0.1  # [s] after a refused write
+ORPHANED: Final = 0.5  # [s] without a row after which a log ends whose parent is gone
+WATCH: Final = 0.05  # [s] between two looks of the parent at the process
+PATIENCE: Final = 5.0  # [s] for a disk that refuses, once there are no more rows
+CLOSING: Final = 10.0  # [s] for the log process to end
+ATTEMPTS: Final = 3  # to have the rest written, where the process dies
+MAX_TITLE: Final = 60  # letters of a law in a file's name
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Following:
+    """What the log process is told of a law."""
+
+    ring: str
+    rows: Rows
+    header: Header
+    title: str
+    shadow: bool
+
+    def meant(self, rows: Float64Array) -> NDArray[np.bool_]:
+        """(k,) rows whose commands went out, or all of a shadow."""
+        return (self.rows.column(rows, "loop.sent") > 0.5) | self.shadow
+
+    def give_up(self, ring: Ring) -> None:
+        """Count what has not been written as lost."""
+        rows, lost = ring.read(int(ring.header[SAFE]), ring.capacity)
+        ring.header[DROPPED] += lost + self.meant(rows).sum()
+        ring.header[SAFE] = ring.header[HEAD]
+
+
+class Book:
+    """The log of one ring, in one file after the other."""
+
+    def __init__(self, told: Following, folder: Path) -> None:
+        self.told, self._folder = told, folder
+        self.ring = Ring.attach(told.ring)
+        self._words = self.ring.header
+        self._words[LOGGER] = os.getpid()
+        self._next = int(self._words[SAFE])  # row to read
+        self._log: Log | None = None
+        self._first = self._next  # row of the first tick in the file
+        self._counts, self._fault = np.zeros(3), cast("Fault | None", None)
+        self._moved = self._written = self._on_disk = time.monotonic()
+        self._head, self._again = self._next, 0.0
+
+    def step(self, *, orphaned: bool) -> bool:
+        """Copy what has come; False where no more will."""
+        now = time.monotonic()
+        if now < self._again:
+            return True
+        ended = bool(self._words[ENDED]) or (orphaned and now > self._moved + ORPHANED)
+        head = int(self._words[HEAD])
+        if head > self._head:
+            self._head, self._moved = head, now
+        try:
+            self._copy()
+            if ended and self._next == head:
+                self._finish()
+            elif self._log is not None and now > self._written + CHUNK:
+                self._log.flush(to_disk=now > self._on_disk + TO_DISK)
+                self._written, self._on_disk = now, now if now > self._on_disk + TO_DISK else self._on_disk
+            self._words[SAFE] = self._safe
+        except OSError as cause:
+            self._abandon(cause, now)
+            if ended and now > self._moved + PATIENCE:
+                self.told.give_up(self.ring)
+        return not (ended and self._words[SAFE] == head)
+
+    @property
+    def _safe(self) -> int:
+        """Rows that are in a file, or not meant for one, or lost."""
+        return self._next if self._log is None else self._first + self._log.safe_ticks
+
+    def _copy(self) -> None:
+        rows, lost = self.ring.read(self._next, self.ring.capacity)
+        if lost:
+            self._finish()
+            self._words[DROPPED] += lost
+            self._words[SAFE] = self._next = self._next + lost
+        sent = self.told.meant(rows)
+        edges = [0, *(np.flatnonzero(np.diff(sent)) + 1).tolist(), len(rows)]
+        for first, end in itertools.pairwise(edges):
+            if sent[first : first + 1].any():
+                self._append(rows[first:end])
+            else:
+                self._finish()
+            self._next += end - first
+
+    def _append(self, rows: Float64Array) -> None:
+        if self._log is None:
+            now = datetime.datetime.now()
+            name = f"{now:%Y%m%d-%H%M%S}.{now.microsecond // 1000:03d}-{self.told.title}.mcap"
+            self._log, self._first = Log(self._folder / name, mode="xb"), self._next
+        self._log.append(self.told.header, self.told.rows.of_run(rows))
+        self._counts += self.told.rows.counts(rows)
+        self._fault = self._fault or self.told.rows.fault(rows)
+
+    def _finish(self) -> None:
+        """End the file, if there is one."""
+        if self._log is not None:
+            dropped, why = int(self._words[DROPPED]), int(self._words[ERRNO])
+            self._log.finish(outcome_of(self._counts, self._fault, dropped, why))
+            self._log.close()
+            self._forget()
+
+    def _forget(self) -> None:
+        self._log, self._counts, self._fault = None, np.zeros(3), None
+
+    def _abandon(self, cause: OSError, now: float) -> None:
+        """Leave the file as it is, without what is not safely in it."""
+        reason = cause.__cause__ if isinstance(cause.__cause__, OSError) else cause
+        self._words[ERRNO] = reason.errno or errno.EIO
+        self._words[SAFE] = self._next = self._safe
+        self._again = now + AGAIN
+        if self._log is not None:
+            self._log.close()
+            if self._log.safe_ticks == 0 and not isinstance(reason, FileExistsError):
+                self._log.path.unlink(missing_ok=True)
+            self._forget()
+
+
+def log_folder(path: str | os.PathLike[str]) -> Path:
+    """A folder for logs, made where it is not there. Raises FileError."""
+    folder = Path(path).absolute()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as cause:
+        raise cannot_write("log folder", folder, cause) from cause
+    if not os.access(folder, os.W_OK):
+        raise cannot_write("log folder", folder, PermissionError(errno.EACCES, os.strerror(errno.EACCES)))
+    return folder
+
+
+class LogProcess:
+    """The parent's end of the log process, which it starts again where it dies."""
+
+    def __init__(self, folder: Path, alive: Callable[[], bool]) -> None:
+        self._folder, self._alive = folder, alive
+        self._rings: list[Ring] = []
+        self._told: list[tuple[Ring, Following]] = []  # what it is following
+        self._waiting: queue.SimpleQueue[tuple[Ring, Following]] = queue.SimpleQueue()
+        self._closed = False
+        self._thread = threading.Thread(target=self._watch, daemon=True, name="taut log")
+        self._start()
+
+    def _start(self) -> None:
+        ours, theirs = socket.socketpair()
+        with theirs:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "taut.runtime.realtime.logger", str(theirs.fileno()), str(self._folder)],
+                pass_fds=[theirs.fileno()], env=environment(), stdin=subprocess.DEVNULL,
+            )  # fmt: skip
+        self._mail = Connection(ours.detach())
+
+    def follow(self, acting: Acting, robot: str, arm: Arm, title: str) -> None:
+        """Log a law, from its first tick on, until its ring has ended."""
+        empty = acting.run(robot, arm, None, np.zeros((0, acting.ring.width)))
+        told = Following(
+            ring=acting.ring.name, rows=acting.layout, header=Header.of(empty), shadow=not acting.sends,
+            title=re.sub("[^A-Za-z0-9]+", "_", title)[:MAX_TITLE],
+        )  # fmt: skip
+        self._rings.append(acting.ring)
+        self._waiting.put((acting.ring, told))
+        if not self._thread.is_alive():
+            self._thread.start()
+            end = time.monotonic() + CLOSING
+            while acting.ring.header[LOGGER] == 0 and time.monotonic() < end:
+                time.sleep(PAUSE)  # until it is there
+
+    @property
+    def dropped(self) -> int:
+        """Ticks that are in no file, and will not be."""
+        return sum(int(ring.header[DROPPED]) for ring in self._rings)
+
+    @property
+    def notes(self) -> list[str]:
+        """What went wrong, in words."""
+        refused = {int(ring.header[ERRNO]) for ring in self._rings} - {0}
+        return [f"the log could not be written for a time: {os.strerror(number)}" for number in sorted(refused)]
+
+    def _watch(self) -> None:
+        """Tell of new rings; start the process again where it died, and end the rings of a loop that did."""
+        while not self._closed:
+            with contextlib.suppress(queue.Empty):
+                self._told.append(self._waiting.get(timeout=WATCH))
+                self._send(self._told[-1][1])
+            if not self._alive():
+                self._end()
+            if self.process.poll() is not None:
+                self._start_again()
+
+    def _start_again(self) -> None:
+        self._mail.close()
+        self._start()
+        for _, told in self._not_done():
+            self._send(told)
+
+    def _not_done(self) -> list[tuple[Ring, Following]]:
+        self._told = [(ring, told) for ring, told in self._told if not ring.done]
+        return self._told
+
+    def _send(self, told: Following) -> None:
+        with contextlib.suppress(OSError):  # it died: the next one is told of it again
+            self._mail.send(told)
+
+    def _end(self) -> None:
+        for ring in self._rings:
+            ring.header[ENDED] = 1
+
+    def close(self) -> None:
+        """Let it write what there is, and end it; what a disk refuses until then is lost and counted."""
+        self._closed = True
+        if self._thread.is_alive():
+            self._thread.join(CLOSING)
+        self._end()
+        self._mail.close()
+        for _ in range(ATTEMPTS):
+            try:
+                self.process.wait(CLOSING)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+                break
+            if self.process.returncode == 0 or not self._not_done():
+                break
+            self._start_again()
+            self._mail.close()
+        for ring, told in self._not_done():
+            told.give_up(ring)
+
+
+def main() -> None:
+    """Log what the parent tells of, until it is gone and all is written."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    mail, folder, parent = Connection(int(sys.argv[1])), Path(sys.argv[2]), True
+    books = list[Book]()
+    while parent or books:
+        told = None
+        try:
+            if parent and mail.poll(PAUSE):
+                told = mail.recv()
+        except (EOFError, OSError):
+            parent = False
+        if told is not None:
+            with contextlib.suppress(FileNotFoundError):  # a ring that is gone
+                books.append(Book(told, folder))
+            continue
+        if not parent:
+            time.sleep(PAUSE)
+        books = [book for book in books if book.step(orphaned=not parent)]
+
+
+if __name__ == "__main__":
+    main()
