@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from taut.base.errors import UsageError
+from taut.base.errors import TautError, UsageError
 from taut.base.result import Table
 from taut.cli.command import DONE, FAILED, GAIN, STATUS, WRONG, Answer, ByName, Command, Say, load_law
 
@@ -239,9 +239,17 @@ def _replay(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
 
     run = load_run(arguments.run)
     servo, info = require_servo(run), run.info
-    law = load_law(arguments.law, arguments.gain) if arguments.law else law_of_text(info.law)[1]
     arm = run.arms[0] if arguments.arm is None else load_arm(arguments.arm)
-    sides = {"sensing": side_of_text(info.sensing), "limits": side_of_text(info.command_limits)}
+    own = None if arguments.law is None else load_law(arguments.law, arguments.gain)
+    try:
+        law = own or law_of_text(info.law)[1]
+        sides = {"sensing": side_of_text(info.sensing), "limits": side_of_text(info.command_limits)}
+    except TautError as cause:
+        raise UsageError(
+            "the law cannot be made from its text in the log; give --law FILE.py:CLASS, or in Python its controller "
+            f"to taut.analysis.replay: {cause}",
+            name="law",
+        ) from cause
     result = replay(run, compile(law, arm, rate=run.rate, adds=servo.adds, **sides))
     return Answer(text=f"{_of(run)}\n{result}", data=result.json(), status=DONE if result.ok else FAILED)
 

@@ -297,7 +297,7 @@ class SafeSide:
             found.append(Finding(code=CODES["sensor_jump"], holds=jumped, index=index, value=value))
             frozen = frozen | jumped
         out["q"] = tm.where(frozen, safe["q"], out["q"])
-        moved = tm.where(frozen, 0.0, moved)
+        moved = tm.where(frozen | (safe["started"] < 0.5), 0.0, moved)
         if "v" not in self.measures:
             out["v"] = moved / periods
         gain = tm.minimum(periods / CONSISTENCY_TIME, 1.0)

@@ -11,7 +11,6 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from taut import laws as all_laws
-from taut import sensors
 from taut.arm.builtin import BUILT_IN, one_joint_tree
 from taut.arm.catalogue import CATALOGUE
 from taut.arm.change import joints_replaced
@@ -27,7 +26,7 @@ from taut.control.combine import SideBySide, Wrapper, law_classes
 from taut.control.law import Law
 from taut.control.limits import Limits
 from taut.control.observer import MomentumObserver
-from taut.control.sensing import Difference, Kalman, LowPass, Sensing
+from taut.control.sensing import Difference, Kalman, LowPass, Notch, Sensing, Wrist
 from taut.drives import ElectricMotor, FlexibleLink, Motor, MotorModel, VariableStiffnessActuator
 from taut.environments import (
     Damper,
@@ -185,12 +184,15 @@ def side_of_text(text: str) -> Any:
     def made(value: Any) -> Any:
         if not isinstance(value, dict):
             return None if value == "none" else value
-        kind = {"Sensing": Sensing, "Limits": Limits}.get(value["law"]) or getattr(sensors, value["law"])
-        return kind(**{name: made(x) for name, x in value.items() if name != "law"})
+        return kinds[value["law"]](**{name: made(x) for name, x in value.items() if name != "law"})
 
+    kinds = {"Sensing": Sensing, "Limits": Limits, "LowPass": LowPass, "Difference": Difference, "Kalman": Kalman}
+    kinds |= {"Notch": Notch, "Wrist": Wrist, "MomentumObserver": MomentumObserver}
     try:
+        if len(text) > MAX_TEXT:
+            raise ValueError(text)
         return None if text == "none" else made(_written(ast.parse(text, mode="eval").body))
-    except (ValueError, TypeError, LookupError, AttributeError, SyntaxError, RecursionError, MemoryError) as cause:
+    except (ValueError, TypeError, LookupError, SyntaxError, RecursionError, MemoryError) as cause:
         raise UsageError(f"{short(text, MAX_SHOWN)!r} cannot be made again from its text", name="sensing") from cause
 
 

@@ -26,7 +26,7 @@ from taut.base.paths import subtree
 from taut.base.types import Array
 from taut.control.trajectories.compound import phase_sample, together_kind
 from taut.control.trajectories.reference import Sample
-from taut.record.info import POSES, Outcome
+from taut.record.info import POSES, Outcome, check_info, with_parameters
 from taut.record.log.writing import FORMAT, TICKS, Ending, Header, Shape, TickLayout
 from taut.record.plain import restored
 from taut.record.run import Run
@@ -131,6 +131,9 @@ def _read(file: IO[bytes], size: int) -> Iterator[Run]:
             extra=subtree(columns, "extra"),
             info=header.info,
         )
+        if header.info.servo is not None:
+            run = replace(run, info=with_parameters(header.info, run.extra, run.t))
+            check_info(run.info, run.joint_names)
         _check_columns(run)
         yield run
 

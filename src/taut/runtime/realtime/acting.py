@@ -13,7 +13,7 @@ from taut.base.types import Float64Array
 from taut.codegen.servo_loop import CONTROLS
 from taut.control.faults import Fault
 from taut.control.safety import SafetyLimits
-from taut.record.info import RunInfo, ServoInfo, versions
+from taut.record.info import RunInfo, ServoInfo, versions, with_parameters
 from taut.record.run import Run
 from taut.runtime.realtime.ring import DROPPED, ERRNO, HEAD, Ring, Rows, outcome_of
 from taut.runtime.realtime.sets import Controls, ServoSet
@@ -66,6 +66,7 @@ class Acting:
         rows = self.rows() if rows is None else rows
         safe, columns = self.made.safe, {path: x.copy() for path, x in self.layout.of_run(rows).items()}
         side, counts, header = safe.side, self.layout.counts(rows), self.ring.header
+        extra = subtree(columns, "extra")
         q = columns["q"][0] if len(rows) and np.isfinite(columns["q"][0]).all() else arm.home
         return Run(
             **{path: columns[path] for path in ("t", "q", "v", "tau", "command")},
@@ -76,26 +77,29 @@ class Acting:
             units=arm.units,
             continuous=arm.continuous,
             kind=side.probe.kind,
-            extra=subtree(columns, "extra"),
-            info=RunInfo(
-                rate=side.rate,
-                law=repr(side.law),
-                arm=side.arm.name,
-                plant=name,
-                controller_arm=undrawn(side.arm),
-                plant_arm=undrawn(arm),
-                sensing=str(side.sensing),
-                command_limits="none" if side.limits is None else str(side.limits),
-                parameters=self.made.parameters.views(self.made.values.copy()),
-                versions=versions(),
-                limits=joint_limits(side.arm),
-                servo=ServoInfo(
-                    digest=self.made.digest.hex(),
-                    measures=safe.measures,
-                    limits=_stated(safe.limits),
-                    adds=side.adds,
+            extra=extra,
+            info=with_parameters(
+                RunInfo(
+                    rate=side.rate,
+                    law=repr(side.law),
+                    arm=side.arm.name,
+                    plant=name,
+                    controller_arm=undrawn(side.arm),
+                    plant_arm=undrawn(arm),
+                    sensing=repr(side.sensing),
+                    command_limits="none" if side.limits is None else repr(side.limits),
+                    versions=versions(),
+                    limits=joint_limits(side.arm),
+                    servo=ServoInfo(
+                        digest=self.made.digest.hex(),
+                        measures=safe.measures,
+                        limits=_stated(safe.limits),
+                        adds=side.adds,
+                    ),
+                    **of_tool(side.law, side, q, side.parameters),
                 ),
-                **of_tool(side.law, side, q, side.parameters),
+                extra,
+                columns["t"],
             ),
             arm=arm,
         )

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 
 from taut.base.checks import instance_of
-from taut.base.errors import MatchError, UsageError, count_of
+from taut.base.errors import MatchError, TautError, UsageError, count_of
 from taut.base.result import Content, Result
 from taut.base.types import Float64Array
 from taut.codegen import native
 from taut.codegen.engine import machine_code
+from taut.codegen.program import Block
 from taut.control.safety import SafeSide, SafetyLimits
 from taut.controller import Controller
 from taut.record.info import ServoInfo, versions
@@ -93,16 +94,24 @@ def replay(run: Run, ctrl: Controller) -> Replay:
     """
     instance_of("ctrl", ctrl, Controller, "a controller from taut.compile")
     servo = require_servo(run)
-    limits = SafetyLimits(**servo.limits)
-    made = ServoSet(SafeSide(side=ctrl.side, limits=limits, measures=servo.measures), dict(ctrl.parameters))
-    if made.digest.hex() != servo.digest:
-        raise MatchError(
-            f"the record is not of this controller: it was made with {run.info.law} on arm '{run.info.arm}' at "
-            f"{run.rate:g} Hz, sensing {run.info.sensing}, limits {run.info.command_limits}; compile that law again, "
-            "with the same arm",
-            name="ctrl",
-        )
-    inputs, parameters, memory, outputs = _blocks(run, made)
+    other = MatchError(
+        f"the record is not of this controller: it was made with {run.info.law} on arm '{run.info.arm}' at "
+        f"{run.rate:g} Hz, {run.info.sensing}, limits {run.info.command_limits}; compile that law again, with the "
+        "same arm",
+        name="ctrl",
+    )
+    try:
+        safe = SafeSide(side=ctrl.side, limits=SafetyLimits(**servo.limits), measures=servo.measures)
+        safe.check()
+        made = ServoSet(safe, dict(ctrl.parameters))
+    except TautError as cause:
+        raise other from cause
+    known = {**run.extra, **run.arrays(), **{f"terms.{name}": x for name, x in run.terms.items()}}
+    shapes = {f"{prefix}{field.path}": field.shape for block, prefix in made.row for field in block.fields}
+    there = all(known[path].shape[1:] == shape for path, shape in shapes.items() if path in known)
+    if made.digest.hex() != servo.digest or not {*shapes, "loop.tick"} <= known.keys() or not there:
+        raise other
+    inputs, parameters, memory, outputs = (_packed(known, block, prefix) for block, prefix in made.row)
     new, computed = np.zeros_like(memory), np.zeros_like(outputs)
     code = native.link(made.code, FUNCTIONS)
     tick = machine_code(code["kernel"])
@@ -110,22 +119,15 @@ def replay(run: Run, ctrl: Controller) -> Replay:
         tick(inputs[k], parameters[k], memory[k], new[k], computed[k])
     follows = np.append(np.diff(run.extra["loop.tick"]) == 1.0, False)  # else the next row begins elsewhere
     after = np.where(follows[:, None], np.roll(memory, -1, axis=0), new)
-    was, now = (np.hstack(parts).view(np.int64) for parts in ((outputs, after), (computed, new)))
+    was, now = (np.hstack(parts).view(np.int64) for parts in ((outputs, after), (computed, new)))  # also of NaN
     differs = was != now
     found: dict[str, Any] = {}
     if differs.any():
         k, i = (int(x) for x in np.argwhere(differs)[0])
-        fields = [
-            *made.outputs.fields,
-            *(dataclasses.replace(f, offset=f.offset + made.outputs.size) for f in made.memory.fields),
-        ]
-        field = next(f for f in fields if f.offset <= i < f.offset + f.size)
-        found = {
-            "first": k,
-            "column": field.path,
-            "recorded": was.view(np.float64)[k, i],
-            "computed": now.view(np.float64)[k, i],
-        }
+        names = [prefix + f.path for block, prefix in made.row[:1:-1] for f in block.fields for _ in range(f.size)]
+        values = {"recorded": was, "computed": now}
+        found = {name: float(array.view(np.float64)[k, i]) for name, array in values.items()}
+        found |= {"first": k, "column": names[i]}
     changed = {name: version for name, version in run.info.versions.items() if versions().get(name) != version}
     return Replay(ticks=len(run), identical=int((~differs.any(axis=1)).sum()), changed=changed, **found)
 
@@ -139,16 +141,7 @@ def require_servo(run: Run) -> ServoInfo:
     return run.info.servo
 
 
-def _blocks(run: Run, made: ServoSet) -> list[Float64Array]:
-    """(k, size) each: inputs, parameters, memory and outputs of every tick."""
-    known = {**run.extra, **run.arrays(), **{f"terms.{name}": x for name, x in run.terms.items()}}
-    out = []
-    for block, prefix in (
-        (made.inputs, ""),
-        (made.parameters, "parameters."),
-        (made.memory, "memory."),
-        (made.outputs, ""),
-    ):
-        parts = [np.asarray(known[prefix + field.path]).reshape(len(run), -1) for field in block.fields]
-        out.append(np.ascontiguousarray(np.hstack(parts)))
-    return out
+def _packed(known: Mapping[str, Float64Array], block: Block, prefix: str) -> Float64Array:
+    """(k, size) a block in every tick."""
+    parts = [known[f"{prefix}{field.path}"] for field in block.fields]
+    return np.ascontiguousarray(np.hstack([part.reshape(len(part), -1) for part in parts]))
