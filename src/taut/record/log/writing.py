@@ -14,7 +14,7 @@ import json
 import os
 import re
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import prod
@@ -233,21 +233,21 @@ class Log:
 
     def write(self, rows: Run) -> None:
         """Append the ticks of a piece of the run."""
-        self.append(None if self._writer is not None else Header.of(rows), rows.arrays())
+        columns = rows.arrays()
+        for first in range(0, max(len(rows), 1), BLOCK_TICKS):
+            block = {name: column[first : first + BLOCK_TICKS] for name, column in columns.items()}
+            self.append(lambda: Header.of(rows), block["t"], lambda layout: layout.rows(block).tobytes())  # noqa: B023
 
-    def append(self, header: Header | None, columns: Mapping[str, Float64Array]) -> None:
-        """Append ticks by their columns, as of `Run.arrays`; the header is that of the first ones."""
+    def append(self, header: Callable[[], Header], t: Float64Array, messages: Callable[[TickLayout], bytes]) -> None:
+        """Append ticks as messages, one behind the other; the header is asked for where the file begins."""
         if self._refusal is not None:
             return
         if self._stream is not None and self._writer is None:
             raise FileError(f"log '{self.path}' is closed; open another one", name=str(self.path))
         try:
             if self._writer is None:
-                assert header is not None
-                self._writer = self._begin(header)
-            for first in range(0, len(columns["t"]), BLOCK_TICKS):
-                block = {name: column[first : first + BLOCK_TICKS] for name, column in columns.items()}
-                self._append(self._writer, block)
+                self._writer = self._begin(header())
+            self._append(self._writer, t, messages(self._layout))
         except OSError as cause:
             self._refuse(cause)
 
@@ -283,10 +283,9 @@ class Log:
         self._channel = writer.register_channel(TICKS, "cdr", schema)
         return writer
 
-    def _append(self, writer: Writer, columns: dict[str, Any]) -> None:
+    def _append(self, writer: Writer, t: Float64Array, data: bytes) -> None:
         assert self._stream is not None
-        data, size = self._layout.rows(columns).tobytes(), self._layout.dtype.itemsize
-        times = np.round(columns["t"] * 1e9).astype(np.int64).tolist()
+        size, times = self._layout.dtype.itemsize, np.round(t * 1e9).astype(np.int64).tolist()
         before = self._stream.position
         for k, time in enumerate(times):
             writer.add_message(self._channel, time, data[k * size : (k + 1) * size], time, self.ticks)

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from taut.base.types import Float64Array
 from taut.control.faults import Fault
 from taut.record.log.files import cannot_write
-from taut.record.log.writing import Header, Log
+from taut.record.log.writing import CDR_HEAD, Header, Log, TickLayout
 from taut.runtime.realtime.ring import DROPPED, ENDED, ERRNO, HEAD, LOGGER, SAFE, Ring, Rows, outcome_of
 from taut.runtime.realtime.shared import environment
 
@@ -44,6 +44,7 @@ PAUSE: Final = 0.02  # [s] between two looks at the rings
 CHUNK: Final = 0.1  # [s] after which what has come is in the file
 TO_DISK: Final = 1.0  # [s] after which it is on the disk
 AGAIN: Final = 0.1  # [s] after a refused write
+AGAIN_ALIVE: Final = 1.0  # [s] between two starts of the process
 ORPHANED: Final = 0.5  # [s] without a row after which a log ends whose parent is gone
 WATCH: Final = 0.05  # [s] between two looks of the parent at the process
 PATIENCE: Final = 5.0  # [s] for a disk that refuses, once there are no more rows
@@ -81,6 +82,9 @@ class Book:
         self.ring = Ring.attach(told.ring)
         self._words = self.ring.header
         self._words[LOGGER] = os.getpid()
+        # Where the numbers of a message stand in a row: a row of these numbers is written as one.
+        numbers = TickLayout(told.header).rows(told.rows.of_run(np.arange(float(self.ring.width))[None]))
+        self._places = np.frombuffer(numbers.tobytes()[len(CDR_HEAD) :]).astype(np.int64)
         self._next = int(self._words[SAFE])  # row to read
         self._log: Log | None = None
         self._first = self._next  # row of the first tick in the file
@@ -136,9 +140,15 @@ class Book:
             now = datetime.datetime.now()
             name = f"{now:%Y%m%d-%H%M%S}.{now.microsecond // 1000:03d}-{self.told.title}.mcap"
             self._log, self._first = Log(self._folder / name, mode="xb"), self._next
-        self._log.append(self.told.header, self.told.rows.of_run(rows))
+        self._log.append(lambda: self.told.header, self.told.rows.column(rows, "t"), lambda _: self._messages(rows))
         self._counts += self.told.rows.counts(rows)
         self._fault = self._fault or self.told.rows.fault(rows)
+
+    def _messages(self, rows: Float64Array) -> bytes:
+        out = np.empty((len(rows), len(CDR_HEAD) + 8 * len(self._places)), dtype=np.uint8)
+        out[:, : len(CDR_HEAD)] = np.frombuffer(CDR_HEAD, dtype=np.uint8)
+        out[:, len(CDR_HEAD) :] = np.take(rows, self._places, axis=1).view(np.uint8)
+        return out.tobytes()
 
     def _finish(self) -> None:
         """End the file, if there is one."""
@@ -189,6 +199,7 @@ class LogProcess:
         self._start()
 
     def _start(self) -> None:
+        self._started = time.monotonic()
         ours, theirs = socket.socketpair()
         with theirs:
             self.process = subprocess.Popen(
@@ -231,7 +242,7 @@ class LogProcess:
                 self._send(self._told[-1][1])
             if not self._alive():
                 self._end()
-            if self.process.poll() is not None:
+            if self.process.poll() is not None and time.monotonic() > self._started + AGAIN_ALIVE:
                 self._start_again()
 
     def _start_again(self) -> None:
