@@ -243,7 +243,7 @@ def _replay(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
     own = None if arguments.law is None else load_law(arguments.law, arguments.gain)
     try:
         law = own or law_of_text(info.law)[1]
-        sides = {"sensing": side_of_text(info.sensing), "limits": side_of_text(info.command_limits)}
+        sides = {"sensing": side_of_text(info.sensing), "limits": side_of_text(f"Limits({info.command_limits})")}
     except TautError as cause:
         raise UsageError(
             "the law cannot be made from its text in the log; give --law FILE.py:CLASS, or in Python its controller "

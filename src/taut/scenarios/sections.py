@@ -191,7 +191,7 @@ def side_of_text(text: str) -> Any:
     try:
         if len(text) > MAX_TEXT:
             raise ValueError(text)
-        return None if text == "none" else made(_written(ast.parse(text, mode="eval").body))
+        return None if text == "Limits(none)" else made(_written(ast.parse(text, mode="eval").body))
     except (ValueError, TypeError, LookupError, SyntaxError, RecursionError, MemoryError) as cause:
         raise UsageError(f"{short(text, MAX_SHOWN)!r} cannot be made again from its text", name="sensing") from cause
 

@@ -59,7 +59,7 @@ class Loop:
         self.rows = np.zeros((0, made.row_size))
         self.read: dict[Path, tuple[int, list[taut.Run]]] = {}
         self.closed = False
-        self.log = LogProcess(logger.log_folder(folder), lambda: True)
+        self.log = LogProcess(logger.log_folder(folder))
         self.log.follow(self.acting, "loop", self.arm, "Computed torque")
 
     def tick(self, count: int, *, sent: bool = True, fault: float = 0.0) -> None:
@@ -228,7 +228,8 @@ def test_what_a_disk_does_not_take_is_counted_exactly(loop: Loop, disk: str) -> 
     assert len(loop.ticks()) + loop.log.dropped == meant
     assert loop.ticks()[-1] == len(loop.rows) - 1
     assert loop.log.dropped > 3 * SMALL
-    assert bool(loop.log.notes) == refuses
+    assert bool(loop.ring.header[logger.ERRNO]) == refuses
+    assert "are not in the log: " in loop.files()[-1].outcome.message
     assert loop.files()[-1].outcome.dropped == loop.log.dropped
 
 

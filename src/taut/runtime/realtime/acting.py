@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
@@ -12,21 +11,15 @@ from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.servo_loop import CONTROLS
 from taut.control.faults import Fault
-from taut.control.safety import SafetyLimits
-from taut.record.info import RunInfo, ServoInfo, versions, with_parameters
+from taut.record.info import ServoInfo, with_parameters
 from taut.record.run import Run
 from taut.runtime.realtime.ring import DROPPED, ERRNO, HEAD, Ring, Rows, outcome_of
 from taut.runtime.realtime.sets import Controls, ServoSet
 from taut.runtime.realtime.sets import Table as Samples
-from taut.runtime.simulate import joint_limits, of_tool, undrawn
+from taut.runtime.simulate import info_of
 
 CAPACITY: Final = 8192  # rows of the flight recorder
 MARGIN: Final = 64  # rows that may be overwritten while others are read
-
-
-def _stated(limits: SafetyLimits) -> dict[str, Float64Array]:
-    values = {name: vars(limits)[name] for name in limits.declared}
-    return {name: np.asarray(value, dtype=np.float64) for name, value in values.items() if value is not None}
 
 
 class Acting:
@@ -41,11 +34,6 @@ class Acting:
         self.layout = Rows(
             columns=made.columns(), measured=made.safe.measured, joint_names=arm.joint_names, units=arm.units
         )
-
-    @property
-    def columns(self) -> Mapping[str, tuple[int, tuple[int, ...]]]:
-        """First double and shape of every number of a row, by path."""
-        return self.layout.columns
 
     def rows(self, count: int = CAPACITY) -> Float64Array:
         """Copies of the last rows (k, row_size)."""
@@ -68,6 +56,14 @@ class Acting:
         side, counts, header = safe.side, self.layout.counts(rows), self.ring.header
         extra = subtree(columns, "extra")
         q = columns["q"][0] if len(rows) and np.isfinite(columns["q"][0]).all() else arm.home
+        limits = {name: vars(safe.limits)[name] for name in safe.limits.declared}
+        servo = ServoInfo(
+            digest=self.made.digest.hex(),
+            measures=safe.measures,
+            limits={name: np.asarray(value) for name, value in limits.items() if value is not None},
+            adds=side.adds,
+        )
+        info = info_of(side, side.law, name, arm, q, side.parameters, servo=servo)
         return Run(
             **{path: columns[path] for path in ("t", "q", "v", "tau", "command")},
             terms=subtree(columns, "terms"),
@@ -78,29 +74,7 @@ class Acting:
             continuous=arm.continuous,
             kind=side.probe.kind,
             extra=extra,
-            info=with_parameters(
-                RunInfo(
-                    rate=side.rate,
-                    law=repr(side.law),
-                    arm=side.arm.name,
-                    plant=name,
-                    controller_arm=undrawn(side.arm),
-                    plant_arm=undrawn(arm),
-                    sensing=repr(side.sensing),
-                    command_limits="none" if side.limits is None else repr(side.limits),
-                    versions=versions(),
-                    limits=joint_limits(side.arm),
-                    servo=ServoInfo(
-                        digest=self.made.digest.hex(),
-                        measures=safe.measures,
-                        limits=_stated(safe.limits),
-                        adds=side.adds,
-                    ),
-                    **of_tool(side.law, side, q, side.parameters),
-                ),
-                extra,
-                columns["t"],
-            ),
+            info=with_parameters(info, extra, columns["t"]),
             arm=arm,
         )
 

@@ -107,7 +107,7 @@ def connect(
     try:
         info = checked_info(link.info, arm.n, arm.name)
         limits = SafetyLimits.of(arm) if limits is None else limits
-        logs = None if folder is None else LogProcess(folder, lambda: link.alive)
+        logs = None if folder is None else LogProcess(folder)
         return Robot(link, info, arm, limits, _holder(info, arm, limits), logs)
     except BaseException:
         link.close()

@@ -20,7 +20,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -41,21 +40,20 @@ if TYPE_CHECKING:
     from taut.runtime.realtime.acting import Acting
 
 PAUSE: Final = 0.02  # [s] between two looks at the rings
-CHUNK: Final = 0.1  # [s] after which what has come is in the file
-TO_DISK: Final = 1.0  # [s] after which it is on the disk
+CHUNK_TIME: Final = 0.1  # [s] after which what has come is in the file
+SYNCHRONISED: Final = 10  # chunks after which it is on the disk
 AGAIN: Final = 0.1  # [s] after a refused write
-AGAIN_ALIVE: Final = 1.0  # [s] between two starts of the process
-ORPHANED: Final = 0.5  # [s] without a row after which a log ends whose parent is gone
+IDLE: Final = 0.5  # [s] without a row after which a file ends
+REFUSED: Final = 5.0  # [s] for a disk that refuses, once there are no more rows
+RESTART: Final = 1.0  # [s] between two starts of the process
 WATCH: Final = 0.05  # [s] between two looks of the parent at the process
-PATIENCE: Final = 5.0  # [s] for a disk that refuses, once there are no more rows
 CLOSING: Final = 10.0  # [s] for the log process to end
-ATTEMPTS: Final = 3  # to have the rest written, where the process dies
 MAX_TITLE: Final = 60  # letters of a law in a file's name
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Following:
-    """What the log process is told of a law."""
+    """A law whose ring is followed."""
 
     ring: str
     rows: Rows
@@ -77,43 +75,46 @@ class Following:
 class Book:
     """The log of one ring, in one file after the other."""
 
-    def __init__(self, told: Following, folder: Path) -> None:
-        self.told, self._folder = told, folder
-        self.ring = Ring.attach(told.ring)
+    def __init__(self, law: Following, folder: Path) -> None:
+        self._law, self._folder, self.ring = law, folder, Ring.attach(law.ring)
         self._words = self.ring.header
         self._words[LOGGER] = os.getpid()
         # Where the numbers of a message stand in a row: a row of these numbers is written as one.
-        numbers = TickLayout(told.header).rows(told.rows.of_run(np.arange(float(self.ring.width))[None]))
+        numbers = TickLayout(law.header).rows(law.rows.of_run(np.arange(float(self.ring.width))[None]))
         self._places = np.frombuffer(numbers.tobytes()[len(CDR_HEAD) :]).astype(np.int64)
-        self._next = int(self._words[SAFE])  # row to read
-        self._log: Log | None = None
-        self._first = self._next  # row of the first tick in the file
-        self._counts, self._fault = np.zeros(3), cast("Fault | None", None)
-        self._moved = self._written = self._on_disk = time.monotonic()
-        self._head, self._again = self._next, 0.0
+        self._next = self._head = int(self._words[SAFE])  # row to read; rows that have been seen
+        self._moved = self._flushed = time.monotonic()
+        self._again, self._chunks = 0.0, 0
+        self._forget()
 
-    def step(self, *, orphaned: bool) -> bool:
-        """Copy what has come; False where no more will."""
-        now = time.monotonic()
+    def _forget(self) -> None:
+        """There is no file now; the next one begins with the next row."""
+        self._log: Log | None = None
+        self._first, self._counts, self._fault = self._next, np.zeros(3), cast("Fault | None", None)
+
+    def step(self, *, parent: bool) -> bool:
+        """Copy what has come; False where no more will. `parent` is False where nobody ends rings any more."""
+        now, ended, head = time.monotonic(), bool(self._words[ENDED]), int(self._words[HEAD])
         if now < self._again:
             return True
-        ended = bool(self._words[ENDED]) or (orphaned and now > self._moved + ORPHANED)
-        head = int(self._words[HEAD])
         if head > self._head:
             self._head, self._moved = head, now
+        idle = now > self._moved + IDLE
+        ended = ended or (idle and not parent)
         try:
             self._copy()
-            if ended and self._next == head:
+            if idle or ended:
                 self._finish()
-            elif self._log is not None and now > self._written + CHUNK:
-                self._log.flush(to_disk=now > self._on_disk + TO_DISK)
-                self._written, self._on_disk = now, now if now > self._on_disk + TO_DISK else self._on_disk
+            elif self._log is not None and now > self._flushed + CHUNK_TIME:
+                self._chunks += 1
+                self._log.flush(to_disk=self._chunks % SYNCHRONISED == 0)
+                self._flushed = now
             self._words[SAFE] = self._safe
         except OSError as cause:
             self._abandon(cause, now)
-            if ended and now > self._moved + PATIENCE:
-                self.told.give_up(self.ring)
-        return not (ended and self._words[SAFE] == head)
+            if ended and now > self._moved + REFUSED:
+                self._law.give_up(self.ring)
+        return not (ended and self._words[SAFE] == self._words[HEAD])
 
     @property
     def _safe(self) -> int:
@@ -126,10 +127,10 @@ class Book:
             self._finish()
             self._words[DROPPED] += lost
             self._words[SAFE] = self._next = self._next + lost
-        sent = self.told.meant(rows)
-        edges = [0, *(np.flatnonzero(np.diff(sent)) + 1).tolist(), len(rows)]
+        meant = self._law.meant(rows)
+        edges = [0, *(np.flatnonzero(np.diff(meant)) + 1).tolist(), len(rows)]
         for first, end in itertools.pairwise(edges):
-            if sent[first : first + 1].any():
+            if meant[first : first + 1].any():
                 self._append(rows[first:end])
             else:
                 self._finish()
@@ -138,11 +139,12 @@ class Book:
     def _append(self, rows: Float64Array) -> None:
         if self._log is None:
             now = datetime.datetime.now()
-            name = f"{now:%Y%m%d-%H%M%S}.{now.microsecond // 1000:03d}-{self.told.title}.mcap"
-            self._log, self._first = Log(self._folder / name, mode="xb"), self._next
-        self._log.append(lambda: self.told.header, self.told.rows.column(rows, "t"), lambda _: self._messages(rows))
-        self._counts += self.told.rows.counts(rows)
-        self._fault = self._fault or self.told.rows.fault(rows)
+            name = f"{now:%Y%m%d-%H%M%S}.{now.microsecond // 1000:03d}-{self._law.title}.mcap"
+            self._first, self._log = self._next, Log(self._folder / name, mode="xb")
+        t = self._law.rows.column(rows, "t")
+        self._log.append(lambda: self._law.header, t, lambda _: self._messages(rows))
+        self._counts += self._law.rows.counts(rows)
+        self._fault = self._fault or self._law.rows.fault(rows)
 
     def _messages(self, rows: Float64Array) -> bytes:
         out = np.empty((len(rows), len(CDR_HEAD) + 8 * len(self._places)), dtype=np.uint8)
@@ -158,11 +160,8 @@ class Book:
             self._log.close()
             self._forget()
 
-    def _forget(self) -> None:
-        self._log, self._counts, self._fault = None, np.zeros(3), None
-
     def _abandon(self, cause: OSError, now: float) -> None:
-        """Leave the file as it is, without what is not safely in it."""
+        """Leave the file as it is; what is not safely in it goes into another one."""
         reason = cause.__cause__ if isinstance(cause.__cause__, OSError) else cause
         self._words[ERRNO] = reason.errno or errno.EIO
         self._words[SAFE] = self._next = self._safe
@@ -179,22 +178,21 @@ def log_folder(path: str | os.PathLike[str]) -> Path:
     folder = Path(path).absolute()
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        if not os.access(folder, os.W_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     except OSError as cause:
         raise cannot_write("log folder", folder, cause) from cause
-    if not os.access(folder, os.W_OK):
-        raise cannot_write("log folder", folder, PermissionError(errno.EACCES, os.strerror(errno.EACCES)))
     return folder
 
 
 class LogProcess:
     """The parent's end of the log process, which it starts again where it dies."""
 
-    def __init__(self, folder: Path, alive: Callable[[], bool]) -> None:
-        self._folder, self._alive = folder, alive
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._closed = folder, False
         self._rings: list[Ring] = []
-        self._told: list[tuple[Ring, Following]] = []  # what it is following
+        self._followed: list[tuple[Ring, Following]] = []  # that are not done
         self._waiting: queue.SimpleQueue[tuple[Ring, Following]] = queue.SimpleQueue()
-        self._closed = False
         self._thread = threading.Thread(target=self._watch, daemon=True, name="taut log")
         self._start()
 
@@ -210,13 +208,13 @@ class LogProcess:
 
     def follow(self, acting: Acting, robot: str, arm: Arm, title: str) -> None:
         """Log a law, from its first tick on, until its ring has ended."""
-        empty = acting.run(robot, arm, None, np.zeros((0, acting.ring.width)))
-        told = Following(
-            ring=acting.ring.name, rows=acting.layout, header=Header.of(empty), shadow=not acting.sends,
-            title=re.sub("[^A-Za-z0-9]+", "_", title)[:MAX_TITLE],
-        )  # fmt: skip
+        header = Header.of(acting.run(robot, arm, None, np.zeros((0, acting.ring.width))))
+        title = re.sub("[^A-Za-z0-9]+", "_", title)[:MAX_TITLE]
+        law = Following(
+            ring=acting.ring.name, rows=acting.layout, header=header, title=title, shadow=not acting.sends
+        )
         self._rings.append(acting.ring)
-        self._waiting.put((acting.ring, told))
+        self._waiting.put((acting.ring, law))  # the thread sends it: a process that is stalled takes nothing
         if not self._thread.is_alive():
             self._thread.start()
             end = time.monotonic() + CLOSING
@@ -228,82 +226,63 @@ class LogProcess:
         """Ticks that are in no file, and will not be."""
         return sum(int(ring.header[DROPPED]) for ring in self._rings)
 
-    @property
-    def notes(self) -> list[str]:
-        """What went wrong, in words."""
-        refused = {int(ring.header[ERRNO]) for ring in self._rings} - {0}
-        return [f"the log could not be written for a time: {os.strerror(number)}" for number in sorted(refused)]
-
     def _watch(self) -> None:
-        """Tell of new rings; start the process again where it died, and end the rings of a loop that did."""
+        """Send what is to be followed, and start the process again where it died."""
         while not self._closed:
+            new = []
             with contextlib.suppress(queue.Empty):
-                self._told.append(self._waiting.get(timeout=WATCH))
-                self._send(self._told[-1][1])
-            if not self._alive():
-                self._end()
-            if self.process.poll() is not None and time.monotonic() > self._started + AGAIN_ALIVE:
-                self._start_again()
-
-    def _start_again(self) -> None:
-        self._mail.close()
-        self._start()
-        for _, told in self._not_done():
-            self._send(told)
+                new = [self._waiting.get(timeout=WATCH)]
+            if self.process.poll() is not None and time.monotonic() > self._started + RESTART:
+                self._mail.close()
+                self._start()
+                new, self._followed = [*self._not_done(), *new], []
+            self._followed += new
+            for _, law in new:
+                with contextlib.suppress(OSError):  # it died: the next one is sent it again
+                    self._mail.send(law)
 
     def _not_done(self) -> list[tuple[Ring, Following]]:
-        self._told = [(ring, told) for ring, told in self._told if not ring.done]
-        return self._told
-
-    def _send(self, told: Following) -> None:
-        with contextlib.suppress(OSError):  # it died: the next one is told of it again
-            self._mail.send(told)
-
-    def _end(self) -> None:
-        for ring in self._rings:
-            ring.header[ENDED] = 1
+        return [(ring, law) for ring, law in self._followed if not ring.done]
 
     def close(self) -> None:
         """Let it write what there is, and end it; what a disk refuses until then is lost and counted."""
         self._closed = True
         if self._thread.is_alive():
             self._thread.join(CLOSING)
-        self._end()
+        while not self._waiting.empty():
+            self._followed.append(self._waiting.get())
+        for ring in self._rings:
+            ring.header[ENDED] = 1
         self._mail.close()
-        for _ in range(ATTEMPTS):
-            try:
-                self.process.wait(CLOSING)
-            except subprocess.TimeoutExpired:
-                self.process.kill()
-                self.process.wait()
-                break
-            if self.process.returncode == 0 or not self._not_done():
-                break
-            self._start_again()
-            self._mail.close()
-        for ring, told in self._not_done():
-            told.give_up(ring)
+        try:
+            self.process.wait(CLOSING)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+            for ring, law in self._not_done():
+                law.give_up(ring)
+        for _, law in self._not_done():  # it died
+            book = Book(law, self._folder)
+            while book.step(parent=False):
+                time.sleep(PAUSE)
 
 
 def main() -> None:
-    """Log what the parent tells of, until it is gone and all is written."""
+    """Log what the parent sends, until it is gone and all is written."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     mail, folder, parent = Connection(int(sys.argv[1])), Path(sys.argv[2]), True
     books = list[Book]()
     while parent or books:
-        told = None
         try:
-            if parent and mail.poll(PAUSE):
-                told = mail.recv()
+            while parent and mail.poll(PAUSE):
+                law = mail.recv()
+                with contextlib.suppress(FileNotFoundError):  # a ring that is gone
+                    books.append(Book(law, folder))
         except (EOFError, OSError):
             parent = False
-        if told is not None:
-            with contextlib.suppress(FileNotFoundError):  # a ring that is gone
-                books.append(Book(told, folder))
-            continue
         if not parent:
             time.sleep(PAUSE)
-        books = [book for book in books if book.step(orphaned=not parent)]
+        books = [book for book in books if book.step(parent=parent)]
 
 
 if __name__ == "__main__":

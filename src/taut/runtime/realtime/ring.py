@@ -44,6 +44,7 @@ class Ring:
     def create(cls, capacity: int, width: int) -> Ring:
         """A new ring of so many rows of so many doubles, empty; closing it removes it."""
         shared = Shared.create(WORDS + capacity * width)
+        shared.words[:] = 0  # its pages are there before a loop attaches
         shared.words[[CAPACITY, WIDTH]] = capacity, width
         return cls(shared)
 

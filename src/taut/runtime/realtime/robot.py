@@ -324,7 +324,7 @@ class Robot:
             compute=percentiles(acting.column(rows, "loop.compute")),
             driver=percentiles(acting.column(rows, "loop.driver")),
             dropped=0 if self._log is None else self._log.dropped,
-            notes=(*link.notes, *(() if self._log is None else self._log.notes)),
+            notes=tuple(link.notes),
         )
 
     def run(self) -> Run:
@@ -332,7 +332,7 @@ class Robot:
         return self.acting.run(self.info.name, self.arm, self.fault)
 
     def timing(self) -> dict[str, Float64Array]:
-        """Of the ticks that are kept: late, compute, driver [s], and the periods lost before each."""
+        """Of the ticks that are kept: late, compute, driver [s], the periods lost before each, and what was sent."""
         rows = self.acting.rows()
         return {name: self.acting.column(rows, f"loop.{name}").copy() for name in ROW_HEAD[2:]}
 
@@ -363,16 +363,13 @@ class Robot:
         self._pause()
 
     def _last(self, path: str, count: int = 1) -> Float64Array:
-        """The last rows of a column; velocities from positions where none are measured."""
+        """The last rows of a column."""
         until = time.monotonic() + SETTLE
         while time.monotonic() < until:
             acting = self.acting
-            rows = acting.rows(max(count, 2))
+            rows = acting.rows(count)
             if len(rows):
-                if path in acting.columns:
-                    return acting.column(rows, path)[-count:]
-                q = acting.column(rows, "q")
-                return (np.diff(q, axis=0, prepend=q[:1]) * self.rate)[-count:]
+                return acting.column(rows, path)
             self._require_alive()
             time.sleep(1e-3)
         raise DriverError(f"{self.info.name} sent no state within {SETTLE:g} s", kind="silent")

@@ -37,7 +37,7 @@ class RobotStatus(Result):
         compute, driver: Median, 99.9th percentile and largest time of a tick's computing, and of the driver with its
             waiting, in the ticks that are kept [s].
         dropped: Ticks that should be in the log and are lost.
-        notes: What the system did not allow: real-time priority, locked memory, writing the log.
+        notes: What the system did not allow: real-time priority, locked memory.
     """
 
     state: str
