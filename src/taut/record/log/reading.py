@@ -169,7 +169,7 @@ def _check_columns(run: Run) -> None:
 class Contents:
     """What stands in a file."""
 
-    metadata: dict[str, dict[str, str]] = field(default_factory=dict)  # by name; of several the first
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)  # by name; of several the first that is whole
     topics: dict[int, str] = field(default_factory=dict)  # by channel
     chunks: list[tuple[int, int]] = field(default_factory=list)  # where the record's content starts, and its length
     unpacked: int = 0  # bytes that the chunks say they have
@@ -243,7 +243,8 @@ def _take(opcode: int, body: bytes, found: Contents) -> bool:
             found.topics.setdefault(channel.id, channel.topic)
         else:
             record = Metadata.read(ReadDataStream(BytesIO(body)))
-            found.metadata.setdefault(record.name, record.metadata)
+            if not _is_whole(found.metadata.get(record.name, {})):
+                found.metadata[record.name] = record.metadata
     except Exception:  # whatever a parser of foreign bytes may raise
         return False
     return True
@@ -309,10 +310,14 @@ def _ticks_in(data: bytes, found: Contents, size: int) -> tuple[int, list[bytes]
     return first, out
 
 
+def _is_whole(record: Mapping[str, str]) -> bool:
+    return f"{zlib.crc32(record.get('json', '').encode()):08x}" == record.get("crc32")
+
+
 def _unsealed(record: Mapping[str, str]) -> Any:
     """The values of a JSON text with its checksum, with texts that may be shown on a terminal."""
     text = record.get("json", "")
-    if f"{zlib.crc32(text.encode()):08x}" != record.get("crc32"):
+    if not _is_whole(record):
         raise ValueError("the checksum is another")
     if sum(map(text.count, ",[{")) > MAX_VALUES:
         raise ValueError(f"its description has more than {MAX_VALUES} values")

@@ -1,8 +1,8 @@
 """Logs: runs as MCAP files, written while they go on, read back exactly.
 
-A file has a record `taut.run` at the start and `taut.outcome` at the end, each a JSON text with its checksum, and
-between them one ROS 2 message taut/msg/Tick per tick on the topic /run: t and all columns (q, v, tau, command,
-terms_P, extra_F_ext, ...), numbers of fixed count, so that NumPy writes and reads thousands at a time.
+A file has a record `taut.run` at the start, and again at the end before `taut.outcome`, each a JSON text with its
+checksum, and between them one ROS 2 message taut/msg/Tick per tick on the topic /run: t and all columns (q, v, tau,
+command, terms_P, extra_F_ext, ...), numbers of fixed count, so that NumPy writes and reads thousands at a time.
 
 References:
     OMG, DDS-XTypes 1.3, section 7.4 (plain CDR, version 1).
@@ -270,7 +270,7 @@ class Log:
     def _begin(self, header: Header) -> Writer:
         from mcap.writer import CompressionType, Writer
 
-        description = sealed(json.dumps(plain(header)))
+        self._description = sealed(json.dumps(plain(header)))
         rate = header.info.rate or USUAL_RATE
         self._layout = TickLayout(header)
         ticks = max(MIN_CHUNK_TICKS, min(CHUNK_BYTES // self._layout.dtype.itemsize, round(CHUNK_SECONDS * rate)))
@@ -278,7 +278,7 @@ class Log:
         stream: Any = self._stream  # which has what the writer needs of a file
         writer = Writer(stream, chunk_size=ticks * self._layout.dtype.itemsize, compression=CompressionType.LZ4)
         writer.start(profile="ros2", library=f"taut {__version__}")
-        writer.add_metadata("taut.run", description)
+        writer.add_metadata("taut.run", self._description)
         schema = writer.register_schema("taut/msg/Tick", "ros2msg", self._layout.schema().encode())
         self._channel = writer.register_channel(TICKS, "cdr", schema)
         return writer
@@ -299,6 +299,7 @@ class Log:
         if writer is not None:
             try:
                 ending = plain(Ending(outcome=outcome, ticks=self.ticks))
+                writer.add_metadata("taut.run", self._description)
                 writer.add_metadata("taut.outcome", sealed(json.dumps(ending)))
                 writer.finish()  # type: ignore[no-untyped-call]
                 self.safe_ticks = self.ticks
