@@ -5,7 +5,9 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import json
+import os
 import re
+import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -68,11 +70,14 @@ def torque(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
         robot.parameters["model.payload.mass"] = 0.8
         robot.wait(0.05)
         out.kept.append(robot.run())
+        logger = robot._log.process  # type: ignore[union-attr]
+        os.kill(logger.pid, signal.SIGSTOP)  # as if a disk stalled: the robot goes on, and is switched
         robot.switch(made(taut.laws.Impedance(K=(300.0, 20.0), zeta=0.7)), taut.stream(period=0.05))
         send, pose = robot.stream(period=0.05), taut.snapshot(arm, robot.q, robot.v).T()
         for k in range(6):
             send(taut.TaskMotion(pose=taut.Pose.of(pose.R, pose.p + 0.002 * k)))
             robot.wait(0.02)
+        os.kill(logger.pid, signal.SIGCONT)
         with pytest.raises(RobotError):  # the stream stops
             robot.wait(1.0)
         out.kept.append(robot.run())
