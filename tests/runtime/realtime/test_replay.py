@@ -51,7 +51,7 @@ def panda() -> taut.Arm:
 def torque(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     """A Panda: parameters that change, a stream, a task, a law with filters and observer, a fault."""
     out, arm = Recorded(tmp_path_factory.mktemp("torque")), panda()
-    limits = taut.SafetyLimits.of(arm, contact=60.0, tool_speed=1.0, missed=1e9)
+    limits = taut.SafetyLimits.of(arm, v=None, contact=60.0, tool_speed=1.0, missed=1e9)  # a machine may stall
     plant = taut.RigidPlant(arm.with_payload(1.0))
     seen = taut.Sensing(
         velocity=taut.sensors.LowPass(cutoff=80.0), observer=taut.sensors.MomentumObserver(bandwidth=40.0)
@@ -64,20 +64,22 @@ def torque(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
 
         joints = taut.laws.ComputedTorque(kp=100.0, kd=20.0, ki=10.0)
         robot.start(made(joints, limits=taut.Limits.of(arm)))
+        logger = robot._log.process  # type: ignore[union-attr]
+        os.kill(logger.pid, signal.SIGSTOP)  # as if a disk stalled
+        ticks = robot.status.ticks
         for kp in (120.0, 80.0, 150.0):
             robot.parameters["law.kp"] = kp
             robot.wait(0.05)
+        assert robot.status.ticks > ticks
+        os.kill(logger.pid, signal.SIGCONT)
         robot.parameters["model.payload.mass"] = 0.8
         robot.wait(0.05)
         out.kept.append(robot.run())
-        logger = robot._log.process  # type: ignore[union-attr]
-        os.kill(logger.pid, signal.SIGSTOP)  # as if a disk stalled: the robot goes on, and is switched
         robot.switch(made(taut.laws.Impedance(K=(300.0, 20.0), zeta=0.7)), taut.stream(period=0.05))
         send, pose = robot.stream(period=0.05), taut.snapshot(arm, robot.q, robot.v).T()
         for k in range(6):
             send(taut.TaskMotion(pose=taut.Pose.of(pose.R, pose.p + 0.002 * k)))
             robot.wait(0.02)
-        os.kill(logger.pid, signal.SIGCONT)
         with pytest.raises(RobotError):  # the stream stops
             robot.wait(1.0)
         out.kept.append(robot.run())
@@ -270,7 +272,7 @@ def require_standard(file: Path) -> None:
 
 def test_what_is_repaired_replays(torque: Recorded, tmp_path: Path) -> None:
     raw = bytearray(torque.file_of("ComputedTorque").read_bytes())
-    raw[len(raw) // 2] ^= 1
+    raw[raw.index(CHUNK_MARK, len(raw) // 2) + 100] ^= 1
     (tmp_path / "log.mcap").write_bytes(raw[: -len(raw) // 8])
     assert main(["repair", str(tmp_path / "log.mcap"), "--out", str(tmp_path / "whole.mcap")]) == 0
     for name in ("whole.mcap", "whole-2.mcap"):
