@@ -1,5 +1,7 @@
 # make demo   set up, run the main job, print what it made and where
 # make test   set up, run lint, types and tests
+# make test-extras   logs in the readers of Rerun and rosbags, which it installs (0.5 GB)
+# make lock   write locked.txt anew: what taut needs, with versions and hashes
 # make bars   the long counts;  make bench  figures against Pinocchio and MuJoCo;  make docs  the site
 # make firmware   exported C: time here, instructions on a Cortex-M7 in QEMU
 # make scorecard   the rows of docs/reliability.md and how many hold
@@ -11,7 +13,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: demo test bars fuzz scorecard soak bench firmware docs clean
+.PHONY: demo test test-extras lock bars fuzz scorecard soak bench firmware docs clean
 
 demo: $(VENV)/demo.stamp
 	$(BIN)/taut run panda_payload --out out/demo
@@ -21,6 +23,13 @@ test: $(VENV)/test.stamp
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2 --dist loadgroup
+
+test-extras: $(VENV)/test.stamp
+	$(PIP) install --quiet -c constraints.txt -e ".[viewers]"
+	$(BIN)/pytest tests/record/test_viewers.py
+
+lock: $(BIN)/python
+	$(BIN)/python tools/lock.py
 
 bars: $(VENV)/test.stamp
 	TAUT_BARS=1 $(BIN)/pytest -n 2 -m "bars or long" -s

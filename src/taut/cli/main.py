@@ -36,6 +36,8 @@ COMMANDS: Final[tuple[Command, ...]] = (
     models.LAWS,
     models.CHECK,
     run.DOCTOR,
+    run.REPAIR,
+    run.REPLAY,
     analysis.DESIGN,
     models.BENCH,
     book.BOOK,

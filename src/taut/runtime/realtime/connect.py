@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import sys
 from collections.abc import Mapping
 from typing import Any, Final
@@ -24,6 +25,7 @@ from taut.controller import Controller, compile
 from taut.loop import ModelPlant
 from taut.maths.model import Adds
 from taut.runtime.realtime.link import Link, driver_of
+from taut.runtime.realtime.logger import LogProcess, log_folder
 from taut.runtime.realtime.robot import Robot
 from taut.runtime.realtime.sets import compiled_plant
 from taut.runtime.robots.driver import RobotDriver, RobotInfo
@@ -42,6 +44,7 @@ def connect(
     rate: float = 1000.0,
     q0: ArrayLike | None = None,
     together: Robot | None = None,
+    log: str | os.PathLike[str] | None = None,
 ) -> Robot:
     """Connect to a robot, or run a model plant as one in real time. Nothing moves yet.
 
@@ -55,10 +58,13 @@ def connect(
         rate: Of a model plant [Hz].
         q0: (n,) where a model plant is [rad | m]; home unless given.
         together: A robot that is connected: a fault of either stops both.
+        log: A folder, made where it is not there: every law that acts leaves a file in it, TIME-LAW.mcap, which
+            another process writes while it acts. `taut.load_run`, `taut report` and `taut replay` read them.
 
     Raises:
         UsageError, MatchError: Something that does not fit; nothing was sent.
         DriverError: The robot cannot be reached, or is not ready.
+        FileError: No files can be made in the folder of the log.
 
     Example:
         >>> import taut
@@ -92,6 +98,7 @@ def connect(
     hello: dict[str, Any] = {}
     if plant is None:
         hello = {**driver_of(robot, address), "options": dict(options or {})}  # type: ignore[arg-type]
+    folder, logs = None if log is None else log_folder(log), None
     if together is not None:
         together.check()
     link = Link(together.link if together is not None else None)
@@ -102,9 +109,12 @@ def connect(
                 f"{info.name} has {info.n} joints and arm '{arm.name}' has {arm.n}; load the arm that is connected",
                 name="arm",
             )
-        return Robot(link, info, arm, limits, _holder(info, arm, limits))
+        logs = None if folder is None else LogProcess(folder)
+        return Robot(link, info, arm, limits, _holder(info, arm, limits), logs)
     except BaseException:
         link.close()
+        if logs is not None:
+            logs.close()
         raise
 
 

@@ -256,6 +256,6 @@ class Feeder(threading.Thread):
     def _seen(self, rows: Float64Array) -> Snapshot:
         """The controller's snapshot in the last tick."""
         acting = self._acting
-        now = {path: acting.column(rows, path)[-1] for path in acting.columns}
+        now = {path: acting.column(rows, path)[-1] for path in acting.layout.columns}
         measured = {name: now[name] for name in acting.made.safe.measured}
         return self._side.seen(measured, subtree(now, "memory.sensing"), subtree(now, "parameters"), float(now["t"]))

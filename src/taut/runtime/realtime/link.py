@@ -17,7 +17,7 @@ from typing import Any, Final
 
 from taut.base.errors import UsageError, unknown_name
 from taut.codegen.servo_loop import STATUS, STATUS_WORDS
-from taut.runtime.realtime.shared import Shared
+from taut.runtime.realtime.shared import Shared, environment
 from taut.runtime.robots.driver import DriverError, RobotDriver, RobotInfo
 
 ANSWER_TIME: Final = 30.0  # [s] for the answer of the loop's process, which may be connecting to a robot
@@ -42,12 +42,10 @@ class Link:
         self._owner, self._closed, self._shares = os.getpid(), False, partner is not None
         self._alone = threading.RLock()  # of the messages
         ours, theirs = socket.socketpair()
-        # What the child imports is what this process does, also from a path that only this one knows.
-        paths = os.pathsep.join(dict.fromkeys(path or str(Path.cwd()) for path in sys.path))
         with theirs:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", "taut.runtime.realtime.process", str(theirs.fileno())],
-                pass_fds=[theirs.fileno()], env={**os.environ, **ONE_THREAD, "PYTHONPATH": paths},
+                pass_fds=[theirs.fileno()], env={**environment(), **ONE_THREAD},
                 stdin=subprocess.DEVNULL, start_new_session=True,  # what a terminal sends is not for it
             )  # fmt: skip
         self._mail = Connection(ours.detach())

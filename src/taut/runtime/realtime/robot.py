@@ -31,6 +31,8 @@ from taut.record.run import Run
 from taut.runtime.realtime.acting import Acting
 from taut.runtime.realtime.feeding import Feeder, References, references_of
 from taut.runtime.realtime.link import Link
+from taut.runtime.realtime.logger import LogProcess
+from taut.runtime.realtime.ring import ENDED
 from taut.runtime.realtime.sets import NO_ROWS, ServoSet, Table
 from taut.runtime.realtime.status import RobotError, RobotStatus, Timing
 from taut.runtime.robots.driver import DriverError, RobotInfo
@@ -133,11 +135,15 @@ class Robot:
         arm: Its model.
         limits: Its safety limits.
         holder: The controller that holds and that `move_to` moves by.
+        log: The process that logs, or None.
     """
 
-    def __init__(self, link: Link, info: RobotInfo, arm: Arm, limits: SafetyLimits, holder: Controller) -> None:
+    def __init__(
+        self, link: Link, info: RobotInfo, arm: Arm, limits: SafetyLimits, holder: Controller,
+        log: LogProcess | None = None,
+    ) -> None:  # fmt: skip
         self.link, self.info, self.arm, self.limits = link, info, arm, limits
-        self.holder = holder
+        self.holder, self._log = holder, log
         self.plant = RobotPlant(
             name=info.name, arm=arm, takes=info.takes, measures=frozenset(info.measures), adds=holder.adds
         )
@@ -149,7 +155,7 @@ class Robot:
         self._holding = self._compiled(holder)
         self._act(holder, self._holding, HOLD, begins=False)
         # Also where the program ends without closing it.
-        self._finalizer = weakref.finalize(self, _freed, link, self._all)
+        self._finalizer = weakref.finalize(self, _freed, link, log, self._all)
 
     @property
     def adds(self) -> Any:
@@ -374,6 +380,7 @@ class Robot:
             lost=link.word("lost"),
             overruns=link.word("overruns"),
             timing=self.timing(),
+            dropped=0 if self._log is None else self._log.dropped,
             notes=tuple(link.notes),
         )
 
@@ -483,10 +490,13 @@ class Robot:
         self._end_feeding()
         self._number += 1
         acting = Acting(made, references, ctrl.parameters, number=self._number, sends=sends, over=over)
+        if self._log is not None:
+            self._log.follow(acting, self.info.name, self.arm, ctrl.side.title if begins else "hold")
         try:
             controls = controls and not self.link.word("control")
             self.link.ask("set", {**made.message(acting, begins=begins), "control": controls})
         except BaseException:
+            acting.ring.header[ENDED] = 1
             acting.close()
             raise
         self._all.append(acting)
@@ -500,8 +510,10 @@ class Robot:
                 raise self._silent()
             time.sleep(5e-4)
         for old in self._all[:-1]:
-            old.close()
-        del self._all[:-1]
+            old.ring.header[ENDED] = 1
+            if self._log is None or old.ring.done:
+                old.close()
+                self._all.remove(old)
 
     def _end_feeding(self) -> None:
         if self._feeder is not None:
@@ -516,8 +528,10 @@ def require_stable(ctrl: Controller, plant: RobotPlant, q: Float64Array, values:
         raise RangeError(f"{verdict.message} (nothing was sent to {plant.name})", name="law")
 
 
-def _freed(link: Link, acting: list[Acting]) -> None:
-    """End the process and free the memory of a robot; not in a child of the program that made it."""
+def _freed(link: Link, log: LogProcess | None, acting: list[Acting]) -> None:
+    """End the processes and free the memory of a robot; not in a child of the program that made it."""
     if link.close():
+        if log is not None:
+            log.close()
         for one in acting:
             one.close()

@@ -92,7 +92,7 @@ class ServoSet:
     @property
     def row_size(self) -> int:
         """Doubles of a row of the ring."""
-        return len(ROW_HEAD) + sum(block.size for block, _ in self._row)
+        return len(ROW_HEAD) + sum(block.size for block, _ in self.row)
 
     def packed(self, parameters: Mapping[str, Float64Array]) -> Float64Array:
         """The parameters that the tick takes: those that the law was made with, but for these."""
@@ -141,13 +141,13 @@ class ServoSet:
         """Offset and shape of every number of a row, by path; parameters.* and memory.* as they were before it."""
         out: dict[str, tuple[int, tuple[int, ...]]] = {f"loop.{name}": (i, ()) for i, name in enumerate(ROW_HEAD)}
         first = len(ROW_HEAD)
-        for block, prefix in self._row:
+        for block, prefix in self.row:
             out |= {prefix + field.path: (first + field.offset, field.shape) for field in block.fields}
             first += block.size
         return out
 
     @property
-    def _row(self) -> tuple[tuple[Block, str], ...]:
+    def row(self) -> tuple[tuple[Block, str], ...]:
         """The blocks of a row, and what is before their paths."""
         return (self.inputs, ""), (self.parameters, "parameters."), (self.memory, "memory."), (self.outputs, "")
 

@@ -1,9 +1,10 @@
-"""Memory that processes share. It has no name in any folder, and is freed with the last process that maps it."""
+"""What processes share: memory without a name in any folder, freed with the last one that maps it; environment."""
 
 from __future__ import annotations
 
 import mmap
 import os
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,12 @@ from numpy.typing import NDArray
 from taut.base.types import Float64Array
 
 Words = NDArray[np.int64]
+
+
+def environment() -> dict[str, str]:
+    """Environment of a child, which imports what this process does, also from a path that only this one knows."""
+    paths = os.pathsep.join(dict.fromkeys(path or str(Path.cwd()) for path in sys.path))
+    return {**os.environ, "PYTHONPATH": paths}
 
 
 class Shared:

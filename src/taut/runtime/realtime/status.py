@@ -122,6 +122,7 @@ class RobotStatus(Result):
         ticks, lost, overruns: Ticks since the connection, periods that were missed, ticks whose computing took longer
             than a period.
         timing: Of the ticks that are kept.
+        dropped: Ticks that should be in the log and are lost.
         notes: What the system did not allow: real-time priority, locked memory.
     """
 
@@ -135,6 +136,7 @@ class RobotStatus(Result):
     lost: int
     overruns: int
     timing: Timing
+    dropped: int
     notes: tuple[str, ...]
 
     def json(self) -> dict[str, Any]:
