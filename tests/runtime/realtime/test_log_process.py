@@ -26,6 +26,7 @@ from taut.runtime.realtime import logger
 from taut.runtime.realtime.acting import Acting
 from taut.runtime.realtime.logger import LogProcess
 from taut.runtime.realtime.ring import HEAD, Ring
+from taut.runtime.realtime.robot import HOLD
 from taut.runtime.realtime.sets import ServoSet
 
 SMALL = 400  # rows of a ring that overflows soon
@@ -43,7 +44,7 @@ def until(condition: Callable[[], bool]) -> None:
 def servo_set() -> ServoSet:
     arm = taut.load_arm("planar2")
     side = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm).side
-    return ServoSet(SafeSide(side=side, limits=taut.SafetyLimits.of(arm), measures=("v",)), {})
+    return ServoSet(SafeSide(side=side, limits=taut.SafetyLimits.of(arm), measures=("v",)))
 
 
 class Loop:
@@ -52,7 +53,7 @@ class Loop:
     def __init__(self, folder: Path, capacity: int) -> None:
         made = servo_set()
         self.arm = made.safe.side.arm
-        self.acting = Acting(made, [], number=1, sends=True, over=0.1)
+        self.acting = Acting(made, HOLD, {}, number=1, sends=True, over=0.1)
         self.acting.ring.close()
         self.ring = self.acting.ring = Ring.create(capacity, made.row_size)
         self.folder, self.rng = folder, np.random.default_rng(0)
@@ -238,7 +239,7 @@ def test_what_a_disk_does_not_take_is_counted_exactly(loop: Loop, disk: str) -> 
 def test_a_disk_that_never_comes_back_delays_the_end_for_a_stated_time(
     loop: Loop, disk: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(logger, "CLOSING", 0.3)
+    monkeypatch.setattr(logger, "LOG_CLOSING", 0.3)
     loop.tick(100)
     loop.written()
     DISKS[disk][0](loop)

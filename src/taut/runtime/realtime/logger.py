@@ -47,7 +47,7 @@ IDLE: Final = 0.5  # [s] without a row after which a file ends
 REFUSED: Final = 5.0  # [s] for a disk that refuses, once there are no more rows
 RESTART: Final = 1.0  # [s] between two starts of the process
 WATCH: Final = 0.05  # [s] between two looks of the parent at the process
-CLOSING: Final = 10.0  # [s] for the log process to end
+LOG_CLOSING: Final = 10.0  # [s] for the log process to end
 MAX_TITLE: Final = 60  # letters of a law in a file's name
 
 
@@ -217,7 +217,7 @@ class LogProcess:
         self._waiting.put((acting.ring, law))  # the thread sends it: a process that is stalled takes nothing
         if not self._thread.is_alive():
             self._thread.start()
-            end = time.monotonic() + CLOSING
+            end = time.monotonic() + LOG_CLOSING
             while acting.ring.header[LOGGER] == 0 and time.monotonic() < end:
                 time.sleep(PAUSE)  # until it is there
 
@@ -248,14 +248,14 @@ class LogProcess:
         """Let it write what there is, and end it; what a disk refuses until then is lost and counted."""
         self._closed = True
         if self._thread.is_alive():
-            self._thread.join(CLOSING)
+            self._thread.join(LOG_CLOSING)
         while not self._waiting.empty():
             self._followed.append(self._waiting.get())
         for ring in self._rings:
             ring.header[ENDED] = 1
         self._mail.close()
         try:
-            self.process.wait(CLOSING)
+            self.process.wait(LOG_CLOSING)
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.process.wait()

@@ -80,8 +80,8 @@ class Ring:
         return max(0, int(self.header[HEAD]) - self.capacity + 1)
 
     def close(self) -> None:
-        """Leave the memory; who created the ring removes it."""
-        self.header, self.rows = np.zeros(WORDS, dtype=np.int64), self.rows[:0].copy()
+        """Leave the memory."""
+        self.header, self.rows = self.header.copy(), self.rows[:0].copy()
         self._shared.close()
 
 
