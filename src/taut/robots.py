@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from taut.runtime.realtime.status import RobotError as RobotError
     from taut.runtime.realtime.status import RobotStatus as RobotStatus
     from taut.runtime.realtime.status import Timing as Timing
+    from taut.runtime.robots.can import CanMotors as CanMotors
     from taut.runtime.robots.driver import DriverError as DriverError
     from taut.runtime.robots.driver import RobotDriver as RobotDriver
     from taut.runtime.robots.driver import RobotInfo as RobotInfo

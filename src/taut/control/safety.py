@@ -154,6 +154,7 @@ class SafeSide:
     side: LawSide
     limits: SafetyLimits
     measures: tuple[str, ...]  # by the robot, besides positions
+    at_rest: float = 0.0  # [rad/s | m/s] what measured velocities show at rest
 
     @cached_property
     def measured(self) -> dict[str, tuple[int, ...]]:
@@ -370,7 +371,7 @@ class SafeSide:
 
         for limit, sign in self._ends:
             outward, room = sign * x.v, sign * (limit - x.q)
-            hardly = (outward > OUTWARD) & (room < self._stopping_distance(outward))
+            hardly = (outward > max(OUTWARD, self.at_rest)) & (room < self._stopping_distance(outward))
             out.append(Finding.of("position", hardly, room))
         if self._v_max is not None:
             of_joints("speed", tm.abs(x.v) - (1.0 if self._torques else FOLLOWS) * self._v_max)

@@ -28,6 +28,7 @@ from taut.runtime.realtime.link import Link, driver_of
 from taut.runtime.realtime.logger import LogProcess, log_folder
 from taut.runtime.realtime.robot import Robot
 from taut.runtime.realtime.sets import compiled_plant
+from taut.runtime.robots.can import CanMotors
 from taut.runtime.robots.driver import RobotDriver, RobotInfo
 
 OBSERVER: Final = (50.0, 0.1)  # [1/s], and of the rate: bandwidth where a threshold of contact is stated
@@ -39,6 +40,7 @@ def connect(
     arm: Arm | None = None,
     *,
     limits: SafetyLimits | None = None,
+    motors: CanMotors | None = None,
     address: str | None = None,
     options: Mapping[str, Any] | None = None,
     rate: float = 1000.0,
@@ -53,6 +55,7 @@ def connect(
             `taut.RigidPlant`; or a class of your own, a RobotDriver in a file.
         arm: The robot's model; that of a plant if left out.
         limits: `taut.SafetyLimits.of(arm)` unless given.
+        motors: Of an arm at can://, `taut.robots.CanMotors(types=[...])`.
         address: Given to a driver of your own.
         options: Further keyword arguments of a driver; plain values.
         rate: Of a model plant [Hz].
@@ -99,6 +102,12 @@ def connect(
     if plant is None:
         hello = {**driver_of(robot, address), "options": dict(options or {})}  # type: ignore[arg-type]
     folder, logs = None if log is None else log_folder(log), None
+    if (motors is not None) != (isinstance(robot, str) and robot.startswith("can://")):
+        raise UsageError(
+            "motors=taut.robots.CanMotors(...) is for an address can://CHANNEL, which needs it", name="motors"
+        )
+    if motors is not None:
+        hello["options"] |= motors.options(arm, limits)
     if together is not None:
         together.check()
     link = Link(together.link if together is not None else None)

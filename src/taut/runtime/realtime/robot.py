@@ -27,6 +27,7 @@ from taut.control.trajectories.samples import Chunk
 from taut.controller import Controller
 from taut.linear.judgement import Judgement, judge_start
 from taut.loop import check_fit
+from taut.plant.actuation import Actuation
 from taut.record.run import Run
 from taut.runtime.realtime.acting import Acting
 from taut.runtime.realtime.feeding import Feeder, References, references_of
@@ -59,6 +60,7 @@ class RobotPlant:
     adds: Any
     parameters: Mapping[str, Float64Array] = dataclasses.field(default_factory=dict)
     distorts: frozenset[str] = frozenset()
+    actuation: Actuation = dataclasses.field(default_factory=Actuation)
 
     def checked_parameter(self, path: str, value: ArrayLike) -> Float64Array:
         raise UsageError(f"robot '{self.name}' has no parameter {path!r}", name=path, value=value)
@@ -145,8 +147,9 @@ class Robot:
         self.link, self.info, self.arm, self.limits = link, info, arm, limits
         self.holder, self._log = holder, log
         self.plant = RobotPlant(
-            name=info.name, arm=arm, takes=info.takes, measures=frozenset(info.measures), adds=holder.adds
-        )
+            name=info.name, arm=arm, takes=info.takes, measures=frozenset(info.measures), adds=holder.adds,
+            actuation=Actuation(delay=info.delay),
+        )  # fmt: skip
         self.parameters: RobotParameters
         """Parameters of the law that acts, by path; settable while it runs."""
         self._number, self._stops, self._verbs = 0, 0, threading.RLock()
@@ -425,7 +428,7 @@ class Robot:
         until = time.monotonic() + SETTLE
         while self.link.word("control") and self.link.failure is None and self.link.alive:
             self.link.set_word("hold", 1)
-            if np.abs(self._last("v", LATER)).max() < STANDING or time.monotonic() > until:
+            if np.abs(self._last("v", LATER)).max() < max(STANDING, self.info.at_rest) or time.monotonic() > until:
                 return
             time.sleep(LOOK)
 
@@ -478,7 +481,9 @@ class Robot:
         return references_of(ctrl, ref, q, duration)
 
     def _compiled(self, ctrl: Controller) -> ServoSet:
-        safe = SafeSide(side=ctrl.side, limits=self.limits, measures=tuple(self.info.measures))
+        safe = SafeSide(
+            side=ctrl.side, limits=self.limits, measures=tuple(self.info.measures), at_rest=self.info.at_rest
+        )
         safe.check()
         return ServoSet(safe)
 

@@ -50,6 +50,8 @@ class RobotInfo:
     adds: tuple[str, ...] = ()  # gravity, coriolis, friction: what it adds to a torque command itself
     paced_by: Literal["robot", "host"] = "host"  # "robot": its blocking read keeps the time
     silence: float = 0.0  # [s] without commands after which it stops itself; 0 where it never does
+    delay: float = 0.0  # [s] whole periods, from a measured state to the command that acts on it
+    at_rest: float = 0.0  # [rad/s | m/s] what its velocities show at rest, by their resolution
     joint_names: tuple[str, ...] = ()  # where it knows them
     load: tuple[float, tuple[float, float, float]] | None = None  # mass [kg] and centre [m] that it compensates
     facts: Mapping[str, Any] = field(default_factory=dict)  # further plain values, for bring-up and messages
@@ -63,7 +65,8 @@ class RobotInfo:
             one_of("measures", name, ("v", *MEASUREMENTS))
         Adds.of(self.adds)
         one_of("paced_by", self.paced_by, ("robot", "host"))
-        finite_scalar("silence", self.silence, unit="s", minimum=0.0)
+        for name, unit in {"silence": "s", "delay": "s", "at_rest": "rad/s | m/s"}.items():
+            finite_scalar(name, getattr(self, name), unit=unit, minimum=0.0)
         if self.load is not None:
             finite_scalar("load", self.load[0], unit="kg", minimum=0.0)
             vector("load", self.load[1], 3, unit="m")
