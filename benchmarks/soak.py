@@ -8,6 +8,7 @@ beside it.
 from __future__ import annotations
 
 import json
+import os
 import sys
 import time
 from collections.abc import Mapping
@@ -84,6 +85,7 @@ def soak(kind: str, seconds: float) -> dict[str, Any]:
         "kind": kind, "ticks": len(all_times["late"]), "lost": lost, **found,
         "overruns": int((all_times["compute"] > 1000.0).sum()), "bar [us]": BARS[kind],
         "growth [KiB]": after[0] - before[0], "files": after[1] - before[1], "notes": list(robot.link.notes),
+        "load of the machine": os.getloadavg()[0] / (os.cpu_count() or 1),
     }  # fmt: skip
 
 

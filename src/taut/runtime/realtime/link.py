@@ -21,7 +21,7 @@ from taut.runtime.realtime.shared import Shared, environment
 from taut.runtime.robots.driver import DriverError, RobotDriver, RobotInfo
 
 ANSWER_TIME: Final = 30.0  # [s] for the answer of the loop's process, which may be connecting to a robot
-CLOSING: Final = 5.0  # [s] for its end, with a controlled stop before it
+CLOSING: Final = 8.0  # [s] for its end, with a controlled stop before it
 ONE_THREAD: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 SCHEMES: Final[Mapping[str, tuple[str, str]]] = {
     "franka": ("taut.runtime.robots.franka", "FrankaDriver"),

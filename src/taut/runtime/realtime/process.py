@@ -276,7 +276,7 @@ class Process:
                 break
         self._jobs.put(("close", None))
         self._words[STATUS["quit"]] = 1
-        time.sleep(STOP_TIME)
+        time.sleep(2.0 * STOP_TIME)
         os._exit(1)
 
     def _install(self, made: LoadedSet) -> None:
