@@ -153,8 +153,8 @@ def test_the_core_declares_what_it_imports() -> None:
 
 LIMITS = {  # the house as it is; a change that needs more says why in the commit that raises a number
     "lines": (61_600, house.lines),
-    "lines of code": (42_000, house.code_lines),
-    "modules": (277, lambda: len(house.modules())),
+    "lines of code": (42_200, house.code_lines),
+    "modules": (278, lambda: len(house.modules())),
     "modules in one folder": (16, house.largest_folder),
     "modules with one importer": (34, lambda: len(house.slices())),
     "names in taut": (75, lambda: len(taut.__all__)),
