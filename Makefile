@@ -5,7 +5,7 @@
 # make bars   the long counts;  make bench  figures against Pinocchio and MuJoCo;  make docs  the site
 # make firmware   exported C: time here, instructions on a Cortex-M7 in QEMU
 # make scorecard   the rows of docs/reliability.md and how many hold
-# make soak   a robot's loop for a minute beside a busy program
+# make soak   a robot's loop for a minute beside a busy program; three laws on a Franka's test server
 # make fuzz   10,000 mutants of every kind of file that is read: N=100 takes fewer
 
 PYTHON ?= python3
@@ -46,6 +46,7 @@ bench: $(VENV)/test.stamp
 
 soak: $(VENV)/test.stamp
 	cd benchmarks && ../$(BIN)/python soak.py
+	cd benchmarks && ../$(BIN)/python soak_franka.py
 
 firmware: $(VENV)/test.stamp
 	cd benchmarks && ../$(BIN)/python c_export.py

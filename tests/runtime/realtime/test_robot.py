@@ -250,8 +250,9 @@ class TestDriverFaults:
             robot.set_load(taut.Payload(mass=1.0))
         robot.stop()
         robot.set_load(taut.Payload(mass=1.0))
+        assert robot.arm.payload.mass == 1.0
         with refused(taut.errors.MatchError):
-            robot.start(compiled(robot))
+            robot.start(taut.compile(CT, ARM, rate=robot.rate, adds=robot.adds))
         robot.set_load(taut.Payload(mass=0.0))
 
 

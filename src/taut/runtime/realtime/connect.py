@@ -6,6 +6,7 @@ import dataclasses
 import os
 import sys
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -118,8 +119,14 @@ def connect(
                 f"{info.name} has {info.n} joints and arm '{arm.name}' has {arm.n}; load the arm that is connected",
                 name="arm",
             )
+        if plant is None and "F_ext" in info.measures and not np.allclose(arm.T_WB.R, np.eye(3)):
+            raise MatchError(
+                f"{info.name} measures F_ext in the axes of its base, and the base of arm '{arm.name}' is rotated in "
+                "the world (T_WB); state how it is mounted by arm.with_gravity(...), without T_WB",
+                name="T_WB",
+            )
         logs = None if folder is None else LogProcess(folder)
-        return Robot(link, info, arm, limits, _holder(info, arm, limits), logs)
+        return Robot(link, info, arm, limits, partial(_holder, limits=limits), logs)
     except BaseException:
         link.close()
         if logs is not None:

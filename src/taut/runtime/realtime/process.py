@@ -44,7 +44,8 @@ PAGE: Final = 512  # [doubles]
 STANDING: Final = 0.01  # [rad/s | m/s]
 PARENT: Final = 0.1  # [s] between two looks at whether the parent is there
 CALLBACK: Final = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p, ctypes.c_void_p)
-KERNEL: Final = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 5)
+# It keeps the interpreter's lock: for this a driver that waits under the lock, such as Franka's, would be timed too.
+KERNEL: Final = ctypes.PYFUNCTYPE(None, *[ctypes.c_void_p] * 5)
 
 
 class PlantDriver(RobotDriver):

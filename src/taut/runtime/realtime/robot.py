@@ -14,7 +14,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 from taut.arm.description import Arm, Payload
-from taut.arm.parts import short_way
+from taut.arm.parts import inertia_matrix, short_way
 from taut.base.checks import finite_array, instance_of, require_range
 from taut.base.errors import MatchError, RangeError, TautError, UsageError
 from taut.base.paths import Parameters
@@ -136,29 +136,33 @@ class Robot:
         info: What it declared.
         arm: Its model.
         limits: Its safety limits.
-        holder: The controller that holds and that `move_to` moves by.
+        holders: Makes the controller that holds and that `move_to` moves by.
         log: The process that logs, or None.
     """
 
     def __init__(
-        self, link: Link, info: RobotInfo, arm: Arm, limits: SafetyLimits, holder: Controller,
-        log: LogProcess | None = None,
+        self, link: Link, info: RobotInfo, arm: Arm, limits: SafetyLimits,
+        holders: Callable[[RobotInfo, Arm], Controller], log: LogProcess | None = None,
     ) -> None:  # fmt: skip
-        self.link, self.info, self.arm, self.limits = link, info, arm, limits
-        self.holder, self._log = holder, log
-        self.plant = RobotPlant(
-            name=info.name, arm=arm, takes=info.takes, measures=frozenset(info.measures), adds=holder.adds,
-            actuation=Actuation(delay=info.delay),
-        )  # fmt: skip
+        self.link, self.limits, self._holders, self._log = link, limits, holders, log
         self.parameters: RobotParameters
         """Parameters of the law that acts, by path; settable while it runs."""
         self._number, self._stops, self._verbs = 0, 0, threading.RLock()
         self._all: list[Acting] = []
         self._feeder: Feeder | None = None
-        self._holding = self._compiled(holder)
-        self._act(holder, self._holding, HOLD, begins=False)
+        self._know(info, arm)
         # Also where the program ends without closing it.
         self._finalizer = weakref.finalize(self, _freed, link, log, self._all)
+
+    def _know(self, info: RobotInfo, arm: Arm) -> None:
+        """Take what the robot is and carries, and hold accordingly."""
+        self.info, self.arm, self.holder = info, arm, self._holders(info, arm)
+        self.plant = RobotPlant(
+            name=info.name, arm=arm, takes=info.takes, measures=frozenset(info.measures), adds=self.holder.adds,
+            actuation=Actuation(delay=info.delay),
+        )  # fmt: skip
+        self._holding = self._compiled(self.holder)
+        self._act(self.holder, self._holding, HOLD, begins=False)
 
     @property
     def adds(self) -> Any:
@@ -325,14 +329,17 @@ class Robot:
         return self.link.ask("call", (name, arguments))
 
     def set_load(self, payload: Payload) -> None:
-        """Tell the robot its load, which it compensates from then on; where it is not controlled."""
+        """Tell the robot its load: it compensates it and `robot.arm` carries it; where it is not controlled."""
         self._require_open()
         instance_of("payload", payload, Payload, "a taut.Payload, such as arm.payload")
         if self.link.word("control"):
             raise UsageError("the load is set while nothing acts; robot.stop() first", name="set_load")
-        self.link.ask("load", (payload.mass, np.array(payload.com), np.array(payload.inertia)))
+        inertia = np.array(inertia_matrix(payload.inertia))
+        self.link.ask("load", (payload.mass, np.array(payload.com), inertia))
         x, y, z = (float(value) for value in payload.com)
-        self.info = dataclasses.replace(self.info, load=(float(payload.mass), (x, y, z)))
+        info = dataclasses.replace(self.info, load=(float(payload.mass), (x, y, z)))
+        with self._verbs:
+            self._know(info, self.arm.with_payload(payload.mass, com=payload.com, inertia=payload.inertia))
 
     @property
     def acting(self) -> Acting:
@@ -384,7 +391,7 @@ class Robot:
             overruns=link.word("overruns"),
             timing=self.timing(),
             dropped=0 if self._log is None else self._log.dropped,
-            notes=tuple(link.notes),
+            notes=(*link.notes, *self.info.facts.get("notes", ())),
         )
 
     def run(self) -> Run:

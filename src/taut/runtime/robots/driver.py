@@ -46,14 +46,14 @@ class RobotInfo:
     n: int  # number of joints
     rate: float  # [Hz] of its states and commands
     takes: Literal["torque", "velocity", "position", "mit"]
-    measures: tuple[str, ...] = ("v",)  # besides q: v, tau_meas, F_ext (in taut's sign), q_motor, v_motor
+    measures: tuple[str, ...] = ("v",)  # besides q: v, tau_meas, F_ext (our sign, base axes), q_motor, v_motor
     adds: tuple[str, ...] = ()  # gravity, coriolis, friction: what it adds to a torque command itself
     paced_by: Literal["robot", "host"] = "host"  # "robot": its blocking read keeps the time
     silence: float = 0.0  # [s] without commands after which it stops itself; 0 where it never does
     delay: float = 0.0  # [s] whole periods, from a measured state to the command that acts on it
     at_rest: float = 0.0  # [rad/s | m/s] what its velocities show at rest, by their resolution
     joint_names: tuple[str, ...] = ()  # where it knows them
-    load: tuple[float, tuple[float, float, float]] | None = None  # mass [kg] and centre [m] that it compensates
+    load: tuple[float, tuple[float, float, float]] | None = None  # that it compensates: [kg], centre at the tool [m]
     facts: Mapping[str, Any] = field(default_factory=dict)  # further plain values, for bring-up and messages
 
     def __post_init__(self) -> None:
@@ -126,7 +126,7 @@ class RobotDriver(ABC):
         """Clear the robot's own errors, so that begin may follow."""
 
     def set_load(self, mass: float, com: Float64Array, inertia: Float64Array) -> None:  # noqa: ARG002
-        """Tell the robot its load: mass [kg], centre [m] at the flange, (3, 3) inertia [kg m^2]."""
+        """Tell the robot its load: mass [kg], centre [m] and (3, 3) inertia [kg m^2] in the tool's frame."""
         raise DriverError("this robot takes no load", kind="rejected")
 
     def call(self, name: str, arguments: Mapping[str, Any]) -> Any:  # noqa: ARG002
