@@ -93,14 +93,14 @@ class Robot:
 
     def __init__(self, link: Link, info: RobotInfo, arm: Arm, limits: SafetyLimits, holder: Controller) -> None:
         self.link, self.info, self.arm, self.limits = link, info, arm, limits
-        self._holder = holder
+        self.holder = holder
         self._plant = RobotPlant(
             name=info.name, arm=arm, takes=info.takes, measures=frozenset(info.measures), adds=holder.adds
         )
         self._number = 0
         self._all: list[Acting] = []
         self._feeder: Feeder | None = None
-        self.parameters: Mapping[str, Float64Array] = {}
+        self.parameters: RobotParameters
         """Parameters of the law that acts, by path; settable while it runs."""
         hold = References(tables=[Table(rows=NO_ROWS)], streams={})
         self._install(holder, hold, begins=False, sends=True)
@@ -176,10 +176,10 @@ class Robot:
         v_max = np.where(np.isfinite(arm.velocity), arm.velocity, 1.0) * speed
         if np.abs(there - here).max() > THERE:
             path = Trapezoidal(q0=here, q1=there, velocity=v_max, acceleration=2.0 * v_max)
-            self.start(self._holder, path)
+            self.start(self.holder, path)
             self.wait(float(path.duration))
         else:
-            self.start(self._holder, JointMotion(q=there))
+            self.start(self.holder, JointMotion(q=there))
         until = time.monotonic() + SETTLE
         while np.abs(self.q - there).max() > THERE and time.monotonic() < until:
             self.wait(LOOK)
@@ -211,7 +211,7 @@ class Robot:
         if not self.link.alive:
             raise RobotError(self.fault or fault_of(CODES["process_died"], 0))
         hold = References(tables=[Table(rows=NO_ROWS)], streams={})
-        self._install(self._holder, hold, begins=False, sends=True, recovers=True)
+        self._install(self.holder, hold, begins=False, sends=True, recovers=True)
         self._pause()
 
     def stream(self, *, period: float) -> Callable[[Sample], None]:
