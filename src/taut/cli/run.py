@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -23,7 +24,13 @@ def _run(arguments: argparse.Namespace, say: Say) -> Answer:
     own = None if arguments.law is None else {arguments.law: load_law(arguments.law, arguments.gain)}
     scenario = load_scenario(arguments.scenario, own, values=arguments.set)
     folder = arguments.out or Path("out") / scenario.name
-    result = run_scenario(scenario, folder, say=say, engine=arguments.engine)
+    with contextlib.ExitStack() as stack:
+        robot = None
+        if arguments.robot is not None:
+            from taut.scenarios.on_robot import robot_of
+
+            robot = stack.enter_context(robot_of(scenario, arguments.robot))
+        result = run_scenario(scenario, folder, say=say, engine=arguments.engine, robot=robot)
     return Answer(text=str(result), data=result.json(), status=DONE if result.ok else FAILED)
 
 
@@ -44,6 +51,10 @@ RUN: Final = Command(
             "help": "a law of your own instead of the scenario's laws, whose pass criteria then do not count",
         },
         "--gain": GAIN,
+        "--robot": {
+            "metavar": "ADDRESS",
+            "help": "on this robot instead of the scenario's plant, once `taut bringup` has passed",
+        },
         "--engine": {
             "choices": ("auto", "native", "float"),
             "default": "auto",
@@ -55,6 +66,7 @@ RUN: Final = Command(
   taut run my_scenario.toml --out results
   taut run one_joint_pid --set laws.PD.kp=5 --set run.duration=2
   taut run one_joint_pid --law my_law.py:Spring --gain k=2.0
+  taut run panda_payload --robot franka://172.16.0.2
 
 The metrics are printed as a table; below it stands each file that was made.
 
