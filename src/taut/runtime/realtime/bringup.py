@@ -34,7 +34,7 @@ from taut.trace import math as tm
 
 READ: Final = 2.0  # [s] in which a robot is only read
 SHADOW: Final = 1.0  # [s] in which a law runs and nothing is sent
-LATE: Final = 0.01  # [-] of the periods that may be missed, and by which the rate may be off
+LATE: Final = 0.05  # [-] of the periods that may be missed, and by which the rate may be off
 SAME_PLACE: Final = 1e-3  # [m], [rad] between the tool that the robot reports and a frame of the arm
 SAME_LOAD: Final = 0.05  # [kg]
 PROBE: Final = 0.5  # [N m | N] largest torque beside gravity in the test of signs
@@ -210,11 +210,12 @@ def _kinematics(robot: Robot) -> Step:
     pose = robot.info.facts.get("T_BE")
     if pose is None:
         return Step(name="kinematics", found="the robot reports no pose of its tool")
-    x = snapshot(robot.arm, np.asarray(robot.info.facts["q"]))
+    arm = robot.arm
+    x, T_BW = snapshot(arm, np.asarray(robot.info.facts.get("q", robot.q))), arm.T_WB.inverse()
     T = np.asarray(pose, dtype=np.float64).reshape(4, 4)
     near = {}
-    for name in robot.arm.frame_names:
-        at = x.T(name)
+    for name in arm.frame_names:
+        at = T_BW @ x.T(name)
         turn = np.clip((np.trace(at.R.T @ T[:3, :3]) - 1.0) / 2.0, -1.0, 1.0)
         near[name] = float(np.linalg.norm(at.p - T[:3, 3])), float(np.arccos(turn))
     frame, (away, angle) = min(near.items(), key=lambda one: one[1][0] + one[1][1])
@@ -222,8 +223,8 @@ def _kinematics(robot: Robot) -> Step:
     ok = away <= SAME_PLACE and angle <= SAME_PLACE
     if not ok:
         found += ", the nearest; the arm is another one, or its tool stands elsewhere on the robot"
-    elif frame != robot.arm.tool:
-        found += f"; the arm's tool is '{robot.arm.tool}'"
+    elif frame != arm.tool:
+        found += f"; the arm's tool is '{arm.tool}'"
     return Step(name="kinematics", found=found, ok=ok)
 
 
