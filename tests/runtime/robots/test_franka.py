@@ -139,7 +139,7 @@ def goes_on(robot: Robot, ctrl: taut.Controller) -> bool:
     """Whether a robot that has recovered takes a law."""
     robot.recover()
     robot.start(ctrl)
-    robot.wait(0.1)
+    robot.wait(0.05)
     return robot.status.state == "running"
 
 

@@ -20,7 +20,7 @@ from taut.runtime.robots.driver import DriverError, RobotDriver, RobotInfo
 
 N: Final = 7
 START: Final = 10.0  # [s] for the process beside the loop's, which takes 0.1 s
-FIRST_ANSWER: Final = 2.0  # [s] for a robot to take a client, which takes 3 ms
+FIRST_ANSWER: Final = 1.0  # [s] for a robot to take a client, which takes 3 ms
 MAX_TORQUE: Final = 100.0  # [N m], the largest joints take 87; a command beyond is an error
 SILENCE: Final = 0.02  # [s] without commands after which it brakes: 20 in a row, by libfranka's documentation
 FUNCTIONS: Final[Mapping[str, tuple[str, ...]]] = {
