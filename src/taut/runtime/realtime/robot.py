@@ -377,7 +377,9 @@ class Robot:
     def status(self) -> RobotStatus:
         """What the loop does now."""
         fault, link, acting = self.fault, self.link, self.acting
-        rows = acting.rows()
+        with contextlib.suppress(TautError):
+            self._last("t")  # a law's first tick may be under way
+        rows, n = acting.rows(), self.arm.n
         runs = len(rows) and acting.column(rows, "safe.mode")[-1] > 0.5
         state = ("running" if runs else "holding") if link.word("control") else "shadow" if runs else "idle"
         state = "gone" if not link.alive else "fault" if fault is not None else state
@@ -385,7 +387,10 @@ class Robot:
             state=state,
             fault=fault,
             t=float(acting.column(rows, "t")[-1]) if len(rows) else 0.0,
-            **{name: acting.column(rows, name)[-1] for name in ("q", "v", "command") if len(rows)},
+            **{
+                name: acting.column(rows, name)[-1] if len(rows) else np.full(n, np.nan)
+                for name in ("q", "v", "command")
+            },
             ticks=link.word("ticks"),
             lost=link.word("lost"),
             overruns=link.word("overruns"),

@@ -117,7 +117,7 @@ class RobotStatus(Result):
         state: idle (only reading), holding, running, shadow, fault, or gone (its process ended).
         fault: What is latched, or None.
         t: Time since the law began [s].
-        q, v: (n,) measured [rad | m], [rad/s | m/s].
+        q, v: (n,) measured [rad | m], [rad/s | m/s]; NaN where it ended before a tick.
         command: (n,) the last one, in the unit of its kind.
         ticks, lost, overruns: Ticks since the connection, periods that were missed, ticks whose computing took longer
             than a period.
