@@ -157,7 +157,7 @@ LIMITS = {  # the house as it is; a change that needs more says why in the commi
     "modules in one folder": (16, house.largest_folder),
     "modules with one importer": (34, lambda: len(house.slices())),
     "names in taut": (75, lambda: len(taut.__all__)),
-    "modules loaded to compile a PID": (58, lambda: len(house.loaded_for(PID))),
+    "modules loaded to compile a PID": (59, lambda: len(house.loaded_for(PID))),
     "modules of analysis that design(PID) loads": (12, lambda: len(house.loaded_for(DESIGN, "taut.analysis."))),
     "import circles": (3, lambda: len(house.circles())),
     "constants of one name with several values": (0, lambda: len(house.constants_of_several_values())),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import functools
 import hashlib
 import importlib.util
@@ -22,7 +21,6 @@ from typing import Any, Final
 
 from taut.base import __version__
 from taut.base.errors import TautError, warn
-from taut.codegen.llvm import LIBM
 from taut.trace import graph
 
 LEVEL: Final = 2  # of LLVM's code generator; 3 gives nothing, 1 is no faster to compile
@@ -93,12 +91,6 @@ def _jit(number: int) -> Any:  # noqa: ARG001
     import llvmlite.binding as llvm
 
     return llvm.create_lljit_compiler(_new_machine(LEVEL), use_jit_link=_together())
-
-
-@functools.cache
-def _libm_addresses() -> dict[str, int]:
-    library = ctypes.cdll.msvcrt if sys.platform == "win32" else ctypes.CDLL(None)
-    return {name: ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0 for name in LIBM}
 
 
 _LIBRARY_NUMBERS: Final = itertools.count()
@@ -203,7 +195,7 @@ def _linked(
     import llvmlite.binding as llvm
 
     builder = llvm.JITLibraryBuilder().add_object_img(code)
-    for name, address in {**_libm_addresses(), **(symbols or {})}.items():
+    for name, address in (symbols or {}).items():
         builder.import_symbol(name, address)
     for name in names:
         builder.export_symbol(name)
