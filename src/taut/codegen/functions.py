@@ -179,7 +179,7 @@ def _exp(x: Any, real: Real) -> Any:
     return _operation(Op.SCALE, 1.0 - ((below - r * c / (2.0 - c)) - above), k)
 
 
-def _log(x: Any, real: Real) -> Any:
+def logarithm(x: Any, real: Real) -> Any:
     """k ln(2) + log(1 + f) with 1 + f from sqrt(1/2) to sqrt(2)."""
     lift = real.digits + 1.0
     small = x < real.least
@@ -253,7 +253,7 @@ def _atan2(y: Any, x: Any, real: Real) -> Any:
 FUNCTIONS: Final[dict[str, tuple[int, Callable[..., Any]]]] = {  # by name: number of arguments, code
     "sine_cosine": (1, _sine_cosine),
     "exponential": (1, _exp),
-    "logarithm": (1, _log),
+    "logarithm": (1, logarithm),
     "hyperbolic_tangent": (1, _tanh),
     "arc_sine": (1, _asin),
     "arc_cosine": (1, _acos),

@@ -93,6 +93,17 @@ class Lanes:
 ONE: Final = Lanes()
 
 
+def spread(name: str, value: str, kind: str, lanes: Lanes) -> list[str]:
+    """Lines that give one value to all lanes."""
+    if lanes.count == 1:
+        return [f" {name} = bitcast {kind} {value} to {kind}"]
+    wide = lanes.of(kind)
+    return [
+        f" {name}.i = insertelement {wide} poison, {kind} {value}, i64 0",
+        f" {name} = shufflevector {wide} {name}.i, {wide} poison, <{lanes.count} x i32> zeroinitializer",
+    ]
+
+
 def declarations(lanes: Lanes = ONE) -> str:
     """Declarations and definitions of the functions that kernels call."""
     t, s = lanes.type, lanes.name

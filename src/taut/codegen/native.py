@@ -21,6 +21,7 @@ from typing import Any, Final
 
 from taut.base import __version__
 from taut.base.errors import TautError, warn
+from taut.codegen.functions import Real
 from taut.trace import graph
 
 LEVEL: Final = 2  # of LLVM's code generator; 3 gives nothing, 1 is no faster to compile
@@ -61,6 +62,16 @@ class NativeModule:
 def _together() -> bool:
     """True where code is linked with its constants next to it, and addresses them relative to itself."""
     return sys.platform == "linux" and platform.machine() == "x86_64"
+
+
+@functools.cache
+def host_lanes(real: Real) -> int:
+    """Numbers of a type that one instruction of this processor computes with."""
+    import llvmlite.binding as llvm
+
+    features = llvm.get_host_cpu_features()
+    bits = 512 if features.get("avx512f") and features.get("avx512dq") else 256 if features.get("avx") else 128
+    return bits // (8 * real.dtype().itemsize)
 
 
 def _new_machine(level: int) -> Any:

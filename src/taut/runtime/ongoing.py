@@ -13,6 +13,7 @@ from taut.base.errors import NumericalError, RangeError, ShapeError, TautError
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.loop import compiled_loop
+from taut.codegen.noise import Noise
 from taut.codegen.program import Block
 from taut.control.limits import take_up
 from taut.control.tasks.feed import ReferenceFeed, TaskFeed, feed_of
@@ -107,9 +108,7 @@ class FusedRun(OngoingRun):
         self._values = self._parameters.pack({**loop.parameters, DT: loop.dt})
         self._numbers = self._parameters.views(self._values)  # by path
         self._apply(0)
-        # One generator per measurement, by its name: neither how the run is cut into blocks nor what else is noisy
-        # changes the numbers.
-        self._noise = {name: np.random.default_rng([seed, *name.encode()]) for name in loop.plant.noise}
+        self._noise, self._seed = Noise(self._inputs, loop.engine), seed
         side.check_start(q, self._numbers, loop.ref)
         check_force_feedback(side, loop.plant, q, self._numbers)
         block, packed = self._parameters, self._values  # the feed holds these, and not the run, which holds the feed
@@ -128,7 +127,7 @@ class FusedRun(OngoingRun):
     def _started(self, q: Float64Array, v: Float64Array, first: Float64Array) -> dict[str, Any]:
         """Memory in the first tick, whose reference and noise (1, ...) are filled in here, before there is a tape."""
         views, parameters = self._inputs.views(first), self._numbers
-        self._draw(views)
+        self._noise.fill(first, 0, self._seed)
         row, plant = self._inputs.views(first[0]), self._loop.plant_at_start(q, v, parameters)
         reference = subtree(views, "ref")
         try:
@@ -159,10 +158,6 @@ class FusedRun(OngoingRun):
             self._run.run(self.tape.input_rows[k : k + 1], values, state, row)
             asked.append(self._memory.views(state)["limits.asked"])
         take_up(self._memory.views(self._state), *asked)
-
-    def _draw(self, views: dict[str, Float64Array]) -> None:
-        for name, column in subtree(views, "noise").items():
-            column[...] = self._noise[name].standard_normal(column.shape)
 
     def _before(self) -> tuple[Float64Array, Mapping[str, Float64Array]]:
         return self._memory.views(self._state)["plant.q"].copy(), self._numbers
@@ -229,7 +224,7 @@ class FusedRun(OngoingRun):
     def _draw_up_to(self, end: int) -> None:
         """The noise of the ticks before `end`, as far as it was not drawn for a block that was taken back."""
         if self._drawn < end:
-            self._draw({path: column[self._drawn : end] for path, column in self.tape.inputs.items()})
+            self._noise.fill(self.tape.input_rows[self._drawn : end], self._drawn, self._seed)
             self._drawn = end
 
     def _seen(

@@ -14,6 +14,7 @@ from taut.base.checks import whole_number
 from taut.base.errors import RangeError, StabilityWarning, UsageError, warn
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
+from taut.codegen.noise import MAX_SEED
 from taut.control.combine import SideBySide
 from taut.control.law import Law
 from taut.control.lawside import LawSide
@@ -66,7 +67,7 @@ def run(
         duration: [s].
         q0: (n,) true positions at the start [rad | m]; the plant arm's home by default.
         v0: (n,) true velocities at the start [rad/s | m/s]; zero by default.
-        seed: Seed of every random number in the run.
+        seed: Seed of every random number in the run, below 2^64.
         events: Parameters that change at stated times: taut.Event(t=, set=).
         log: File (.mcap) that is written while the run goes on, at most 0.2 s behind. Where writing fails, such as on
             a full disk, the run goes on without it, and the outcome counts the missing ticks.
@@ -91,7 +92,7 @@ def run(
         >>> out.outcome.ok, bool(abs(out.q[-1, 0] - 0.5) < 1e-3)
         (True, True)
     """
-    seed = whole_number("seed", seed)
+    seed = whole_number("seed", seed, maximum=MAX_SEED)
     made, target, reference, length = _what_to_run(ctrl, plant, ref, duration)
     side, ticks = made.side, round(length * made.side.rate) + 1
     changes = listed(events or ())
