@@ -120,7 +120,8 @@ class FusedRun(OngoingRun):
         self._memory = Block.of({path: np.shape(value) for path, value in memory.items()})
         self._state = self._memory.pack(memory)
         blocks, example = (self._inputs, self._parameters, self._memory), (first[0], self._values, self._state)
-        self._run = compiled_loop(loop, blocks, example)
+        self._run = compiled_loop(loop, blocks, example, q, v)
+        self._state = self._run.start(np.concatenate([first[0], q, v]), self._values)
         self.tape = Tape(side, loop.plant, loop.ticks, self._inputs, self._run.outputs)
         self.tape.input_rows[0] = first[0]
 
