@@ -407,18 +407,18 @@ class Writer:
             value = self.put(f"load {kind}, ptr {place}, align 8")
             differences[width].append(self.put(f"fsub {kind} {value}, {value}"))
         if differences[4]:
-            total = self._sum("<4 x double>", differences[4])
+            total = self.sum("<4 x double>", differences[4])
             differences[1] += [self.put(f"extractelement <4 x double> {total}, i64 {i}") for i in range(4)]
         if not differences[1]:
             return None
-        return self.put(f"fcmp une double {self._sum('double', differences[1])}, 0.0")
+        return self.put(f"fcmp une double {self.sum('double', differences[1])}, 0.0")
 
-    def _sum(self, kind: str, values: list[str]) -> str:
+    def sum(self, kind: str, values: list[str]) -> str:
         """The sum of some values, by halves, so that no addition waits for all before it."""
         if len(values) == 1:
             return values[0]
         half = len(values) // 2
-        return self.put(f"fadd {kind} {self._sum(kind, values[:half])}, {self._sum(kind, values[half:])}")
+        return self.put(f"fadd {kind} {self.sum(kind, values[:half])}, {self.sum(kind, values[half:])}")
 
 
 def _pieces(size: int) -> list[tuple[int, int]]:

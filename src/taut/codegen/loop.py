@@ -201,16 +201,22 @@ def compiled_loop(
     if made is not None:
         made.expect(loop.ticks)
         return made
+    begin = np.concatenate([example[0], q, v])
+    _COMPILED[loop] = made = StepLoop(
+        steps_of(loop, *blocks), example, engine=loop.engine, ticks=loop.ticks, begin=begin
+    )
+    return made
+
+
+def steps_of(loop: Loop, inputs: Block, parameters: Block, memory: Block) -> Steps:
+    """Start, step and substep of a loop, as it is now."""
     twin, n = copy.copy(loop), loop.plant.arm.n
 
     def start(inputs: Values, parameters: Values, _: Values) -> tuple[Values, Values]:
         return twin.start(inputs["start.q"], inputs["start.v"], inputs, parameters), {}
 
-    inputs = Block.of({**blocks[0].shapes, "start.q": (n,), "start.v": (n,)})
-    steps = Steps(twin.step, *blocks, twin.substep, loop.plant.substeps - 1, start, inputs)
-    begin = np.concatenate([example[0], q, v])
-    _COMPILED[loop] = made = StepLoop(steps, example, engine=loop.engine, ticks=loop.ticks, begin=begin)
-    return made
+    more = Block.of({**inputs.shapes, "start.q": (n,), "start.v": (n,)})
+    return Steps(twin.step, inputs, parameters, memory, twin.substep, loop.plant.substeps - 1, start, more)
 
 
 def native_loop(address: int) -> Run:
