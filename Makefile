@@ -55,7 +55,7 @@ $(VENV)/demo.stamp: $(BIN)/python pyproject.toml constraints.txt
 # Everything the tests need, and a folder of wheels from which one of them installs taut into an empty environment,
 # and another reads the servo files and the friction of better-actuator-models, which itself needs Python 3.12.
 $(VENV)/test.stamp: $(BIN)/python pyproject.toml constraints.txt
-	$(PIP) install --quiet -c constraints.txt -e ".[arms,control,franka,oracles,ruckig,dev,docs]"
+	$(PIP) install --quiet -c constraints.txt -e ".[arms,control,franka,oracles,ruckig,sweep,dev,docs]"
 	$(PIP) download --quiet --dest .wheels -c constraints.txt $$($(BIN)/python tools/core_requirements.py)
 	$(PIP) download --quiet --dest .wheels -c constraints.txt --no-deps --python-version 3.12 better-actuator-models
 	@touch $@

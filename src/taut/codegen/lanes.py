@@ -15,7 +15,6 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from taut.base.errors import UsageError
 from taut.base.types import Float64Array
 from taut.codegen.engine import Steps
 from taut.codegen.functions import SINGLE
@@ -36,11 +35,15 @@ FLUSH: Final = (
 )
 
 
+class NotInLanes(Exception):  # noqa: N818  # no error
+    """The start of a loop is for numbers alone, such as that of a user's own plant."""
+
+
 class LaneLoop:
     """The code of a step, its substeps and its start, in lanes.
 
     Args:
-        steps: With a start. UsageError where that is for numbers alone.
+        steps: With a start; `NotInLanes` where that cannot be traced.
         lanes: Number and type.
         kept: Shapes of what is kept from tick to tick besides memory, by path; of a lane that has diverged as it was
             before.
@@ -60,7 +63,7 @@ class LaneLoop:
         self.lanes, self._steps = lanes, steps
         traced = TracedSteps(steps)
         if traced.start is None:
-            raise UsageError("the start of this plant is plain Python, which cannot run in lanes", name="plant")
+            raise NotInLanes
         self.kept = Block.of({} if recorded else dict(kept))
         self.memory = Block.of({**steps.memory.shapes, **self.kept.shapes, ALIVE: (), TICKS: ()})
         whole = self._traced(reduce)
@@ -210,19 +213,24 @@ class LaneLoop:
         w.enter(steps.inputs.size)
         w.group(steps.parameters.size, self.memory.size, "done")
         step = self.outputs.size * lanes.count if recorded else 0
-        each = w.put(f"mul i64 %ticks, {step}")
         w.line(
-            f" %outs = getelementptr {real}, ptr %outputs, i64 {w.put(f'mul i64 %g, {each}')}",
+            f" %span = mul i64 %ticks, {step}",
+            " %outat = mul i64 %g, %span",
+            f" %outs = getelementptr {real}, ptr %outputs, i64 %outat",
             f" %width = select i1 %shared, i64 {self.row_size}, i64 {self.row_size * lanes.count}",
             " br label %tick",
             "tick:",
             " %k = phi i64 [0, %group], [%k1, %kept]",
-            f" %at = add i64 %shift, {w.put('mul i64 %k, %width')}",
+            " %along = mul i64 %k, %width",
+            " %at = add i64 %shift, %along",
             f" %row = getelementptr {real}, ptr %rows, i64 %at",
-            f" %out = getelementptr {real}, ptr %outs, i64 {w.put(f'mul i64 %k, {step}')}",
+            f" %outk = mul i64 %k, {step}",
+            f" %out = getelementptr {real}, ptr %outs, i64 %outk",
+            " %tick64 = add i64 %first, %k",
+            " %tick32 = trunc i64 %tick64 to i32",
         )
         w.fill(self.row_size)
-        w.noise(w.put(f"trunc i64 {w.put('add i64 %first, %k')} to i32"))
+        w.noise("%tick32")
         w.line(" call void @kernel(ptr %own, ptr %parameter, ptr %memory, ptr %memory, ptr %out)")
         if steps.repeats:
             w.line(

@@ -125,6 +125,11 @@ class FusedRun(OngoingRun):
         self.tape = Tape(side, loop.plant, loop.ticks, self._inputs, self._run.outputs)
         self.tape.input_rows[0] = first[0]
 
+    @property
+    def blocks(self) -> tuple[Block, Block, Block]:
+        """Inputs, parameters and memory of the loop."""
+        return self._inputs, self._parameters, self._memory
+
     def _started(self, q: Float64Array, v: Float64Array, first: Float64Array) -> dict[str, Any]:
         """Memory in the first tick, whose reference and noise (1, ...) are filled in here, before there is a tape."""
         views, parameters = self._inputs.views(first), self._numbers
