@@ -86,6 +86,9 @@ class StepLoop:
         self.raised: Exception | None = None  # by plain Python in the last run; compiled code raises nothing
         self.operations = 0  # of a period, where it is traced
         self.starts = False  # whether `start` is machine code
+        self.memory = steps.memory
+        self.begun = b""  # the last start that was checked
+        self.size = 0  # of a block of ticks that takes as long as its run wants; 0 until one has run
         self._steps = steps
         self._run: Run = self._plain_run
         self._level, self._ticks = -1, 0  # at which it is compiled, and for how many ticks
@@ -197,7 +200,7 @@ def compiled_loop(
     loop: Loop, blocks: tuple[Block, Block, Block], example: Flat, q: Float64Array, v: Float64Array
 ) -> StepLoop:
     """The code of a loop for its engine, made once; compared with plain Python at an example, which began at q, v."""
-    made = _COMPILED.get(loop)
+    made = known_loop(loop)
     if made is not None:
         made.expect(loop.ticks)
         return made
@@ -206,6 +209,11 @@ def compiled_loop(
         steps_of(loop, *blocks), example, engine=loop.engine, ticks=loop.ticks, begin=begin
     )
     return made
+
+
+def known_loop(loop: Loop) -> StepLoop | None:
+    """The code of a loop, where it is made."""
+    return _COMPILED.get(loop)
 
 
 def steps_of(loop: Loop, inputs: Block, parameters: Block, memory: Block) -> Steps:
