@@ -72,7 +72,6 @@ class LaneLoop:
         self.outputs = self.program.outputs
         # The products that are rounded with their sums are those of the whole step, whatever is asked of it here.
         fused, start, inner = products_in_sums(own), traced.start, traced.inner
-        names = ("begin", "advance")
         content = repr((lanes, self.memory.size, steps.repeats, recorded, self.outputs)).encode()
         content += self.program.content + traced.content
 
@@ -80,16 +79,11 @@ class LaneLoop:
             parts = [declarations(lanes), noise_text(steps.inputs, lanes)]
             parts += [kernel(self.program, "kernel", lanes, fused), kernel(start, "start", lanes)]
             parts += [] if inner is None else [kernel(inner, "substep", lanes)]
-            return "\n".join([*parts, self._begin_text(), self._advance_text(recorded)])
+            return "\n".join([*parts, self._text(recorded)])
 
-        self._module = compiled(content, text, names)
-        functions = (("begin", 5, 2), ("advance", 5, 4))
-        self._functions = {
-            name: ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * whole_numbers, *[ctypes.c_void_p] * pointers)(
-                self._module[name]
-            )
-            for name, pointers, whole_numbers in functions
-        }
+        self._module = compiled(content, text, ("advance",))
+        places = [*[ctypes.c_int64] * 4, *[ctypes.c_void_p] * 5]
+        self._advance = ctypes.CFUNCTYPE(None, *places)(self._module["advance"])
 
     def _traced(self, reduce: Reduce) -> Program:
         """The step and what is kept, as one program; memory of the step first."""
@@ -143,44 +137,25 @@ class LaneLoop:
 
     # ---------------------------------------------------------------- running
 
-    def begin(self, row: Rows, keys: Any, states: Rows, parameters: Rows, memory: Rows) -> None:
-        """Write the memory of the first tick.
-
-        Args:
-            row: Inputs of tick 0 without noise, (size,) or (groups, size, lanes).
-            keys: Of the noise.
-            states: (groups, 2 n, lanes) q and v.
-            parameters: (groups, size, lanes).
-            memory: What is written; what is kept begins with zeros.
-        """
-        memory[...] = 0.0
-        memory[:, self.memory.field(ALIVE).offset] = 1.0
-        pointers = [block.ctypes.data for block in (row, keys, states, parameters, memory)]
-        self._functions["begin"](len(parameters), self._stride(row, 1), *pointers)
-
     def advance(
         self, first: int, rows: Rows, keys: Any, parameters: Rows, memory: Rows, outputs: Rows | None = None
     ) -> None:
         """Some ticks from `first` on, of all groups. Releases the GIL.
 
         Args:
-            first: Number of the first of these ticks.
+            first: Number of the first of these ticks; 0 begins the runs.
             rows: Inputs without noise, (ticks, size) for all runs, or (groups, ticks, size, lanes).
             keys: Of the noise.
             parameters: (groups, size, lanes).
-            memory: (groups, size, lanes), in which the runs go on.
+            memory: (groups, size, lanes), in which the runs go on; where they begin its first numbers are q and v.
             outputs: (groups, ticks, size, lanes) the record, where that is written.
         """
         ticks = rows.shape[-2] if rows.ndim == 2 else rows.shape[1]
         out = self.block(1, self.outputs.size) if outputs is None else outputs
         pointers = [block.ctypes.data for block in (rows, keys, parameters, memory, out)]
-        self._functions["advance"](ticks, first, len(parameters), self._stride(rows, 2), *pointers)
-
-    def _stride(self, rows: Rows, dimensions: int) -> int:
-        """Numbers from the inputs of one group to those of the next; 0 where they are the same for all."""
         assert rows.dtype == self.lanes.real.dtype
         assert rows.flags.c_contiguous
-        return 0 if rows.ndim == dimensions else rows[0].size
+        self._advance(ticks, first, len(parameters), 0 if rows.ndim == 2 else rows[0].size, *pointers)
 
     # ---------------------------------------------------------------- text
 
@@ -191,29 +166,26 @@ class LaneLoop:
         assert all(field.offset + field.size <= self._steps.inputs.size for field in fields)
         return sum(field.size for field in fields)
 
-    def _begin_text(self) -> str:
-        lanes, steps, w = self.lanes, self._steps, _LaneWriter(self.lanes)
-        n = (steps.start_inputs.size - steps.inputs.size) // 2
-        w.enter(steps.start_inputs.size)
-        w.group(steps.parameters.size, self.memory.size, "filled")
-        w.line(f" %row = getelementptr {lanes.real.name}, ptr %rows, i64 %shift")
-        w.fill(self.row_size)
-        w.noise("0")
-        w.line(f" %state = getelementptr [{2 * n} x {lanes.type}], ptr %states, i64 %g")
-        for i in range(2 * n):
-            w.store(w.load("%state", i), "%own", steps.inputs.size + i)
-        w.line(" call void @start(ptr %own, ptr %parameter, ptr %memory, ptr %memory, ptr %memory)")
-        w.leave()
-        arguments = "i64 %groups, i64 %stride, ptr %rows, ptr %keys, ptr %states, ptr %parameters, ptr %memories"
-        return w.function(f"void @begin({arguments}) {lanes.attributes}")
-
-    def _advance_text(self, recorded: bool) -> str:
+    def _text(self, recorded: bool) -> str:
+        """LLVM text of `advance`."""
         lanes, steps, w = self.lanes, self._steps, _LaneWriter(self.lanes)
         own, real = steps.memory.size, self.lanes.real.name
-        w.enter(steps.inputs.size)
-        w.group(steps.parameters.size, self.memory.size, "done")
+        alive, ticks = (self.memory.field(path).offset for path in (ALIVE, TICKS))
+        one, zero, truth = lanes.number(1.0), lanes.number(0.0), lanes.of("i1")
         step = self.outputs.size * lanes.count if recorded else 0
+        w.enter(steps.start_inputs.size)
+        w.group(steps.parameters.size, self.memory.size)
+        w.line(" br i1 %starts, label %begin, label %group", "begin:")
+        w.fill("%first_row", self.row_size, "begun")
+        w.noise("%now", "0")
+        for i in range(steps.inputs.size, steps.start_inputs.size):
+            w.store(w.load("%memory", i - steps.inputs.size), "%own", i)
+        w.line(" call void @start(ptr %own, ptr %parameter, ptr %memory, ptr %memory, ptr %memory)")
+        for i in range(own, self.memory.size):
+            w.store(one if i == alive else zero, "%memory", i)
         w.line(
+            " br label %group",
+            "group:",
             f" %span = mul i64 %ticks, {step}",
             " %outat = mul i64 %g, %span",
             f" %outs = getelementptr {real}, ptr %outputs, i64 %outat",
@@ -229,8 +201,8 @@ class LaneLoop:
             " %tick64 = add i64 %first, %k",
             " %tick32 = trunc i64 %tick64 to i32",
         )
-        w.fill(self.row_size)
-        w.noise("%tick32")
+        w.fill("%row", self.row_size, "filled")
+        w.noise("%thistick", "%tick32")
         w.line(" call void @kernel(ptr %own, ptr %parameter, ptr %memory, ptr %memory, ptr %out)")
         if steps.repeats:
             w.line(
@@ -249,8 +221,6 @@ class LaneLoop:
         numbers = [("%memory", i) for i in range(own)]
         numbers += [("%out", command.offset + i) for i in range(command.size)]
         total = w.sum(lanes.type, [w.itself_away(*number) for number in numbers])
-        one, zero, truth = lanes.number(1.0), lanes.number(0.0), lanes.of("i1")
-        alive, ticks = (self.memory.field(path).offset for path in (ALIVE, TICKS))
         before = w.put(f"fcmp oeq {lanes.type} {w.load('%memory', alive)}, {one}")
         goes = w.put(f"and {truth} {before}, {w.put(f'fcmp oeq {lanes.type} {total}, {zero}')}")
         w.store(w.put(f"select {truth} {goes}, {lanes.type} {one}, {lanes.type} {zero}"), "%memory", alive)
@@ -285,18 +255,20 @@ class _LaneWriter:
             self.line(" call void @llvm.x86.sse.ldmxcsr(ptr %flush)")
         self.line(
             " %shared = icmp eq i64 %stride, 0",
+            " %starts = icmp eq i64 %first, 0",
             " %none = icmp sle i64 %groups, 0",
-            " br i1 %none, label %end, label %group",
+            " br i1 %none, label %end, label %next_group",
         )
 
     @property
     def _flushes(self) -> bool:
         return self._lanes.real is SINGLE and platform.machine() in ("x86_64", "AMD64")
 
-    def group(self, parameters: int, memory: int, last: str) -> None:
+    def group(self, parameters: int, memory: int) -> None:
         """The head of the loop over groups: where its blocks are."""
         t, word = self._lanes.type, self._lanes.of("i32")
-        self.line("group:", f" %g = phi i64 [0, %entry], [%g1, %{last}]", " %shift = mul i64 %g, %stride")
+        self.line("next_group:", " %g = phi i64 [0, %entry], [%g1, %done]", " %shift = mul i64 %g, %stride")
+        self.line(f" %first_row = getelementptr {self._lanes.real.name}, ptr %rows, i64 %shift")
         self.line(f" %parameter = getelementptr [{parameters} x {t}], ptr %parameters, i64 %g")
         self.line(f" %memory = getelementptr [{memory} x {t}], ptr %memories, i64 %g")
         self.line(f" %key = getelementptr [2 x {word}], ptr %keys, i64 %g")
@@ -304,24 +276,24 @@ class _LaneWriter:
             self.line(f" %keyp{i} = getelementptr {word}, ptr %key, i64 {i}")
             self.line(f" %key{i} = load {word}, ptr %keyp{i}, align 4")
 
-    def fill(self, size: int) -> None:
-        """The inputs of a tick but noise: one row for all lanes, or a row of each."""
+    def fill(self, row: str, size: int, after: str) -> None:
+        """The inputs of a tick but noise: one row for all lanes, or a row of each; then the label `after`."""
         real = self._lanes.real.name
-        self.line(" br i1 %shared, label %same, label %each", "same:")
+        self.line(f" br i1 %shared, label %same_{after}, label %each_{after}", f"same_{after}:")
         for i in range(size):
-            value = self.put(f"load {real}, ptr {self.put(f'getelementptr {real}, ptr %row, i64 {i}')}")
+            value = self.put(f"load {real}, ptr {self.put(f'getelementptr {real}, ptr {row}, i64 {i}')}")
             self.line(*spread(f"{value}.l", value, real, self._lanes))
             self.store(f"{value}.l", "%own", i)
-        self.line(" br label %filled", "each:")
+        self.line(f" br label %{after}", f"each_{after}:")
         for i in range(size):
-            self.store(self.load("%row", i), "%own", i)
-        self.line(" br label %filled", "filled:")
+            self.store(self.load(row, i), "%own", i)
+        self.line(f" br label %{after}", f"{after}:")
 
-    def noise(self, tick: str) -> None:
+    def noise(self, name: str, tick: str) -> None:
         """The noise of a tick."""
         word = self._lanes.of("i32")
-        self.line(*spread("%now", tick, "i32", self._lanes))
-        self.line(f" call void @noise(ptr %own, {word} %key0, {word} %key1, {word} %now)")
+        self.line(*spread(name, tick, "i32", self._lanes))
+        self.line(f" call void @noise(ptr %own, {word} %key0, {word} %key1, {word} {name})")
 
     def load(self, block: str, i: int) -> str:
         """The numbers of all lanes."""
@@ -344,7 +316,9 @@ class _LaneWriter:
     def leave(self) -> None:
         """The end of the loop over groups, and of the function."""
         self.line(
-            " %g1 = add i64 %g, 1", " %next = icmp slt i64 %g1, %groups", " br i1 %next, label %group, label %end"
+            " %g1 = add i64 %g, 1",
+            " %next = icmp slt i64 %g1, %groups",
+            " br i1 %next, label %next_group, label %end",
         )
         self.line("end:")
         if self._flushes:
@@ -354,7 +328,7 @@ class _LaneWriter:
     def function(self, head: str) -> str:
         """The text of the function, and of what it declares."""
         flush = ["declare void @llvm.x86.sse.stmxcsr(ptr)", "declare void @llvm.x86.sse.ldmxcsr(ptr)"]
-        return "\n".join([*(flush if self._flushes and "@begin" in head else []), self._writer.function(head)])
+        return "\n".join([*(flush if self._flushes else []), self._writer.function(head)])
 
 
 def _aligned(shape: tuple[int, ...], dtype: type[np.floating[Any]]) -> Rows:

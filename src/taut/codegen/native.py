@@ -191,6 +191,7 @@ def _generated(text: str, level: int) -> bytes:
     machine = _machine(level)
     try:
         module = llvm.parse_assembly(text)
+        module.verify()
     except RuntimeError as cause:  # a fault of ours, never of the caller
         raise TautError(f"LLVM refuses generated code; please report this: {cause}") from cause
     # The graph is already folded and shared: of LLVM's passes only inlining is worth its time.

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from taut.base.types import Float64Array
 from taut.codegen.engine import Engine
 from taut.codegen.functions import DOUBLE, Real, logarithm, of_quadrant, traced
-from taut.codegen.llvm import CACHE_LINE, Lanes, Writer, declarations, function_text, result_type, spread
+from taut.codegen.llvm import Lanes, Writer, declarations, function_text, result_type, spread
 from taut.codegen.native import compiled, host_lanes
 from taut.codegen.program import Block, Field, Program
 from taut.trace import math as tm
@@ -181,62 +181,44 @@ class _NativeRows:
     """Noise of a run in machine code, with one tick in each lane."""
 
     def __init__(self, inputs: Block) -> None:
-        self._count = host_lanes(DOUBLE)
+        self._lanes, self._size = Lanes(host_lanes(DOUBLE)), inputs.size
         self._columns = [f.offset + k for f in inputs.fields if f.path.startswith(NOISE) for k in range(f.size)]
-        self._size = inputs.size
-        layout = repr((self._count, self._size, blocks_of(inputs)))
+        layout = repr((self._lanes, self._size, blocks_of(inputs)))
         self._module = compiled(f"noise {layout}".encode(), lambda: self._text(inputs), ("rows",))
         self._function = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 4, ctypes.c_void_p)(self._module["rows"])
 
     def __call__(self, rows: Float64Array, first: int, seed: int) -> None:
-        assert rows.flags.c_contiguous
-        assert rows.shape[1] == self._size
-        low, high = (int(word) for word in key(seed))
-        whole = len(rows) - len(rows) % self._count
-        self._function(first, whole, low, high, rows.ctypes.data)
-        if whole < len(rows):
-            more = np.zeros((self._count, self._size))
-            self._function(first + whole, self._count, low, high, more.ctypes.data)
-            rows[whole:, self._columns] = more[: len(rows) - whole, self._columns]
+        made = np.empty((-(-len(rows) // self._lanes.count), self._size, self._lanes.count))
+        self._function(first, len(made), *map(int, key(seed)), made.ctypes.data)
+        flat = made[:, self._columns].transpose(0, 2, 1).reshape(-1, len(self._columns))
+        rows[:, self._columns] = flat[: len(rows)]
 
     def _text(self, inputs: Block) -> str:
-        """LLVM text of `rows(first tick, ticks, key, key, rows)`; the number of ticks is one of whole lanes."""
-        lanes, w = Lanes(self._count), Writer()
-        word = lanes.of("i32")
+        """LLVM text of `rows(first tick, groups of ticks, key, key, groups of inputs)`."""
+        lanes, w = self._lanes, Writer()
+        word, steps = lanes.of("i32"), ", ".join(f"i32 {i}" for i in range(self._lanes.count))
         w.line(
             "entry:",
-            f" %own = alloca [{self._size} x {lanes.type}], align {CACHE_LINE}",
-            " %none = icmp sle i64 %count, 0",
+            " %none = icmp sle i64 %groups, 0",
             " br i1 %none, label %end, label %head",
             "head:",
-            " %k = phi i64 [0, %entry], [%next, %head]",
-            " %now = add i64 %first, %k",
-            " %now32 = trunc i64 %now to i32",
-            *spread("%tick0", "%now32", "i32", lanes),
+            " %g = phi i64 [0, %entry], [%next, %head]",
+            f" %group = getelementptr [{self._size} x {lanes.type}], ptr %made, i64 %g",
+            f" %along = mul i64 %g, {lanes.count}",
+            " %now = add i64 %first, %along",
         )
-        for name in ("low", "high"):
+        for name in ("now", "low", "high"):
             w.line(f" %{name}32 = trunc i64 %{name} to i32", *spread(f"%{name}s", f"%{name}32", "i32", lanes))
-        steps = ", ".join(f"i32 {i}" for i in range(self._count))
         w.line(
-            f" %tick = add {word} %tick0, {f'<{steps}>' if self._count > 1 else '0'}",
-            f" call void @noise(ptr %own, {word} %lows, {word} %highs, {word} %tick)",
-        )
-        for column in self._columns:
-            values = w.put(f"load {lanes.type}, ptr {w.put(f'getelementptr {lanes.type}, ptr %own, i64 {column}')}")
-            for i in range(self._count):
-                one = w.put(f"extractelement {lanes.type} {values}, i64 {i}") if self._count > 1 else values
-                row = w.put(f"mul i64 {w.put(f'add i64 %k, {i}')}, {self._size}")
-                place = w.put(f"add i64 {row}, {column}")
-                place = w.put(f"getelementptr double, ptr %rows, i64 {place}")
-                w.line(f" store double {one}, ptr {place}")
-        w.line(
-            f" %next = add i64 %k, {self._count}",
-            " %more = icmp slt i64 %next, %count",
+            f" %tick = add {word} %nows, {f'<{steps}>' if lanes.count > 1 else '0'}",
+            f" call void @noise(ptr %group, {word} %lows, {word} %highs, {word} %tick)",
+            " %next = add i64 %g, 1",
+            " %more = icmp slt i64 %next, %groups",
             " br i1 %more, label %head, label %end",
             "end:",
             " ret void",
         )
-        head = f"void @rows(i64 %first, i64 %count, i64 %low, i64 %high, ptr %rows) {lanes.attributes}"
+        head = f"void @rows(i64 %first, i64 %groups, i64 %low, i64 %high, ptr %made) {lanes.attributes}"
         return "\n".join([declarations(lanes), noise_text(inputs, lanes), w.function(head)])
 
 

@@ -74,7 +74,7 @@ class Runner(ABC):
 def runner_of(plan: Plan, loop: Loop | None = None) -> Runner:
     """The runner for a plan: in lanes where nothing asks Python between ticks; `loop` is one that is compiled."""
     if loop is None and isinstance(plan.subject.plant, ModelPlant):
-        loop = plan.subject.loop(plan.subject.controller(), plan.subject.ref)
+        loop = plan.subject.loop(plan.subject.ref)
     if loop is not None and loop.engine == "native" and loop.side.task is None and not isinstance(loop.ref, Stream):
         with suppress(NotInLanes):
             return LaneRuns(plan, loop)
@@ -133,16 +133,14 @@ class LaneRuns(Runner):
                 view[...] = values[path]
         at_start = {name: np.repeat(getattr(subject, name)[np.newaxis], count, axis=0) for name in STATE} | values
         states = np.hstack([at_start[name] for name in STATE])
-        keys, parameters, starts = code.keys(plan.seeds(drawn)), code.spread(flat), code.spread(states)
+        keys, parameters = code.keys(plan.seeds(drawn)), code.spread(flat)
         memory = code.block(len(parameters), code.memory.size)
+        memory[:, : states.shape[1]] = code.spread(states)
         feeds = self._feeds(values, states[:, : loop.plant.arm.n]) if self._own_reference else None
         made: list[tuple[dict[str, float], dict[str, Float64Array]]] = []
         for groups in self._batches(len(parameters)):
             part = keys[groups], parameters[groups], memory[groups]
             some = None if feeds is None else feeds[groups.start * code.lanes.count : groups.stop * code.lanes.count]
-            row = self._rows(some, 0, 1)
-            row = row[0] if some is None else np.ascontiguousarray(row[:, 0])
-            code.begin(row, part[0], starts[groups], *part[1:])
             if self._recorded:
                 step()
                 out = code.block(len(part[1]), code.outputs.size, loop.ticks)

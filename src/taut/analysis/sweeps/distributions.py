@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from functools import partial
+from typing import Any, Final
 
 import numpy as np
 
@@ -16,91 +16,43 @@ from taut.base.types import ArrayLike, Float64Array
 SMALLEST: Final = 2.0**-54  # of the numbers between 0 and 1: no sample is farther out than 8.3 standard deviations
 
 
-class Distribution(ABC):
+@dataclass(frozen=True, eq=False)
+class Distribution:
     """A distribution of a parameter. Made by `taut.uniform`, `taut.log_uniform`, `taut.normal` or `taut.choice`."""
 
-    @property
-    @abstractmethod
-    def shape(self) -> tuple[int, ...]:
-        """Of one sample."""
-
-    @abstractmethod
-    def at(self, u: Float64Array) -> Float64Array:
-        """(k, ...) samples, of (k, ...) numbers between 0 and 1."""
-
-    @abstractmethod
-    def ends(self) -> list[Float64Array]:
-        """Samples at the ends of what can be drawn: where they are valid, all are."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Between(Distribution):
-    """Uniform between two ends, of a number or of its logarithm."""
-
-    low: Float64Array
-    high: Float64Array
-    logarithmic: bool = False
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return self.low.shape
-
-    def at(self, u: Float64Array) -> Float64Array:
-        if self.logarithmic:
-            return np.asarray(self.low * (self.high / self.low) ** u)
-        return np.asarray(self.low + (self.high - self.low) * u)
+    text: str
+    shape: tuple[int, ...]  # of one sample
+    at: Callable[[Float64Array], Float64Array]
+    """(k, ...) samples, of (k, ...) numbers between 0 and 1."""
+    tried: Sequence[float] = (0.0, 1.0)  # of these numbers: where what they give is valid, all is
 
     def ends(self) -> list[Float64Array]:
-        return [self.low, self.high]
+        """Samples at the ends of what can be drawn."""
+        return [self.at(np.full((1, *self.shape), u))[0] for u in self.tried]
 
     def __repr__(self) -> str:
-        name = "log_uniform" if self.logarithmic else "uniform"
-        return f"{name}({self.low.tolist()}, {self.high.tolist()})"
+        return self.text
 
 
-@dataclass(frozen=True, eq=False)
-class _Normal(Distribution):
-    mean: Float64Array
-    std: Float64Array
-    low: Float64Array
-    high: Float64Array
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return self.mean.shape
-
-    def at(self, u: Float64Array) -> Float64Array:
-        from scipy.special import ndtr, ndtri
-
-        first, last = (ndtr((end - self.mean) / self.std) for end in (self.low, self.high))
-        inside = np.clip(first + (last - first) * u, SMALLEST, 1.0 - 2.0 * SMALLEST)
-        return np.asarray(np.clip(self.mean + self.std * ndtri(inside), self.low, self.high))
-
-    def ends(self) -> list[Float64Array]:
-        return [self.at(np.full(self.shape, u)) for u in (0.0, 1.0)]
-
-    def __repr__(self) -> str:
-        numbers = (self.mean, self.std, self.low, self.high)
-        return "normal({}, {}, low={}, high={})".format(*(number.tolist() for number in numbers))
+def _between(u: Float64Array, low: Any, high: Any) -> Float64Array:
+    return np.asarray(low * (1.0 - u) + high * u)
 
 
-@dataclass(frozen=True, eq=False)
-class _Choice(Distribution):
-    values: Float64Array  # (m, ...)
+def _log_between(u: Float64Array, low: Any, high: Any) -> Float64Array:
+    return np.asarray(np.clip(low * (high / low) ** u, low, high))
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return self.values.shape[1:]
 
-    def at(self, u: Float64Array) -> Float64Array:
-        first = u.reshape(len(u), -1)[:, 0]  # one choice for all entries
-        return np.asarray(self.values[np.minimum((first * len(self.values)).astype(int), len(self.values) - 1)])
+def _normal(u: Float64Array, mean: Any, std: Any, low: Any, high: Any) -> Float64Array:
+    from scipy.special import ndtr, ndtri
 
-    def ends(self) -> list[Float64Array]:
-        return list(self.values)
+    first, last = (ndtr((end - mean) / std) for end in (low, high))
+    inside = np.clip(first + (last - first) * u, SMALLEST, 1.0 - 2.0 * SMALLEST)
+    return np.asarray(np.clip(mean + std * ndtri(inside), low, high))
 
-    def __repr__(self) -> str:
-        return f"choice({self.values.tolist()})"
+
+def _chosen(u: Float64Array, values: Any) -> Float64Array:
+    first = u.reshape(len(u), -1)[:, 0]  # one choice for all entries
+    return np.asarray(values[np.minimum((first * len(values)).astype(int), len(values) - 1)])
 
 
 def uniform(low: ArrayLike, high: ArrayLike) -> Distribution:
@@ -119,15 +71,16 @@ def uniform(low: ArrayLike, high: ArrayLike) -> Distribution:
         >>> taut.uniform(0.0, 3.0)
         uniform(0.0, 3.0)
     """
-    return _Between(*_ends("uniform", low, high))
+    first, last = _ends("uniform", low, high)
+    return Distribution(_text("uniform", first, last), first.shape, partial(_between, low=first, high=last))
 
 
 def log_uniform(low: ArrayLike, high: ArrayLike) -> Distribution:
     """Numbers whose logarithm is equally likely from that of `low` to that of `high`; otherwise as `uniform`."""
-    ends = _ends("log_uniform", low, high)
-    if np.any(ends[0] <= 0.0):
-        raise RangeError(f"low of log_uniform must be > 0; got {ends[0].min():g}", name="low", rule="> 0")
-    return _Between(*ends, logarithmic=True)
+    first, last = _ends("log_uniform", low, high)
+    if np.any(first <= 0.0):
+        raise RangeError(f"low of log_uniform must be > 0; got {first.min():g}", name="low", rule="> 0")
+    return Distribution(_text("log_uniform", first, last), first.shape, partial(_log_between, low=first, high=last))
 
 
 def normal(mean: ArrayLike, std: ArrayLike, *, low: ArrayLike = -np.inf, high: ArrayLike = np.inf) -> Distribution:
@@ -164,7 +117,8 @@ def normal(mean: ArrayLike, std: ArrayLike, *, low: ArrayLike = -np.inf, high: A
         raise RangeError(f"std of normal must be > 0; got {spread.min():g}", name="std", rule="> 0")
     if not np.all(first < last):
         raise RangeError(f"normal needs low < high; got {first.tolist()} and {last.tolist()}", name="low")
-    return _Normal(center, spread, first, last)
+    text = _text("normal", center, spread, low=first, high=last)
+    return Distribution(text, center.shape, partial(_normal, mean=center, std=spread, low=first, high=last))
 
 
 def choice(values: Sequence[ArrayLike]) -> Distribution:
@@ -181,7 +135,15 @@ def choice(values: Sequence[ArrayLike]) -> Distribution:
     numbers = finite_array("values", np.asarray(values, dtype=np.float64))
     if numbers.ndim == 0 or not len(numbers):
         raise UsageError(f"choice needs a list of one value at least; got {values!r}", name="values")
-    return _Choice(read_only(numbers))
+    middles = (np.arange(len(numbers)) + 0.5) / len(numbers)
+    return Distribution(
+        _text("choice", numbers), numbers.shape[1:], partial(_chosen, values=read_only(numbers)), middles.tolist()
+    )  # fmt: skip
+
+
+def _text(name: str, *numbers: Float64Array, **named: Float64Array) -> str:
+    texts = [repr(x.tolist()) for x in numbers] + [f"{word}={x.tolist()}" for word, x in named.items()]
+    return f"{name}({', '.join(texts)})"
 
 
 def _ends(name: str, low: ArrayLike, high: ArrayLike) -> tuple[Float64Array, Float64Array]:

@@ -21,14 +21,10 @@ from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.engine import Engine
 from taut.codegen.noise import MAX_SEED
-from taut.control.law import Law
-from taut.control.limits import Limits
-from taut.control.sensing import Sensing
-from taut.control.tasks.task import Task
+from taut.control.lawside import LawSide
 from taut.control.trajectories.reference import Reference, Sample
-from taut.controller import Controller, compile
+from taut.controller import Controller
 from taut.loop import Loop, LoopParameters, ModelPlant, state_at_start
-from taut.maths.model import Adds
 from taut.record.run import Run
 from taut.runtime.simulate import Plant, simulated
 
@@ -46,56 +42,37 @@ Variation: TypeAlias = Distribution | ArrayLike | Sequence[Any]
 class Subject:
     """A closed loop as what it is made of, so that another process can make it again."""
 
-    law: Law | Task
-    arm: Any
-    rate: float
-    sensing: Sensing
-    limits: Limits | None
-    adds: Adds
+    side: LawSide
     engine: Engine
     plant: Plant
     ref: Reference
     duration: float  # [s]
-    parameters: Values
+    parameters: dict[str, Float64Array]  # of both
     q0: Float64Array
     v0: Float64Array
 
     @classmethod
     def of(cls, made: Controller | Loop, plant: Plant, ref: Reference, duration: float, q0: Any, v0: Any) -> Subject:
         """What `taut.run` runs."""
-        side = made.side
         q, v = state_at_start(plant.arm, q0, v0)
+        values = {path: np.array(x) for path, x in {**plant.parameters, **made.parameters}.items()}
         return cls(
-            law=side.law, arm=side.arm, rate=side.rate, sensing=side.sensing, limits=side.limits, adds=side.adds,
-            engine="native" if made.engine == "native" else "float", plant=plant, ref=ref, duration=duration,
-            parameters={path: np.array(x) for path, x in {**plant.parameters, **made.parameters}.items()},
-            q0=q, v0=v,
+            side=made.side, engine=made.engine, plant=plant, ref=ref, duration=duration, parameters=values, q0=q, v0=v
         )  # fmt: skip
 
-    def controller(self) -> Controller:
-        """The controller, with the law's parameters as they were."""
-        made = compile(
-            self.law, self.arm, rate=self.rate, sensing=self.sensing, limits=self.limits, adds=self.adds,
-            engine=self.engine,
-        )  # fmt: skip
-        for path in made.parameters:
-            made.parameters[path] = self.parameters[path]
-        return made
-
-    def loop(self, ctrl: Controller, ref: Reference) -> Loop:
-        """The fused loop of a model plant."""
+    def loop(self, ref: Reference) -> Loop:
+        """The loop of a model plant with a reference."""
         assert isinstance(self.plant, ModelPlant)
-        loop = Loop(ctrl, self.plant, None if ctrl.side.task is not None else ref, duration=self.duration)
-        for path, value in self.parameters.items():
-            loop.parameters[path] = value
+        loop = Loop(self, self.plant, None if self.side.task is not None else ref, duration=self.duration)
+        for path in self.plant.parameters:
+            loop.parameters[path] = self.parameters[path]
         return loop
 
     @property
     def content(self) -> str:
         """What it is made of, as text: the same for equal loops."""
-        parts = (self.law, self.arm.name, self.rate, self.sensing, self.limits, self.adds, self.engine, self.plant)
         numbers = {**self.parameters, **reference_fields(self.ref), "q0": self.q0, "v0": self.v0}
-        texts = [*map(repr, parts), type(self.ref).__name__, repr(self.duration)]
+        texts = [repr((self.side, self.engine, self.plant, type(self.ref).__name__, self.duration))]
         texts += [f"{name} {_digest(value)}" for name, value in sorted(numbers.items())]
         return re.sub(r" at 0x[0-9a-f]+", "", "; ".join(texts))
 
@@ -230,7 +207,7 @@ class Plan:
                     reached = f"'{each.path}' of the sweep reaches {end.tolist()}, which the loop refuses"
                     raise type(error)(f"{reached}: {error}", name=each.path) from error
         if isinstance(subject.plant, ModelPlant):
-            loop = subject.loop(subject.controller(), subject.ref)
+            loop = subject.loop(subject.ref)
             for drawn in itertools.islice(self._corners(), CORNERS):
                 self._try_start(loop, self.values(drawn))
 
@@ -252,7 +229,7 @@ class Plan:
         elif each.target.startswith(REF):
             changed_reference(subject.ref, {each.target: value[0]})
         else:
-            parameters = _parameters(subject)
+            parameters = LoopParameters(subject.side, subject.plant, subject.parameters)
             made = parameters.checked(each.target, value[0])
             given = parameters.checked(each.target, end) if each.entry is None else made
             if not np.array_equal(made, value[0]) or not np.array_equal(given, made):
@@ -277,11 +254,6 @@ class Plan:
 def _outer(ends: list[Float64Array]) -> list[Float64Array]:
     """The first and the last of several ends."""
     return ends if len(ends) < 3 else [ends[0], ends[-1]]
-
-
-def _parameters(subject: Subject) -> LoopParameters:
-    side = subject.controller().side
-    return LoopParameters(side, subject.plant, dict(subject.parameters))
 
 
 def _varied(subject: Subject, path: str, value: Variation, samples: int) -> Varied:
@@ -340,29 +312,29 @@ class Runs:
     """Runs of samples one by one, by `taut.run`: of a loop with any plant, or of a task."""
 
     def __init__(self, plan: Plan) -> None:
-        self._plan, self._ctrl = plan, plan.subject.controller()
-        self._own = {path: np.array(value) for path, value in plan.subject.plant.parameters.items()}
+        self._subject = subject = plan.subject
         self._loop: Loop | None = None
+        if not isinstance(subject.plant, ModelPlant):
+            self._ctrl = Controller(subject.side, subject.engine)
+            for path in self._ctrl.parameters:
+                self._ctrl.parameters[path] = subject.parameters[path]
 
     def run(self, values: Values, seed: int) -> Run:
         """The run of a sample, of the values of what is varied."""
-        subject, plant = self._plan.subject, self._plan.subject.plant
+        subject, plant = self._subject, self._subject.plant
         q, v = (values.get(name, getattr(subject, name)) for name in STATE)
         ref = changed_reference(subject.ref, values)
         new = {path: value for path, value in values.items() if path in subject.parameters}
+        once = {"q0": q, "v0": v, "seed": seed, "progress": False, "judged": False}
         if isinstance(plant, ModelPlant):
             if self._loop is None or ref is not subject.ref:
-                self._loop = subject.loop(self._ctrl, ref)
-            for path, value in new.items():
-                self._loop.parameters[path] = value
-            loop = self._loop
-            return simulated(
-                loop, plant, loop.ref, loop.duration, q0=q, v0=v, seed=seed, progress=False, judged=False
-            )
-        for path, value in new.items():
-            if path in self._ctrl.parameters:
-                self._ctrl.parameters[path] = value
-        plant.set_parameters({path: {**subject.parameters, **new}[path] for path in self._own})
-        return simulated(
-            self._ctrl, plant, ref, subject.duration, q0=q, v0=v, seed=seed, progress=False, judged=False
-        )  # fmt: skip
+                self._loop = subject.loop(ref)
+            self._loop.parameters.update(new)
+            return simulated(self._loop, plant, self._loop.ref, subject.duration, **once)
+        self._ctrl.parameters.update({path: x for path, x in new.items() if path in self._ctrl.parameters})
+        own = {path: x for path, x in new.items() if path in plant.parameters}
+        plant.set_parameters(own)
+        try:
+            return simulated(self._ctrl, plant, ref, subject.duration, **once)
+        finally:  # the plant may be the caller's
+            plant.set_parameters({path: subject.parameters[path] for path in own})
