@@ -301,7 +301,7 @@ def test_a_disk_that_is_full_ends_a_sweep_and_keeps_what_was_done(
 def test_workers_that_die_hang_or_raise_leave_each_sample_with_one_result(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(workers, "PATIENCE", 2.0)
+    monkeypatch.setattr(workers, "SAMPLE_PATIENCE", 2.0)
     monkeypatch.setattr(SingleRuns, "size", 2)
     q0 = np.full(8, 0.0)
     q0[1:5] = 1.0, 2.0, 3.0, 4.0

@@ -28,8 +28,8 @@ Rows: TypeAlias = NDArray[np.floating[Any]]
 Reduce: TypeAlias = Callable[[Values, Values, Values, Values], Values]
 """(inputs, parameters, record of a tick, what was kept before) -> what is kept after it, by path."""
 
-ALIVE: Final = "lane.alive"  # 1.0 until memory or command is not finite
-TICKS: Final = "lane.ticks"  # that ended in finite memory and command
+LANE_ALIVE: Final = "lane.alive"  # 1.0 until memory or command is not finite
+LANE_TICKS: Final = "lane.ticks"  # that ended in finite memory and command
 FLUSH: Final = (
     0x8040  # bits of MXCSR: what is smaller than normal numbers is zero; it would take a hundred times longer
 )
@@ -65,7 +65,7 @@ class LaneLoop:
         if traced.start is None:
             raise NotInLanes
         self.kept = Block.of({} if recorded else dict(kept))
-        self.memory = Block.of({**steps.memory.shapes, **self.kept.shapes, ALIVE: (), TICKS: ()})
+        self.memory = Block.of({**steps.memory.shapes, **self.kept.shapes, LANE_ALIVE: (), LANE_TICKS: ()})
         whole = self._traced(reduce)
         own = dataclasses.replace(whole, memory_nodes=whole.memory_nodes[: steps.memory.size])
         self.program = own if recorded else self._reduced(whole, own)
@@ -170,7 +170,7 @@ class LaneLoop:
         """LLVM text of `advance`."""
         lanes, steps, w = self.lanes, self._steps, _LaneWriter(self.lanes)
         own, real = steps.memory.size, self.lanes.real.name
-        alive, ticks = (self.memory.field(path).offset for path in (ALIVE, TICKS))
+        alive, ticks = (self.memory.field(path).offset for path in (LANE_ALIVE, LANE_TICKS))
         one, zero, truth = lanes.number(1.0), lanes.number(0.0), lanes.of("i1")
         step = self.outputs.size * lanes.count if recorded else 0
         w.enter(steps.start_inputs.size)

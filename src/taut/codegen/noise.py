@@ -33,7 +33,7 @@ from taut.trace import math as tm
 
 NOISE: Final = "noise."  # begins the path of an input that is filled here
 MAX_SEED: Final = 2**64 - 1
-ROUNDS: Final = 10
+PHILOX_ROUNDS: Final = 10
 MULTIPLIERS: Final = (0xD2511F53, 0xCD9E8D57)
 WEYL: Final = (0x9E3779B9, 0xBB67AE85)  # added to the key in each round
 WORD: Final = 0xFFFFFFFF
@@ -56,7 +56,7 @@ def channel(path: str) -> tuple[int, int]:
 def philox(keys: tuple[Any, Any], counter: tuple[Any, Any, Any, Any]) -> tuple[Words, ...]:
     """Four words of 32 bits, of arrays of keys and counters."""
     k, c = [np.asarray(word, dtype=np.uint64) for word in keys], [np.asarray(x, dtype=np.uint64) for x in counter]
-    for turn in range(ROUNDS):
+    for turn in range(PHILOX_ROUNDS):
         low, high = (np.uint64(factor) * c[2 * i] for i, factor in enumerate(MULTIPLIERS))
         now = [(word + np.uint64(turn * step & WORD)) & np.uint64(WORD) for word, step in zip(k, WEYL, strict=True)]
         c = [
@@ -146,7 +146,7 @@ def _four_normals(lanes: Lanes) -> str:
         f"{lanes.attributes} {{"
     ]
     c = [f"%{name}" for name in names[2:]]
-    for turn in range(ROUNDS):
+    for turn in range(PHILOX_ROUNDS):
         r = f"%r{turn}"
         for i, factor in enumerate(MULTIPLIERS):
             lines += [

@@ -20,7 +20,7 @@ from taut.base.errors import TautError
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.functions import DOUBLE, SINGLE
-from taut.codegen.lanes import ALIVE, TICKS, LaneLoop, NotInLanes, Rows
+from taut.codegen.lanes import LANE_ALIVE, LANE_TICKS, LaneLoop, NotInLanes, Rows
 from taut.codegen.llvm import Lanes
 from taut.codegen.loop import steps_of
 from taut.codegen.native import host_lanes
@@ -153,15 +153,15 @@ class LaneRuns(Runner):
                 ticks = min(self._ticks_at_once(len(part[1])), loop.ticks - tick)
                 code.advance(tick, self._rows(some, tick, ticks), *part)
         kept = code.memory.views(code.gathered(memory, count))
-        metrics: Mapping[str, Any] = self._streams.values(kept, kept[TICKS])
+        metrics: Mapping[str, Any] = self._streams.values(kept, kept[LANE_TICKS])
         if self._recorded:
             metrics = {name: np.array([numbers[name] for numbers, _ in made]) for name in plan.columns}
         table = {
             "sample": np.arange(first, first + count),
             **drawn,
             "seed": plan.seeds(drawn),
-            "outcome": np.where(kept[ALIVE] == 1.0, "completed", "diverged"),
-            "ticks": kept[TICKS].astype(np.int64),
+            "outcome": np.where(kept[LANE_ALIVE] == 1.0, "completed", "diverged"),
+            "ticks": kept[LANE_TICKS].astype(np.int64),
             **metrics,
         }
         return Results(table=table, rows=_joined([rows for _, rows in made] if plan.record else []))
@@ -233,7 +233,7 @@ class LaneRuns(Runner):
         ends = code.memory.views(code.gathered(memory[groups], many))
         for i in range(many):
             own = rows if rows.ndim == 2 else rows[i // w, :, :, i % w]
-            alive, ticks = ends[ALIVE][i] == 1.0, int(ends[TICKS][i])
+            alive, ticks = ends[LANE_ALIVE][i] == 1.0, int(ends[LANE_TICKS][i])
             tape = Tape(self._loop.side, self._loop.plant, self._loop.ticks, self._inputs, code.outputs)
             tape.input_rows[:, : code.row_size] = own
             tape.output_rows[...] = out[i // w, :, :, i % w]

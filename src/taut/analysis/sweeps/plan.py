@@ -28,7 +28,7 @@ from taut.loop import Loop, LoopParameters, ModelPlant, state_at_start
 from taut.record.run import Run
 from taut.runtime.simulate import Plant, simulated
 
-BLOCK: Final = 1024  # samples that are drawn together
+DRAWN_TOGETHER: Final = 1024  # samples that are drawn together
 SEED: Final = "seed"  # of the noise of a sample
 REF: Final = "ref."  # begins the path of a number of the reference
 STATE: Final = ("q0", "v0")
@@ -128,12 +128,14 @@ class Varied:
 def uniforms(seed: int, name: str, first: int, count: int, shape: tuple[int, ...]) -> Float64Array:
     """(count, ...) numbers between 0 and 1 of samples from `first` on, by seed, name and number of the sample."""
     digest = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")
-    blocks = range(first // BLOCK, -(-(first + count) // BLOCK))
+    blocks = range(first // DRAWN_TOGETHER, -(-(first + count) // DRAWN_TOGETHER))
     rows = [
-        np.random.Generator(np.random.Philox(key=[seed, digest], counter=[0, 0, 0, b])).random((BLOCK, *shape))
+        np.random.Generator(np.random.Philox(key=[seed, digest], counter=[0, 0, 0, b])).random(
+            (DRAWN_TOGETHER, *shape)
+        )
         for b in blocks
     ]
-    start = first - blocks[0] * BLOCK
+    start = first - blocks[0] * DRAWN_TOGETHER
     return np.concatenate(rows)[start : start + count]
 
 

@@ -25,7 +25,7 @@ from taut.analysis.sweeps.plan import Plan
 from taut.base.errors import UsageError
 
 START: Final = 300.0  # [s] for a process to begin and compile the loop
-PATIENCE: Final = 60.0  # [s] for a sample, until it is known how long one takes
+SAMPLE_PATIENCE: Final = 60.0  # [s] for a sample, until it is known how long one takes
 LONGEST: Final = 20.0  # times the longest sample so far
 Chunk = tuple[int, int]
 """First sample and number of samples."""
@@ -52,7 +52,7 @@ class InProcess(Runner):
         self._send(process, (first, count))
         while True:
             began = time.monotonic()
-            kind, what = self._answer(process, max(PATIENCE, LONGEST * self._longest))
+            kind, what = self._answer(process, max(SAMPLE_PATIENCE, LONGEST * self._longest))
             step()
             if kind == "results":
                 assert isinstance(what, Results)
