@@ -134,7 +134,7 @@ def tables_equal(a: Any, b: Any) -> bool:
 
 
 def test_neither_lanes_nor_workers_nor_the_order_of_chunks_change_a_bit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(LaneRuns, "size", 16)
+    monkeypatch.setattr(chunks, "IN_LANES", (16, 16))
     vary = {"law.kp[0]": U(20.0, 80.0), "plant.payload.mass": taut.normal(1.0, 0.1)}
     found = taut.sweep(noisy(), vary, samples=100, seed=5, workers=1).table
     for count, threads in ((1, 1), (2, 2), (8, 8)):
@@ -232,7 +232,7 @@ def kept_by(monkeypatch: pytest.MonkeyPatch, limit: int | None = None) -> list[i
 def test_a_sweep_that_was_interrupted_goes_on_where_it_stopped(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(LaneRuns, "size", 8)
+    monkeypatch.setattr(chunks, "IN_LANES", (8, 8))
     vary, more = (
         {"law.kp": U(50.0, 400.0), "q0": U([-0.3, 0.2], [0.3, 1.0])},
         {"samples": 60, "seed": 2, "workers": 1},
@@ -276,7 +276,7 @@ def test_whole_runs_go_to_files(tmp_path: Path) -> None:
 def test_a_disk_that_is_full_ends_a_sweep_and_keeps_what_was_done(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(LaneRuns, "size", 8)
+    monkeypatch.setattr(chunks, "IN_LANES", (8, 8))
     write, calls = front.Store.write, []
 
     def full(self: Any, results: Any) -> None:
@@ -302,7 +302,7 @@ def test_workers_that_die_hang_or_raise_leave_each_sample_with_one_result(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(workers, "SAMPLE_PATIENCE", 2.0)
-    monkeypatch.setattr(SingleRuns, "size", 2)
+    monkeypatch.setattr(chunks, "ONE_BY_ONE", (2, 2))
     q0 = np.full(8, 0.0)
     q0[1:5] = 1.0, 2.0, 3.0, 4.0
     q0 += 1e-3 * np.arange(8)
@@ -326,7 +326,7 @@ def test_workers_that_die_hang_or_raise_leave_each_sample_with_one_result(
 
 
 def test_a_loop_with_mujoco_is_the_same_in_one_process_and_in_several(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(SingleRuns, "size", 2)
+    monkeypatch.setattr(chunks, "ONE_BY_ONE", (2, 2))
     arm = PLANAR.with_friction(taut.Friction())
     sensors = S.Sensors(position=S.Encoder(noise=1e-4))
     ctrl = taut.compile(L.GravityPID(kp=50.0, kd=10.0), arm)
@@ -431,7 +431,7 @@ def test_the_command_sweeps_a_scenario(capsys: pytest.CaptureFixture[str], tmp_p
     assert "100 completed" in text
     row = data["tables"]["metrics of the runs that came to their end"][0]
     assert f"{row['50 %']:.4g}" in text
-    assert len(list((tmp_path / "a").iterdir())) == 2
+    assert len(list((tmp_path / "a").iterdir())) == 3  # two chunks, and what the sweep is
 
 
 @pytest.mark.parametrize(

@@ -37,6 +37,9 @@ from taut.runtime.events import Schedule
 from taut.runtime.ongoing import FusedRun
 from taut.runtime.tape import Tape
 
+CHUNKS: Final = 64  # of a sweep, so that they can be shared
+IN_LANES: Final = (64, 1024)  # samples in a chunk, at least and at most
+ONE_BY_ONE: Final = (1, 16)
 BATCH_BYTES: Final = 64e6  # of one thread: what is recorded, or references of samples, at a time
 TICKS_AT_ONCE: Final = 4096  # between two looks at whether to stop
 
@@ -59,6 +62,11 @@ class Results:
     rows: dict[str, Float64Array] = field(default_factory=dict)
     messages: dict[int, str] = field(default_factory=dict)
 
+    @property
+    def columns(self) -> dict[str, Any]:
+        """The table with the messages."""
+        return {**self.table, "message": [self.messages.get(k, "") for k in self.table["sample"].tolist()]}
+
 
 class Runner(ABC):
     """Runs samples of a plan."""
@@ -71,14 +79,21 @@ class Runner(ABC):
         """The results of `count` samples from `first` on; `step` is called now and then, and may raise `Stopped`."""
 
 
-def runner_of(plan: Plan, loop: Loop | None = None) -> Runner:
-    """The runner for a plan: in lanes where nothing asks Python between ticks; `loop` is one that is compiled."""
+def runner_of(plan: Plan, loop: Loop | None = None, nominal: Run | None = None) -> Runner:
+    """The runner for a plan: in lanes where nothing asks Python between ticks.
+
+    `loop` is one that is compiled, and `nominal` its own run; they are made where they are left out.
+    """
     if loop is None and isinstance(plan.subject.plant, ModelPlant):
         loop = plan.subject.loop(plan.subject.ref)
     if loop is not None and loop.engine == "native" and loop.side.task is None and not isinstance(loop.ref, Stream):
         with suppress(NotInLanes):
-            return LaneRuns(plan, loop)
+            return LaneRuns(plan, loop, nominal)
     return SingleRuns(plan)
+
+
+def _size(plan: Plan, limits: tuple[int, int]) -> int:
+    return max(limits[0], min(limits[1], plan.samples // CHUNKS))
 
 
 def numbers_of(plan: Plan, run: Run) -> dict[str, float]:
@@ -103,11 +118,11 @@ def recorded_rows(plan: Plan, sample: int, run: Run) -> dict[str, Float64Array]:
 class LaneRuns(Runner):
     """Samples of a loop of a model plant, side by side in lanes."""
 
-    size = 1024
-
-    def __init__(self, plan: Plan, loop: Loop) -> None:
+    def __init__(self, plan: Plan, loop: Loop, nominal: Run | None = None) -> None:
         subject = plan.subject
-        self._plan, self._loop = plan, loop
+        if nominal is not None:
+            self._nominal = nominal
+        self._plan, self._loop, self.size = plan, loop, _size(plan, IN_LANES)
         schedule = Schedule(self._loop.side, self._loop.plant, self._loop.parameters, (), self._loop.ticks)
         fused = FusedRun(self._loop, subject.q0, subject.v0, 0, schedule)
         self._blocks = inputs, self._parameters, _ = fused.blocks
@@ -123,6 +138,9 @@ class LaneRuns(Runner):
         held = isinstance(self._loop.ref, Hold) and self._loop.ref.sample is None and not targets.isdisjoint(STATE)
         self._own_reference = held or any(target.startswith(REF) for target in targets)
         self._base = self._parameters.pack({**self._loop.parameters, DT: self._loop.dt})
+        if plan.record:  # a chunk's rows are in memory together
+            each = sum(column.nbytes for column in recorded_rows(plan, 0, self._nominal).values())
+            self.size = max(1, min(self.size, int(BATCH_BYTES / each)))
 
     def results(self, first: int, count: int, step: Callable[[], None] = lambda: None) -> Results:
         code, plan, loop, subject = self._code, self._plan, self._loop, self._plan.subject
@@ -250,10 +268,8 @@ def _joined(parts: list[dict[str, Float64Array]]) -> dict[str, Float64Array]:
 class SingleRuns(Runner):
     """Samples one by one, by `taut.run`."""
 
-    size = 16
-
     def __init__(self, plan: Plan) -> None:
-        self._plan, self._runs = plan, Runs(plan)
+        self._plan, self._runs, self.size = plan, Runs(plan), _size(plan, ONE_BY_ONE)
 
     def results(self, first: int, count: int, step: Callable[[], None] = lambda: None) -> Results:
         plan, drawn = self._plan, self._plan.drawn(first, count)

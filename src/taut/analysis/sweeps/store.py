@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import math
 import os
 from pathlib import Path
 from typing import Any, Final
@@ -37,6 +38,7 @@ class Store:
 
     def __init__(self, folder: str | os.PathLike[str], plan: Plan, size: int) -> None:
         self.arrow, self.folder = parquet(), Path(folder)
+        self._shapes = {each.path: each.shape for each in plan.varied if each.shape}
         about = {"sweep": plan.digest, "samples": plan.samples, "seed": plan.seed, "chunk": size}
         about |= {"varied": {each.path: repr(each.drawn or "listed") for each in plan.varied}}
         file = self.folder / ABOUT
@@ -64,25 +66,33 @@ class Store:
     def write(self, results: Results) -> None:
         """Keep the results of a chunk; its table last, which makes it done."""
         first = int(results.table["sample"][0])
-        messages = [results.messages.get(int(k), "") for k in results.table["sample"]]
-        for kind, columns in (("rows", results.rows), ("chunk", {**results.table, "message": messages})):
+        for kind, columns in (("rows", results.rows), ("chunk", results.columns)):
             if columns:
                 flat = {name: x for key, column in columns.items() for name, x in _flat(key, column)}
                 with written_aside("sweep", self._file(kind, first)) as aside:
                     self.arrow.parquet.write_table(self.arrow.table(flat), aside)
 
     def read(self, first: int) -> dict[str, Any]:
-        """The table of a chunk, as it was written."""
+        """The table of a chunk, as it was written, and the column "message"."""
         table = self.arrow.parquet.read_table(self._file("chunk", first))
-        return {name: np.asarray(table[name].to_numpy()) for name in table.column_names}
+        columns = {name: np.asarray(table[name].to_numpy()) for name in table.column_names}
+        for path, shape in self._shapes.items():
+            columns[path] = np.stack([columns.pop(name) for name in _entries(path, shape)], axis=1).reshape(
+                -1, *shape
+            )
+        return columns
 
     def _file(self, kind: str, first: int) -> Path:
         return self.folder / f"{kind}-{first:010d}.parquet"
+
+
+def _entries(name: str, shape: tuple[int, ...]) -> list[str]:
+    return [f"{name}[{i}]" for i in range(math.prod(shape))]
 
 
 def _flat(name: str, column: Any) -> list[tuple[str, Any]]:
     """A column, or one for each entry."""
     if np.ndim(column) < 2:
         return [(name, column)]
-    rows = np.asarray(column).reshape(len(column), -1)
-    return [(f"{name}[{i}]", rows[:, i]) for i in range(rows.shape[1])]
+    names = _entries(name, np.shape(column)[1:])
+    return list(zip(names, np.reshape(column, (len(column), len(names))).T, strict=True))

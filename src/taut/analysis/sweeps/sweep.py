@@ -52,14 +52,12 @@ class Sweep(Result):
         plan: What was varied, and what was kept.
         samples: Number of samples that are done.
         complete: Whether all are; not where Ctrl-C ended it.
-        messages: Of samples that did not come to their end, by number, where their runs say why.
         tables: Columns by name, of each chunk by its first sample; or where they are stored.
     """
 
     plan: Plan
     samples: int
     complete: bool
-    messages: Mapping[int, str]
     tables: Mapping[int, Mapping[str, Any]] | Store
     chunk: int
 
@@ -71,8 +69,14 @@ class Sweep(Result):
         "ticks" that ended in finite numbers; the metrics, NaN where a run failed, up to there where it diverged.
         """
         parts = list(self._chunks())
-        columns = {name: np.concatenate([part[name] for part in parts]) for name in (parts[0] if parts else ())}
-        return Named("the sweep", "column", columns)
+        names = [name for name in (parts[0] if parts else ()) if name != "message"]
+        return Named("the sweep", "column", {name: np.concatenate([part[name] for part in parts]) for name in names})
+
+    @cached_property
+    def messages(self) -> dict[int, str]:
+        """Why samples did not come to their end, by number, where their runs say it."""
+        rows = (zip(part["sample"].tolist(), part["message"], strict=True) for part in self._chunks())
+        return {sample: str(text) for row in rows for sample, text in row if text}
 
     def _chunks(self) -> Iterator[Mapping[str, Any]]:
         for first in range(0, self.plan.samples, self.chunk):
@@ -194,7 +198,7 @@ def sweep(
     plan = _kept(plan, nominal, metrics, record, every, real)
     if plan.record and out is None:
         raise UsageError("record keeps what runs record in files; give out='a folder'", name="out")
-    runner = runner_of(plan, made if isinstance(made, Loop) else None)
+    runner = runner_of(plan, made if isinstance(made, Loop) else None, nominal)
     threads = cores() if workers is None else whole_number("workers", workers, minimum=1)
     alone = isinstance(runner, LaneRuns) or threads == 1
     if not alone:
@@ -213,7 +217,7 @@ def _swept(
     progress: bool | None,
 ) -> Sweep:
     """Run all chunks that are not done."""
-    size, tables, messages, done, complete = runner.size, dict[int, Any](), dict[int, str](), 0, True
+    size, tables, complete = runner.size, dict[int, Any](), True
     store = None if out is None else Store(out, plan, size)
     chunks = [(first, min(size, plan.samples - first)) for first in range(0, plan.samples, size)]
     left = [chunk for chunk in chunks if store is None or not store.has(chunk[0])]
@@ -222,18 +226,15 @@ def _swept(
         bar.advance(done)
         try:
             for results in run_chunks(plan, shared, left, min(threads, max(1, len(left)))):
-                messages |= results.messages
                 if store is None:
-                    tables[int(results.table["sample"][0])] = results.table
+                    tables[int(results.table["sample"][0])] = results.columns
                 else:
                     store.write(results)
                 done += len(results.table["sample"])
                 bar.advance(len(results.table["sample"]))
         except KeyboardInterrupt:
             complete = done == plan.samples
-    return Sweep(
-        plan=plan, samples=done, complete=complete, messages=messages, tables=store or tables, chunk=size
-    )  # fmt: skip
+    return Sweep(plan=plan, samples=done, complete=complete, tables=store or tables, chunk=size)
 
 
 def _kept(
