@@ -65,7 +65,8 @@ class Results:
     @property
     def columns(self) -> dict[str, Any]:
         """The table with the messages."""
-        return {**self.table, "message": [self.messages.get(k, "") for k in self.table["sample"].tolist()]}
+        texts = [self.messages.get(k, "") for k in self.table["sample"].tolist()]
+        return {**self.table, "message": np.array(texts, dtype=object)}
 
 
 class Runner(ABC):
@@ -113,6 +114,20 @@ def recorded_rows(plan: Plan, sample: int, run: Run) -> dict[str, Float64Array]:
         flat = kept.arrays()[name].reshape(len(kept), -1)
         out |= {column: flat[:, i] for i, column in enumerate(names[name])}
     return {"sample": np.full(len(kept), sample), **out}
+
+
+def _table(
+    plan: Plan, first: int, drawn: dict[str, Float64Array], outcomes: Any, ticks: Any, metrics: Mapping[str, Any]
+) -> dict[str, Any]:
+    """The columns of some samples from `first` on."""
+    return {
+        "sample": np.arange(first, first + len(outcomes)),
+        **drawn,
+        "seed": plan.seeds(drawn),
+        "outcome": np.array(outcomes, dtype=object),
+        "ticks": np.asarray(ticks, dtype=np.int64),
+        **{name: np.asarray(column, dtype=np.float64) for name, column in metrics.items()},
+    }
 
 
 class LaneRuns(Runner):
@@ -174,14 +189,8 @@ class LaneRuns(Runner):
         metrics: Mapping[str, Any] = self._streams.values(kept, kept[LANE_TICKS])
         if self._recorded:
             metrics = {name: np.array([numbers[name] for numbers, _ in made]) for name in plan.columns}
-        table = {
-            "sample": np.arange(first, first + count),
-            **drawn,
-            "seed": plan.seeds(drawn),
-            "outcome": np.where(kept[LANE_ALIVE] == 1.0, "completed", "diverged"),
-            "ticks": kept[LANE_TICKS].astype(np.int64),
-            **metrics,
-        }
+        ended = np.array(["diverged", "completed"], dtype=object)[(kept[LANE_ALIVE] == 1.0).astype(int)]
+        table = _table(plan, first, drawn, ended, kept[LANE_TICKS], metrics)
         return Results(table=table, rows=_joined([rows for _, rows in made] if plan.record else []))
 
     def _ticks_at_once(self, groups: int) -> int:
@@ -295,19 +304,12 @@ class SingleRuns(Runner):
                     messages[first + i] = run.outcome.message
             for name, value in numbers.items():
                 metrics[name].append(value)
-        table = {
-            "sample": np.arange(first, first + count), **drawn, "seed": seeds, "outcome": np.array(outcomes),
-            "ticks": np.array(ticks), **{name: np.array(column) for name, column in metrics.items()},
-        }  # fmt: skip
+        table = _table(plan, first, drawn, outcomes, ticks, metrics)
         return Results(table=table, rows=_joined(rows), messages=messages)
 
 
 def failed_results(plan: Plan, first: int, count: int, message: str) -> Results:
     """The results of samples of which none is known but why."""
-    drawn = plan.drawn(first, count)
-    table = {
-        "sample": np.arange(first, first + count), **drawn, "seed": plan.seeds(drawn),
-        "outcome": np.array(["failed"] * count), "ticks": np.zeros(count, dtype=np.int64),
-        **{name: np.full(count, np.nan) for name in plan.columns},
-    }  # fmt: skip
+    nothing = {name: np.full(count, np.nan) for name in plan.columns}
+    table = _table(plan, first, plan.drawn(first, count), ["failed"] * count, np.zeros(count), nothing)
     return Results(table=table, messages=dict.fromkeys(range(first, first + count), message))

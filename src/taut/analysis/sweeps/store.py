@@ -28,6 +28,32 @@ def parquet() -> Any:
         raise missing_extra("a sweep with out=, which writes Parquet files,", "pyarrow", "sweep") from cause
 
 
+class Memory:
+    """The chunks of one sweep in memory."""
+
+    def __init__(self, samples: int) -> None:
+        self._columns: dict[str, Any] = {}
+        self._done = np.zeros(samples, dtype=bool)
+
+    def has(self, first: int) -> bool:
+        """Whether the chunk that begins with a sample is there."""
+        return bool(self._done[first])
+
+    def write(self, results: Results) -> None:
+        """Keep the results of a chunk."""
+        for name, column in results.columns.items():
+            if name not in self._columns:
+                self._columns[name] = np.empty((len(self._done), *np.shape(column)[1:]), dtype=column.dtype)
+            self._columns[name][results.table["sample"]] = column
+        self._done[results.table["sample"]] = True
+
+    def table(self) -> dict[str, Any]:
+        """The columns of all that is done, by name."""
+        if self._done.all():
+            return self._columns
+        return {name: column[self._done] for name, column in self._columns.items()}
+
+
 class Store:
     """Chunks of one sweep in a folder; a file appears whole or not at all.
 
@@ -37,7 +63,7 @@ class Store:
     """
 
     def __init__(self, folder: str | os.PathLike[str], plan: Plan, size: int) -> None:
-        self.arrow, self.folder = parquet(), Path(folder)
+        self.arrow, self.folder, self._firsts = parquet(), Path(folder), range(0, plan.samples, size)
         self._shapes = {each.path: each.shape for each in plan.varied if each.shape}
         about = {"sweep": plan.digest, "samples": plan.samples, "seed": plan.seed, "chunk": size}
         about |= {"varied": {each.path: repr(each.drawn or "listed") for each in plan.varied}}
@@ -72,10 +98,13 @@ class Store:
                 with written_aside("sweep", self._file(kind, first)) as aside:
                     self.arrow.parquet.write_table(self.arrow.table(flat), aside)
 
-    def read(self, first: int) -> dict[str, Any]:
-        """The table of a chunk, as it was written, and the column "message"."""
-        table = self.arrow.parquet.read_table(self._file("chunk", first))
-        columns = {name: np.asarray(table[name].to_numpy()) for name in table.column_names}
+    def table(self) -> dict[str, Any]:
+        """The columns of all that is done, by name."""
+        parts = [self.arrow.parquet.read_table(self._file("chunk", k)) for k in self._firsts if self.has(k)]
+        if not parts:
+            return {}
+        whole = self.arrow.concat_tables(parts)
+        columns = {name: np.asarray(whole[name].to_numpy()) for name in whole.column_names}
         for path, shape in self._shapes.items():
             columns[path] = np.stack([columns.pop(name) for name in _entries(path, shape)], axis=1).reshape(
                 -1, *shape

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import pickle
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, Literal
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from taut.analysis.sweeps.chunks import LaneRuns, Runner, runner_of
 from taut.analysis.sweeps.plan import Plan, Runs, Subject, Variation
-from taut.analysis.sweeps.store import Store
+from taut.analysis.sweeps.store import Memory, Store
 from taut.analysis.sweeps.workers import cores, run_chunks
 from taut.base.checks import one_of, whole_number
 from taut.base.errors import RangeError, UsageError, count_of, unknown_name
@@ -52,14 +52,13 @@ class Sweep(Result):
         plan: What was varied, and what was kept.
         samples: Number of samples that are done.
         complete: Whether all are; not where Ctrl-C ended it.
-        tables: Columns by name, of each chunk by its first sample; or where they are stored.
+        tables: Where their columns are.
     """
 
     plan: Plan
     samples: int
     complete: bool
-    tables: Mapping[int, Mapping[str, Any]] | Store
-    chunk: int
+    tables: Memory | Store
 
     @cached_property
     def table(self) -> Named[NDArray[Any]]:
@@ -68,23 +67,19 @@ class Sweep(Result):
         "sample"; what was varied, by path; "seed" of its noise; "outcome": completed, diverged, stopped or failed;
         "ticks" that ended in finite numbers; the metrics, NaN where a run failed, up to there where it diverged.
         """
-        parts = list(self._chunks())
-        names = [name for name in (parts[0] if parts else ()) if name != "message"]
-        return Named("the sweep", "column", {name: np.concatenate([part[name] for part in parts]) for name in names})
+        return Named("the sweep", "column", {k: column for k, column in self._columns.items() if k != "message"})
 
     @cached_property
     def messages(self) -> dict[int, str]:
         """Why samples did not come to their end, by number, where their runs say it."""
-        rows = (zip(part["sample"].tolist(), part["message"], strict=True) for part in self._chunks())
-        return {sample: str(text) for row in rows for sample, text in row if text}
+        if not self._columns:
+            return {}
+        said = np.flatnonzero(self._columns["message"] != "")
+        return {int(self._columns["sample"][i]): str(self._columns["message"][i]) for i in said}
 
-    def _chunks(self) -> Iterator[Mapping[str, Any]]:
-        for first in range(0, self.plan.samples, self.chunk):
-            if isinstance(self.tables, Store):
-                if self.tables.has(first):
-                    yield self.tables.read(first)
-            elif first in self.tables:
-                yield self.tables[first]
+    @cached_property
+    def _columns(self) -> dict[str, Any]:
+        return self.tables.table()
 
     @property
     def completed(self) -> NDArray[np.bool_]:
@@ -110,7 +105,7 @@ class Sweep(Result):
             values: Float64Array = np.where(done, self.table[column], np.nan) if self.samples else np.zeros(0)
             if np.isfinite(values).any():
                 worst = int(np.nanargmax(np.abs(values)))
-                numbers = (float(np.nanpercentile(values, percent)) for percent in PERCENTILES)
+                numbers = np.nanpercentile(values, PERCENTILES).tolist()
                 rows.append((METRICS[metric].title, *numbers, float(values[worst]), int(self.table["sample"][worst])))
         ended = [f"{(self.table['outcome'] == kind).sum()} {kind}" for kind in self._kinds]
         heads = ("metric", *(f"{percent:g} %" for percent in PERCENTILES), "worst", "sample")
@@ -217,24 +212,21 @@ def _swept(
     progress: bool | None,
 ) -> Sweep:
     """Run all chunks that are not done."""
-    size, tables, complete = runner.size, dict[int, Any](), True
-    store = None if out is None else Store(out, plan, size)
+    size, complete = runner.size, True
+    store = Memory(plan.samples) if out is None else Store(out, plan, size)
     chunks = [(first, min(size, plan.samples - first)) for first in range(0, plan.samples, size)]
-    left = [chunk for chunk in chunks if store is None or not store.has(chunk[0])]
+    left = [chunk for chunk in chunks if not store.has(chunk[0])]
     done = plan.samples - sum(count for _, count in left)
     with Progress(plan.samples, progress, "sweeping") as bar:
         bar.advance(done)
         try:
             for results in run_chunks(plan, shared, left, min(threads, max(1, len(left)))):
-                if store is None:
-                    tables[int(results.table["sample"][0])] = results.columns
-                else:
-                    store.write(results)
+                store.write(results)
                 done += len(results.table["sample"])
                 bar.advance(len(results.table["sample"]))
         except KeyboardInterrupt:
             complete = done == plan.samples
-    return Sweep(plan=plan, samples=done, complete=complete, tables=store or tables, chunk=size)
+    return Sweep(plan=plan, samples=done, complete=complete, tables=store)
 
 
 def _kept(
