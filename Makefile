@@ -70,7 +70,7 @@ $(VENV)/demo.stamp: $(BIN)/python pyproject.toml constraints.txt
 # another reads the servo files and the friction of better-actuator-models, which itself needs Python 3.12, and another
 # compares the frames of motors with those of damiao-motor, which itself needs a web server.
 $(VENV)/test.stamp: $(BIN)/python pyproject.toml constraints.txt
-	$(PIP) install --quiet -c constraints.txt -e ".[arms,can,control,franka,oracles,ruckig,ur,dev,docs]"
+	$(PIP) install --quiet -c constraints.txt -e ".[arms,can,control,franka,oracles,ruckig,sweep,ur,dev,docs]"
 	$(PIP) download --quiet --dest .wheels -c constraints.txt $$($(BIN)/python tools/core_requirements.py)
 	$(PIP) download --quiet --dest .wheels -c constraints.txt --no-deps --python-version 3.12 better-actuator-models
 	$(PIP) download --quiet --dest .wheels -c constraints.txt --no-deps damiao-motor

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, Final, NoReturn, TextIO, cast
 
 from taut.base.errors import TautError, UsageError, printable
-from taut.cli import analysis, book, models, robots, run
+from taut.cli import analysis, book, models, robots, run, sweep
 from taut.cli.command import FAILED, STATUS, WRONG, Command
 
 NEGATIVE: Final = re.compile(r"-(\d|\.\d|inf|nan)", re.IGNORECASE)  # a value, where argparse expects an option
@@ -29,6 +29,7 @@ NEGATIVE: Final = re.compile(r"-(\d|\.\d|inf|nan)", re.IGNORECASE)  # a value, w
 COMMANDS: Final[tuple[Command, ...]] = (
     run.RUN,
     analysis.COMPARE,
+    sweep.SWEEP,
     run.REPORT,
     run.SCENARIOS,
     run.EXPORT,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -13,6 +14,7 @@ from taut.cli.command import DONE, FAILED, GAIN, STATUS, WRONG, Answer, ByName, 
 
 if TYPE_CHECKING:
     from taut.record.run import Run
+    from taut.scenarios.scenario import Scenario
 
 
 def _run(arguments: argparse.Namespace, say: Say) -> Answer:
@@ -99,21 +101,28 @@ SCENARIOS: Final = Command(
 )
 
 
-def _export(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
-    from taut.controller.export_c import export_c
+def scenario_with_law(arguments: argparse.Namespace, values: Mapping[str, Any] | None = None) -> tuple[Scenario, str]:
+    """A scenario with one of its laws: that of --law, which may be one of the user's own, or its only one."""
     from taut.scenarios.scenario import load_scenario
 
     name = arguments.law
     own = {name: load_law(name, arguments.gain)} if name is not None and ":" in name else None
-    scenario = load_scenario(arguments.scenario, own)
-    laws = scenario.laws
-    if name is None and len(laws) == 1:
-        name = next(iter(laws))
-    if name not in laws:
+    scenario = load_scenario(arguments.scenario, own, values=values)
+    if name is None and len(scenario.laws) == 1:
+        name = next(iter(scenario.laws))
+    if name not in scenario.laws:
         got = "none was named" if name is None else f"got '{name}'"
         raise UsageError(
-            f"scenario '{scenario.name}' has the laws {', '.join(map(repr, laws))}; {got}; give --law NAME"
+            f"scenario '{scenario.name}' has the laws {', '.join(map(repr, scenario.laws))}; {got}; give --law NAME"
         )
+    return scenario, name
+
+
+def _export(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
+    from taut.controller.export_c import export_c
+
+    scenario, name = scenario_with_law(arguments)
+    laws = scenario.laws
     ctrl = scenario.experiment.prepared(laws[name]).controller(laws[name])
     files = [str(file) for file in export_c(ctrl, arguments.out, prefix=arguments.prefix, real=arguments.real)]
     cost = f"{ctrl.operations} operations a tick; to compare it with Python: make -C {arguments.out} test"

@@ -14,6 +14,7 @@ from taut.base.checks import whole_number
 from taut.base.errors import RangeError, StabilityWarning, UsageError, warn
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
+from taut.codegen.noise import MAX_SEED
 from taut.control.combine import SideBySide
 from taut.control.law import Law
 from taut.control.lawside import LawSide
@@ -66,7 +67,7 @@ def run(
         duration: [s].
         q0: (n,) true positions at the start [rad | m]; the plant arm's home by default.
         v0: (n,) true velocities at the start [rad/s | m/s]; zero by default.
-        seed: Seed of every random number in the run.
+        seed: Seed of every random number in the run, below 2^64.
         events: Parameters that change at stated times: taut.Event(t=, set=).
         log: File (.mcap) that is written while the run goes on, at most 0.2 s behind. Where writing fails, such as on
             a full disk, the run goes on without it, and the outcome counts the missing ticks.
@@ -91,15 +92,36 @@ def run(
         >>> out.outcome.ok, bool(abs(out.q[-1, 0] - 0.5) < 1e-3)
         (True, True)
     """
-    seed = whole_number("seed", seed)
-    made, target, reference, length = _what_to_run(ctrl, plant, ref, duration)
+    made, target, reference, length = what_to_run(ctrl, plant, ref, duration)
+    return simulated(
+        made, target, reference, length, q0=q0, v0=v0, seed=seed, events=events, log=log, progress=progress
+    )  # fmt: skip
+
+
+def simulated(
+    made: Controller | Loop,
+    target: Plant,
+    reference: Reference,
+    length: float,  # [s]
+    *,
+    q0: ArrayLike | None,
+    v0: ArrayLike | None,
+    seed: int,
+    events: Iterable[Event] | None = None,
+    log: str | os.PathLike[str] | None = None,
+    progress: bool | None = None,
+    judged: bool = True,
+) -> Run:
+    """The run of what `what_to_run` gives; a sweep leaves out the judgement of its start."""
+    seed = whole_number("seed", seed, maximum=MAX_SEED)
     side, ticks = made.side, round(length * made.side.rate) + 1
     changes = listed(events or ())
     q, v = state_at_start(target.arm, q0, v0)
     law = side.law.bound(subtree(made.parameters, "law"))  # with the gains of this run
     parameters = _arrays({**target.parameters, **made.parameters})
     schedule = Schedule(side, target, parameters, changes, ticks)
-    stability = _judged(judge_start(made, target, q, schedule.at(0)), target)
+    verdict = judge_start(made, target, q, schedule.at(0)) if judged else "not judged: a sample of a sweep"
+    stability = _judged(verdict, target)
     going: FusedRun | HostedRun
     if isinstance(made, Loop):
         going = FusedRun(made, q, v, seed, schedule)
@@ -213,9 +235,10 @@ def _recorded(going: FusedRun | HostedRun, log: str | os.PathLike[str] | None, p
     return tape.piece(0, kept, outcome)
 
 
-def _what_to_run(
+def what_to_run(
     ctrl: Controller | Loop | Sequence[Phase], plant: Plant | None, ref: object, duration: float | None
 ) -> tuple[Controller | Loop, Plant, Reference, float]:
+    """Controller or loop, plant, reference and duration [s] of what `run` is given; UsageError for anything else."""
     if isinstance(ctrl, Loop):
         if plant is not None or ref is not None or duration is not None:
             raise UsageError("a Loop has its plant, reference and duration already; pass run(loop) alone")
