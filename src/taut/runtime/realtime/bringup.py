@@ -395,6 +395,10 @@ def _move(robot: Robot, goal: Float64Array) -> Step:
     found = (
         f"the largest error on the way was {error[i]:.2g} {robot.arm.units[i]} at joint '{robot.arm.joint_names[i]}'"
     )
+    if "success_rate" in robot.info.facts:  # of the last commands: there is one only while they are sent
+        found += (
+            f"; {100.0 * robot.call('state')['success_rate']:.0f} % of the last commands reached the robot in time"
+        )
     return Step(name="slow motion", found=found)
 
 
