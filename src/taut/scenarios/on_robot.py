@@ -28,7 +28,7 @@ LOGGED: Final = 10.0  # [s] for a log to be whole, once its law has stopped
 
 
 def robot_of(scenario: Scenario, address: str, log: Path) -> Robot:
-    """The robot at an address, connected, with a folder of logs: for a scenario whose arm has passed a bring-up there.
+    """The robot at an address, connected, with a folder of logs, for a scenario whose arm has passed a bring-up.
 
     Raises:
         UsageError: No bring-up has passed for this address, Arm and load; or the scenario needs its plant.
