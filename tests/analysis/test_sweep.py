@@ -144,7 +144,7 @@ def test_neither_lanes_nor_workers_nor_the_order_of_chunks_change_a_bit(monkeypa
         monkeypatch.setattr(chunks, "host_lanes", lambda _, count=count: count)
         assert tables_equal(taut.sweep(noisy(), vary, samples=100, seed=5, workers=threads).table, found)
     run = workers.run_chunks
-    monkeypatch.setattr(front, "run_chunks", lambda plan, shared, todo, n: run(plan, shared, list(todo)[::-1], n))
+    monkeypatch.setattr(front, "run_chunks", lambda plan, shared, n, todo: run(plan, shared, n, todo[::-1]))
     assert tables_equal(taut.sweep(noisy(), vary, samples=100, seed=5, workers=2).table, found)
     fewer = taut.sweep(noisy(), vary, samples=40, seed=5).table
     assert all(np.array_equal(fewer[name], found[name][:40]) for name in fewer)

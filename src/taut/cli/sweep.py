@@ -69,7 +69,7 @@ def _sweep(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
         plant.set_parameters(known)
     found = sweep(
         subject, _varied(arguments.vary or ()), **given, samples=arguments.samples, seed=arguments.seed, q0=where.q0,
-        v0=where.v0, metrics=arguments.metric, out=arguments.out, workers=arguments.workers,
+        v0=where.v0, metrics=arguments.metric, out=arguments.out, workers=arguments.workers, ray=arguments.ray,
         progress=False if arguments.json else None,
     )  # fmt: skip
     data = {"scenario": scenario.name, "law": name, "samples": found.samples, "complete": found.complete}
@@ -98,6 +98,10 @@ SWEEP: Final = Command(
             "type": Path,
             "metavar": "DIR",
             "help": "a Parquet file for each chunk; an interrupted sweep goes on",
+        },
+        "--ray": {
+            "metavar": "ADDRESS",
+            "help": "a Ray cluster: HOST:PORT, or auto for the one of this machine",
         },
         "--workers": {"type": int, "metavar": "N", "help": "threads or processes (default: the number of cores)"},
         "--set": {
