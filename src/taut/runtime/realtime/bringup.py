@@ -37,7 +37,7 @@ SHADOW: Final = 1.0  # [s] in which a law runs and nothing is sent
 MISSED: Final = 0.05  # [-] of the periods that may be missed, and by which the rate may be off
 SAME_PLACE: Final = 1e-3  # [m], [rad] between the tool that the robot reports and a frame of the arm
 SAME_LOAD: Final = 0.05  # [kg]
-PROBE_TORQUE: Final = 0.5  # [N m | N] largest torque beside gravity in the test of signs
+PUSH: Final = 0.5  # [N m | N] largest torque beside gravity in the test of signs
 PROBE_STEPS: Final = 10  # in which it is reached
 PROBE_STEP: Final = 0.05  # [s]
 PROBE_BANDWIDTH: Final = 10.0  # [rad/s] by which joints are held meanwhile
@@ -60,7 +60,7 @@ class Probe(Law):
     Closed loop:  of a held joint, M diagonal and no clip: e_ddot + 20 e_dot + 100 e = 0
     """
 
-    torque: Gain = Gain(unit="N m | N", minimum=-PROBE_TORQUE, maximum=PROBE_TORQUE)
+    torque: Gain = Gain(unit="N m | N", minimum=-PUSH, maximum=PUSH)
     held: Gain = Gain(minimum=0.0, maximum=1.0)
 
     def command(self, x: Snapshot, ref: JointMotion) -> Command:
@@ -68,7 +68,7 @@ class Probe(Law):
         hold: Vector = tm.array([x.M[i, i] for i in range(x.n)]) * (
             omega**2 * x.difference(ref.q) - 2.0 * omega * x.v
         )
-        probe = tm.clip(self.held @ hold + self.torque.as_array(), -PROBE_TORQUE, PROBE_TORQUE)
+        probe = tm.clip(self.held @ hold + self.torque.as_array(), -PUSH, PUSH)
         return Torque(Terms(nonlinear=x.h, probe=probe))
 
 
@@ -157,7 +157,7 @@ def _steps(
     yield "compare its torques with the arm's gravity; nothing is sent", partial(_gravity, measured, rivals, False)
     yield f"let the law run in shadow for {SHADOW:g} s; nothing is sent", partial(_shadow, robot, ctrl, ref)
     yield (
-        f"test the sign of each joint with at most {PROBE_TORQUE:g} N m; it moves by some {1e3 * MOVED:g} mrad, keep clear",
+        f"test the sign of each joint with at most {PUSH:g} N m; it moves by some {1e3 * MOVED:g} mrad, keep clear",
         partial(_signs, robot),
     )
     yield (
@@ -342,7 +342,7 @@ def _signs(robot: Robot) -> Step:
     stuck = [str(row[0]) for row in rows if row[1] is None and row[2] is None]
     found = f"{len(rows) - len(stuck)} of {arm.n} joints gave way to the side they were pushed to"
     if stuck:
-        found += f"; {', '.join(stuck)} did not move: more friction than {PROBE_TORQUE:g} N m, signs not known"
+        found += f"; {', '.join(stuck)} did not move: more friction than {PUSH:g} N m, signs not known"
     if wrong:
         found = f"joint '{wrong[0]}' moves against its torque: check the sign of its torque or of its encoder"
     table = Table(title="torque of break-away", columns=["joint", "to + [N m | N]", "to - [N m | N]"], rows=rows)
@@ -356,7 +356,7 @@ def _push(robot: Robot, path: str, base: Float64Array, i: int, sign: float) -> t
     push, here = 1.0 - others, robot.q
     robot.parameters[f"{path}.held"] = others
     found: tuple[float | None, float] = None, 0.0
-    for torque in np.linspace(0.0, PROBE_TORQUE, PROBE_STEPS + 1)[1:]:
+    for torque in np.linspace(0.0, PUSH, PROBE_STEPS + 1)[1:]:
         robot.parameters[f"{path}.torque"] = sign * torque * push
         until = time.monotonic() + PROBE_STEP
         while time.monotonic() < until:
