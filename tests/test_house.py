@@ -156,7 +156,7 @@ LIMITS = {  # the house as it is; a change that needs more says why in the commi
     "lines of code": (47_500, house.code_lines),
     "modules": (310, lambda: len(house.modules())),
     "modules in one folder": (16, house.largest_folder),
-    "modules with one importer": (36, lambda: len(house.slices())),
+    "modules with one importer": (37, lambda: len(house.slices())),
     "names in taut": (80, lambda: len(taut.__all__)),
     "modules loaded to compile a PID": (59, lambda: len(house.loaded_for(PID))),
     "modules of analysis that design(PID) loads": (12, lambda: len(house.loaded_for(DESIGN, "taut.analysis."))),

@@ -26,8 +26,8 @@ from taut.base.errors import TautError, UsageError, missing_extra
 from taut.record.info import versions
 
 CONNECT: Final = 40.0  # [s] for a cluster to answer; Ray's own errors come within 35 s
-AHEAD: Final = 2  # chunks in flight for each processor of the cluster: one runs, one is there
-LOOK: Final = 5.0  # [s] between two counts of the processors, which come and go
+FOR_EACH_CPU: Final = 2  # chunks in flight for each processor of the cluster: one runs, one is there
+COUNT_PERIOD: Final = 5.0  # [s] between two counts of the processors, which come and go
 AUTH: Final = "RAY_AUTH_MODE"
 ADDRESS: Final = re.compile(r"(ray://)?[^\s/]+:\d+")
 
@@ -53,7 +53,7 @@ def run_on_ray(plan: Plan, address: str, workers: int | None, chunks: list[Chunk
     Args:
         plan: What runs.
         address: Of the cluster: "auto" for the one of this machine, "HOST:PORT", or "ray://HOST:PORT".
-        workers: Chunks in flight at most; `AHEAD` for each processor of the cluster where it is None.
+        workers: Chunks in flight at most; `FOR_EACH_CPU` for each processor of the cluster where it is None.
         chunks: Those that are to be run.
 
     Raises:
@@ -124,12 +124,12 @@ def _answers(
     task = ray.remote(num_cpus=1, max_retries=0)(_work())
     given = known, [ray.put(pickled)]  # in a list, Ray hands on the reference
     yield ray.get(task.remote(*given, None))
-    waiting, again, looked, limit = iter(chunks), list[Chunk](), -LOOK, 1
+    waiting, again, looked, limit = iter(chunks), list[Chunk](), -COUNT_PERIOD, 1
     flying: dict[Any, Chunk] = {}
     died = set[Chunk]()
     while True:
-        if workers is None and time.monotonic() > looked + LOOK:
-            looked, limit = time.monotonic(), max(1, int(AHEAD * ray.cluster_resources().get("CPU", 0)))
+        if workers is None and time.monotonic() > looked + COUNT_PERIOD:
+            looked, limit = time.monotonic(), max(1, int(FOR_EACH_CPU * ray.cluster_resources().get("CPU", 0)))
         while len(flying) < (workers or limit):
             chunk = again.pop() if again else next(waiting, None)
             if chunk is None:
