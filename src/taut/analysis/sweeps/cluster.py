@@ -85,8 +85,8 @@ def _answer(child: Child, limit: float | None, address: str, trouble: str, print
         ) from death
     if kind == "raised":
         raise what
-    if kind == "refused":
-        raise ClusterError(f"{trouble}: {what}", name="ray", value=address)
+    if kind in ("absent", "unfit"):
+        raise ClusterError(what if kind == "unfit" else f"{trouble}: {what}", name="ray", value=address)
     return what
 
 
@@ -106,7 +106,7 @@ def main() -> None:
 
         ray.init(address=address, log_to_driver=False, logging_level="ERROR")
     except Exception as cause:
-        write(answers, ("refused", _sentence(cause)))
+        write(answers, ("absent", _sentence(cause)))
         return
     write(answers, ("ready", None))
     with suppress(BrokenPipeError):  # of a parent that is gone
@@ -123,7 +123,7 @@ def _answers(
     """
     task = ray.remote(num_cpus=1, max_retries=0)(_work())
     given = known, [ray.put(pickled)]  # in a list, Ray hands on the reference
-    yield ray.get(task.remote(*given, None))
+    yield ray.get(task.options(max_retries=3).remote(*given, None))
     waiting, again, looked, limit = iter(chunks), list[Chunk](), -COUNT_PERIOD, 1
     flying: dict[Any, Chunk] = {}
     died = set[Chunk]()
@@ -172,7 +172,7 @@ def _work() -> Callable[..., tuple[str, Any]]:
         try:
             from taut.analysis.sweeps.cluster import answer_of
         except ImportError as cause:
-            return "refused", f"node '{platform.node()}' has no taut, or another version: {cause}; install it there"
+            return "unfit", f"node '{platform.node()}' has no taut, or another version: {cause}; install it there"
         return answer_of(known, plan[0], chunk)
 
     return work
@@ -185,11 +185,11 @@ def answer_of(known: dict[str, str], plan: Any, chunk: Chunk | None) -> tuple[st
         f"{name} {own.get(name)} and not {known[name]}" for name in known if own.get(name) != known[name]
     )
     if other:
-        return "refused", f"node '{platform.node()}' has {other}; install there what the driver has"
+        return "unfit", f"node '{platform.node()}' has {other}; install there what the driver has"
     try:
         runner = _runner(plan)
     except Exception as error:
-        return "refused", f"the loop cannot be made on node '{platform.node()}': {_sentence(error)}"
+        return "unfit", f"the loop cannot be made on node '{platform.node()}': {_sentence(error)}"
     return ("ready", None) if chunk is None else ("results", each_once(runner[0], runner[1], chunk, lambda: None))
 
 
