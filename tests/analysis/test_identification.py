@@ -142,7 +142,7 @@ def test_intervals_of_95_percent_cover_95_percent(
     assert np.sqrt(np.mean(np.square(errors))) < 1.25
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ["ur10", "kinova", "planar2"])
 def test_other_arms_give_payload_and_friction_back(name: str) -> None:
     arm = arm_of(name)
@@ -228,6 +228,7 @@ def test_where_in_its_period_a_torque_acts_does_not_bias_friction(options: Any) 
     assert found.arm.viscous[0] == pytest.approx(0.3, abs=2.5 * found.estimates["joint1.viscous"].std)
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize(("kp", "kd"), [(400.0, 40.0), (2500.0, 100.0)])
 def test_a_start_in_which_the_payload_drops_biases_nothing(kp: float, kd: float) -> None:
     """At t = 0 the acceleration jumps, which filtered positions do not show: I_xx was off by 5 and 7 deviations."""

@@ -56,6 +56,7 @@ def tau_ext(run: taut.Run) -> Float64Array:
     return np.asarray(run.extra["sensed.tau_ext"])
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ["planar2", "panda"])
 def test_without_contact_the_estimate_is_the_error_of_the_trapezoidal_rule(name: str) -> None:
     arm = frictionless(name)
@@ -135,6 +136,7 @@ def test_the_estimate_is_in_all_engines_and_in_linearise() -> None:
     assert np.sum(np.isclose(linear.poles, 0.95, atol=1e-3)) == 2  # 1 - K_O T of both joints
 
 
+@pytest.mark.long
 def test_what_the_plant_adds_is_part_of_what_acts() -> None:
     arm = taut.load_arm("panda").with_friction(taut.Friction(viscous=0.5, coulomb=0.2))
     for adds in (
@@ -270,6 +272,7 @@ def one_joint(M: float) -> taut.Arm:
     return frictionless("one_joint").with_gravity([0.0, 0.0, 0.0]).with_joints(rotor_inertia=M - 0.5)
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize(("M", "limit"), [(0.5, 4020.2), (1.0, 2000.0), (2.0, 989.9)])
 def test_the_judgement_of_the_sampled_loop_finds_the_limit_of_the_bandwidth(M: float, limit: float) -> None:
     """Acceptance 1a: a model of M of a joint of 1 kg m^2."""
@@ -332,7 +335,7 @@ def test_for_one_joint_the_disturbance_observer_is_the_pid_of_its_gains() -> Non
     assert np.abs(errors[0] - errors[1]).max() < 0.03 * peak
 
 
-@pytest.mark.part(1)
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["ur10", "kinova"])
 def test_a_constant_disturbance_leaves_no_error(name: str, share: Callable[[int], int]) -> None:
     """Seeded: arms with wrong links, an unknown load and a steady push hold any pose exactly."""
@@ -384,6 +387,7 @@ def test_a_new_bandwidth_moves_nothing_at_once() -> None:
     assert np.abs(tau_ext(run)[1000]).max() > 3.0
 
 
+@pytest.mark.long
 def test_force_is_controlled_without_a_sensor_of_it() -> None:
     arm = frictionless("panda")
     x = taut.snapshot(arm, arm.home)
@@ -460,6 +464,7 @@ def test_reactions_to_a_wall_across_the_motion(name: str) -> None:
     assert np.linalg.norm(run.extra["F_ext"][:, :3], axis=1).max() == pytest.approx(unaware, rel=0.03)
 
 
+@pytest.mark.long
 def test_a_geom_of_mujoco_is_met_and_the_arm_stops() -> None:
     arm, radius = frictionless("planar2"), 0.01
     face = wall(arm, "planar2")
@@ -548,6 +553,7 @@ def test_thresholds_of_intervals_hold_for_every_arm_in_them_and_the_worst_reache
         assert ((ratio > 1.3) & (ratio < 1.9)).all(), (seed, ratio)
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ["planar2", "ur10"])
 def test_thresholds_of_intervals_of_friction_hold_at_rest_and_in_motion(
     name: str, share: Callable[[int], int]

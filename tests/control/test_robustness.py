@@ -162,6 +162,7 @@ def test_a_reference_that_is_not_known_beforehand_is_refused() -> None:
     assert refused.value.name == "reference"
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize(("name", "integrator"), [("planar2", "rk4"), ("ur10", "semi-implicit-euler")])
 def test_a_plant_whose_links_carry_payloads_moves_as_an_arm_of_those_links(name: str, integrator: str) -> None:
     """The simulations of a set are of one compiled loop."""
