@@ -121,7 +121,8 @@ def double_integrator(samples: int, kp: float, kd: float) -> tuple[Float64Array,
 
 
 def test_the_factor_is_the_norm_of_the_dense_lifted_matrix() -> None:
-    """P-type learning without a filter; 1.141 was asked, from a power iteration that had not converged."""
+    """P-type learning without a filter; 1.141 was asked of 2000 samples, which a power iteration has after 50 steps and
+    leaves for 1.1496, the dense matrix's, after some hundred more."""
     samples = 1000
     q, _ = double_integrator(samples, 100.0, 20.0)
     matrix = np.eye(samples) - 100.0 * toeplitz(q, np.zeros(samples))
