@@ -215,11 +215,11 @@ def test_learning_without_phase_lead_looks_fine_and_then_grows() -> None:
     assert found.best == 4
 
 
-def test_a_panda_learns_ten_times_less_error_in_ten_trials() -> None:
-    for by in (PD, NormOptimal()):
-        found = learned("panda", by, 10)
-        assert found.rms[-1] < 0.1 * found.rms[0]
-        assert found.rms[0] == pytest.approx(0.1863, rel=0.01)
+@pytest.mark.parametrize("by", [pytest.param(PD, marks=pytest.mark.long), NormOptimal()], ids=["PD", "norm-optimal"])
+def test_a_panda_learns_ten_times_less_error_in_ten_trials(by: taut.analysis.LearningLaw) -> None:
+    found = learned("panda", by, 10)
+    assert found.rms[-1] < 0.1 * found.rms[0]
+    assert found.rms[0] == pytest.approx(0.1863, rel=0.01)
 
 
 def test_mujoco_learns_as_the_rigid_plant_does() -> None:
