@@ -129,15 +129,16 @@ def test_a_panda_with_2_kg_gives_payload_and_friction_back(kind: Any) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("name", ["planar2", "ur10", "panda"])
 def test_intervals_of_95_percent_cover_95_percent(
-    share: Callable[[int], int], bar: Callable[[str, object], None]
+    name: str, share: Callable[[int], int], bar: Callable[[str, object], None]
 ) -> None:
-    arm = arm_of("panda")
-    plant, motion = plant_of(loaded(arm)), motion_of("panda")
+    arm = arm_of(name)
+    plant, motion = plant_of(loaded(arm)), motion_of(name)
     runs = (recorded(arm, plant, motion, seed=100 + seed) for seed in range(share(60)))
     errors = [deviations(taut.analysis.identify(run, arm)) for run in runs]
     covered = float(np.mean(np.abs(errors) < 1.96))
-    bar("identify: coverage of the 95 % intervals", round(covered, 3))
+    bar(f"identify: coverage of the 95 % intervals on a {name}", round(covered, 3))
     assert 0.89 < covered < 0.99
     assert np.sqrt(np.mean(np.square(errors))) < 1.25
 

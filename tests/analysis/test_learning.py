@@ -121,7 +121,8 @@ def double_integrator(samples: int, kp: float, kd: float) -> tuple[Float64Array,
 
 
 def test_the_factor_is_the_norm_of_the_dense_lifted_matrix() -> None:
-    """P-type learning without a filter; 1.141 was asked, from a power iteration that had not converged."""
+    """P-type learning without a filter; 1.141 was asked of 2000 samples, which a power iteration has after 50 steps and
+    leaves for 1.1496, the dense matrix's, after some hundred more."""
     samples = 1000
     q, _ = double_integrator(samples, 100.0, 20.0)
     matrix = np.eye(samples) - 100.0 * toeplitz(q, np.zeros(samples))
@@ -214,11 +215,11 @@ def test_learning_without_phase_lead_looks_fine_and_then_grows() -> None:
     assert found.best == 4
 
 
-def test_a_panda_learns_ten_times_less_error_in_ten_trials() -> None:
-    for by in (PD, NormOptimal()):
-        found = learned("panda", by, 10)
-        assert found.rms[-1] < 0.1 * found.rms[0]
-        assert found.rms[0] == pytest.approx(0.1863, rel=0.01)
+@pytest.mark.parametrize("by", [pytest.param(PD, marks=pytest.mark.long), NormOptimal()], ids=["PD", "norm-optimal"])
+def test_a_panda_learns_ten_times_less_error_in_ten_trials(by: taut.analysis.LearningLaw) -> None:
+    found = learned("panda", by, 10)
+    assert found.rms[-1] < 0.1 * found.rms[0]
+    assert found.rms[0] == pytest.approx(0.1863, rel=0.01)
 
 
 @pytest.mark.long

@@ -165,10 +165,12 @@ def test_composite_adaptation_is_faster_and_changes_nothing_without_an_error(nam
     np.testing.assert_allclose(before, before[0], rtol=5e-3)
 
 
-@pytest.mark.part(1)
-@pytest.mark.parametrize("links", ["payload", "all"])
-def test_composite_adaptation_lets_v_fall(links: Any) -> None:
-    arm = taut.load_arm("planar2")
+@pytest.mark.parametrize(
+    ("name", "links"),
+    [("planar2", "payload"), ("planar2", "all"), pytest.param("ur10", "payload", marks=pytest.mark.long)],
+)
+def test_composite_adaptation_lets_v_fall(name: str, links: Any) -> None:
+    arm = taut.load_arm(name)
     true, which = arm.with_payload(**cube(1.0, 0.0)), list(adapted(model_of(arm), links))
     last = []
     for composite in (None, 1.0):

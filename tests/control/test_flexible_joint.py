@@ -197,6 +197,16 @@ class TestFigures:
             found = figures(followed(law, PLANAR2, K2, of_planar2(), true=LOADED[mass]))[0]
             assert found == pytest.approx(figure, rel=ROW)
 
+    @pytest.mark.long
+    def test_the_error_of_the_fast_torque_loop_falls_with_its_bandwidth_on_a_ur10(self) -> None:
+        arm, K, ref = (
+            UR10.with_payload(3.0),
+            np.array([4000.0] * 3 + [1000.0] * 3),
+            reference(UR10, [0.4] * 6, [0.5] * 6),
+        )
+        errors = [figures(followed(fast(w, K), arm, K, ref, duration=2.0))[0] for w in (100.0, 200.0)]
+        assert errors[0] / errors[1] == pytest.approx(2.0, abs=0.05)
+
     def test_the_error_of_the_fast_torque_loop_falls_with_its_bandwidth(self) -> None:
         errors = [figures(followed(fast(w, K2), PLANAR2, K2, of_planar2(), duration=2.0))[0] for w in (100.0, 200.0)]
         assert errors[0] / errors[1] == pytest.approx(2.0, abs=0.3)
@@ -337,8 +347,9 @@ class TestClosedLoops:
             form = 0.02 * (1.0 + t + t**2 / 2.0 + t**3 / 6.0) * np.exp(-t)
             np.testing.assert_allclose(errors, np.outer(form, np.ones(arm.n)), rtol=0.0, atol=0.05 * 0.02)
 
-    @pytest.mark.part(1)
-    @pytest.mark.parametrize(("omega", "stable"), [(600.0, True), (1500.0, False)])
+    @pytest.mark.parametrize(
+        ("omega", "stable"), [pytest.param(600.0, True, marks=pytest.mark.long), (1500.0, False)]
+    )
     def test_linearisation_needs_a_rate_above_the_frequency_of_a_link_on_its_spring(
         self, omega: float, stable: bool
     ) -> None:
