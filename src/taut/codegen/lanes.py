@@ -76,7 +76,7 @@ class LaneLoop:
         content += self.program.content + traced.content
 
         def text() -> str:
-            parts = [declarations(lanes), noise_text(steps.inputs, lanes)]
+            parts = [declarations(lanes), LaneWriter(lanes).declared, noise_text(steps.inputs, lanes)]
             parts += [kernel(self.program, "kernel", lanes, fused), kernel(start, "start", lanes)]
             parts += [] if inner is None else [kernel(inner, "substep", lanes)]
             return "\n".join([*parts, self._text(recorded)])
@@ -168,7 +168,7 @@ class LaneLoop:
 
     def _text(self, recorded: bool) -> str:
         """LLVM text of `advance`."""
-        lanes, steps, w = self.lanes, self._steps, _LaneWriter(self.lanes)
+        lanes, steps, w = self.lanes, self._steps, LaneWriter(self.lanes)
         own, real = steps.memory.size, self.lanes.real.name
         alive, ticks = (self.memory.field(path).offset for path in (LANE_ALIVE, LANE_TICKS))
         one, zero, truth = lanes.number(1.0), lanes.number(0.0), lanes.of("i1")
@@ -238,7 +238,7 @@ class LaneLoop:
         return w.function(f"void @advance({arguments}) {lanes.attributes}")
 
 
-class _LaneWriter:
+class LaneWriter:
     """Writes a function that goes over groups of lanes; a writer, with what the two of them share."""
 
     def __init__(self, lanes: Lanes) -> None:
@@ -247,18 +247,32 @@ class _LaneWriter:
 
     def enter(self, inputs: int) -> None:
         """The head of the function: room for the inputs of a group, and the loop over groups."""
-        self.line("entry:", f" %own = alloca [{max(inputs, 1)} x {self._lanes.type}], align {CACHE_LINE}")
-        if self._flushes:
-            self.line(" %mode = alloca i32", " %flush = alloca i32", " call void @llvm.x86.sse.stmxcsr(ptr %mode)")
-            old = self.put("load i32, ptr %mode")
-            self.line(f" store i32 {self.put(f'or i32 {old}, {FLUSH}')}, ptr %flush")
-            self.line(" call void @llvm.x86.sse.ldmxcsr(ptr %flush)")
+        self.line("entry:")
+        self.room("%own", inputs)
+        self.flush()
         self.line(
             " %shared = icmp eq i64 %stride, 0",
             " %starts = icmp eq i64 %first, 0",
             " %none = icmp sle i64 %groups, 0",
             " br i1 %none, label %end, label %next_group",
         )
+
+    def room(self, name: str, size: int) -> None:
+        """Room on the stack for so many numbers in lanes."""
+        self.line(f" {name} = alloca [{max(size, 1)} x {self._lanes.type}], align {CACHE_LINE}")
+
+    def flush(self) -> None:
+        """Take what is smaller than normal numbers of single precision for zero, until `restore`."""
+        if self._flushes:
+            self.line(" %mode = alloca i32", " %flush = alloca i32", " call void @llvm.x86.sse.stmxcsr(ptr %mode)")
+            old = self.put("load i32, ptr %mode")
+            self.line(f" store i32 {self.put(f'or i32 {old}, {FLUSH}')}, ptr %flush")
+            self.line(" call void @llvm.x86.sse.ldmxcsr(ptr %flush)")
+
+    def restore(self) -> None:
+        """The mode of the processor as it was before `flush`."""
+        if self._flushes:
+            self.line(" call void @llvm.x86.sse.ldmxcsr(ptr %mode)")
 
     @property
     def _flushes(self) -> bool:
@@ -321,9 +335,14 @@ class _LaneWriter:
             " br i1 %next, label %next_group, label %end",
         )
         self.line("end:")
-        if self._flushes:
-            self.line(" call void @llvm.x86.sse.ldmxcsr(ptr %mode)")
+        self.restore()
         self.line(" ret void")
+
+    @property
+    def declared(self) -> str:
+        """What the functions call: once in a module."""
+        names = ("stmxcsr", "ldmxcsr") if self._flushes else ()
+        return "\n".join(f"declare void @llvm.x86.sse.{name}(ptr)" for name in names)
 
     def function(self, head: str) -> str:
         """The text of the function, and of what it declares."""

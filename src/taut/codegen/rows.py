@@ -1,0 +1,259 @@
+"""RowCode: a program for many rows of numbers at once, a row in each lane of the processor.
+
+What goes in and out are arrays with a row for each of n lanes, as simulators have them. A row is a block as C has it,
+fields in order; rows may lie any distance apart, and one row may serve all lanes. On their way between arrays and
+registers numbers are transposed, squares of 16 bytes a side at a time.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taut.codegen.lanes import LaneWriter
+from taut.codegen.llvm import Lanes, declarations, kernel
+from taut.codegen.native import compiled
+from taut.codegen.program import Block, Field, Program
+
+LANE_FRESH: Final = "lane.fresh"  # 1.0 where the next tick starts the memory
+TICKS: Final = "lane.ticks"  # since the start
+SQUARE: Final = 16  # bytes of a row that are moved together
+OPERATIONS: Final = 1_000_000  # that are worth another thread: 0.1 ms
+Places = NDArray[np.int64]
+"""(fields, 2) address, and bytes from row to row, of each field that goes in or out."""
+
+
+class RowCode:
+    """A pure function of rows; with a `start` it is a tick, whose memory goes on in its rows.
+
+    A row in which a number that goes in, comes out or is remembered is not finite gives NaN in all that comes out,
+    and its memory stays as it was; no other row sees it.
+
+    Args:
+        program: Whose outputs are what comes out.
+        lanes: Number and type.
+        start: Of the memory in the first tick, from inputs and parameters.
+        clock: Of a tick: the paths of the time, which then is no field that goes in, and of the period.
+        fused: As for `kernel`, where `program` is a part of another.
+    """
+
+    def __init__(
+        self,
+        program: Program,
+        lanes: Lanes,
+        *,
+        start: Program | None = None,
+        clock: tuple[str, str] | None = None,
+        fused: Mapping[int, int] | None = None,
+    ) -> None:
+        self.lanes, self.program, self._start, self._clock = lanes, program, start, clock
+        self.memory = Block() if start is None else Block.of({**program.memory.shapes, FRESH: (), TICKS: ()})
+        own_time = None if clock is None else clock[0]
+        self._given = [("inputs", field) for field in program.inputs.fields if field.path != own_time]
+        self._given += [("parameters", field) for field in program.parameters.fields]
+        self._made = [("outputs", field) for field in program.outputs.fields]
+        if start is not None:
+            self._given.append(("memory", Field("memory", (self.memory.size,), 0)))
+            self._made.append(self._given[-1])
+        self.fields = list(dict.fromkeys(field.path for _, field in (*self._given, *self._made)))
+        """Fields of `Places`: those of inputs and parameters by path, "memory" of a tick, and those of outputs."""
+        content = repr((lanes, clock, program.inputs, program.parameters, program.outputs)).encode() + program.content
+        content += b"" if start is None else start.content
+
+        def text() -> str:
+            parts = [declarations(lanes), LaneWriter(lanes).declared, kernel(program, "kernel", lanes, fused)]
+            parts += [] if start is None else [kernel(start, "start", lanes)]
+            return "\n".join([*parts, self._text()])
+
+        self._module = compiled(b"rows" + content, text, ("rows",))
+        signature = [ctypes.c_int64] * 3 + [ctypes.c_void_p] * 2
+        self._rows = ctypes.CFUNCTYPE(None, *signature)(self._module["rows"])
+
+    def __call__(self, places: Places, finite: NDArray[np.bool_], threads: int) -> None:
+        """Evaluate all rows, as many as `finite` has, which is written. Releases the GIL."""
+        n = len(finite)
+        groups = -(-n // self.lanes.count)
+        threads = max(1, min(threads, groups, n * self.program.operations // OPERATIONS))
+        ends = [groups * k // threads for k in range(threads + 1)]
+        pointers = places.ctypes.data, finite.ctypes.data
+        parts = zip(ends[1:], ends[2:], strict=False)
+        others = [_pool(threads).submit(self._rows, first, last, n, *pointers) for first, last in parts]
+        self._rows(0, ends[1], n, *pointers)
+        for other in others:
+            other.result()
+
+    # ---------------------------------------------------------------- text
+
+    def _text(self) -> str:
+        """LLVM text of `rows(first group, last group, n, places, finite)`."""
+        program, lanes, w = self.program, self.lanes, LaneWriter(self.lanes)
+        own, t, truth = program.memory.size, lanes.type, lanes.of("i1")
+        sizes = {"inputs": program.inputs.size, "parameters": program.parameters.size, "memory": self.memory.size}
+        sizes |= {"new": own, "outputs": program.outputs.size}
+        w.line("entry:")
+        for name, size in sizes.items():
+            w.room(f"%{name}", size)
+        w.flush()
+        for k in range(len(self.fields)):
+            for name, kind, at in (("base", "ptr", 2 * k), ("stride", "i64", 2 * k + 1)):
+                w.line(f" %{name}at{k} = getelementptr i64, ptr %places, i64 {at}")
+                w.line(f" %{name}{k} = load {kind}, ptr %{name}at{k}")
+        w.line(
+            " %end = sub i64 %n, 1",
+            " %none = icmp sge i64 %first, %last",
+            " br i1 %none, label %done, label %group",
+            "group:",
+            " %g = phi i64 [%first, %entry], [%g1, %leave]",
+            " %begins = icmp eq i64 %g, %first",
+            f" %row = mul i64 %g, {lanes.count}",
+        )
+        rows = []
+        for i in range(lanes.count):  # lanes beyond the last row do what that of the last row does
+            beyond = w.put(f"icmp sgt i64 {w.put(f'add i64 %row, {i}')}, %end")
+            rows.append(w.put(f"select i1 {beyond}, i64 %end, i64 {w.put(f'add i64 %row, {i}')}"))
+        for k, (block, field) in enumerate(self._given):  # what is the same for all is read once
+            differs = w.put(f"icmp ne i64 %stride{k}, 0")
+            w.line(f" br i1 {w.put(f'or i1 %begins, {differs}')}, label %read{k}, label %given{k}", f"read{k}:")
+            self._gather(w, self._pointers(w, k, rows), block, field)
+            w.line(f" br label %given{k}", f"given{k}:")
+        if self._start is not None:
+            self._begin(w)
+        w.line(" call void @kernel(ptr %inputs, ptr %parameters, ptr %memory, ptr %new, ptr %outputs)")
+        checked = (("inputs", sizes["inputs"]), ("new", own), ("outputs", sizes["outputs"]))
+        total = w.sum(t, [w.itself_away(f"%{name}", i) for name, size in checked for i in range(size)])
+        w.line(f" %finites = fcmp oeq {t} {total}, {lanes.number(0.0)}")
+
+        def choose(yes: str, no: str, block: str, i: int) -> None:
+            w.store(w.put(f"select {truth} %finites, {t} {yes}, {t} {no}"), block, i)
+
+        for i in range(program.outputs.size):
+            choose(w.load("%outputs", i), lanes.number(np.nan), "%outputs", i)
+        if self._start is not None:
+            more = w.put(f"fadd {t} {w.load('%memory', own + 1)}, {lanes.number(1.0)}")
+            new = [*(w.load("%new", i) for i in range(own)), lanes.number(0.0), more]
+            for i, value in enumerate(new):
+                choose(value, w.load("%memory", i), "%memory", i)
+        for block, field in self._made:
+            self._scatter(w, self._pointers(w, self.fields.index(field.path), rows), block, field)
+        for i, row in enumerate(rows):
+            bit = "%finites" if lanes.count == 1 else w.put(f"extractelement {truth} %finites, i64 {i}")
+            w.line(f" store i8 {w.put(f'zext i1 {bit} to i8')}, ptr {w.put(f'getelementptr i8, ptr %finite, i64 {row}')}")
+        w.line(
+            " br label %leave",
+            "leave:",
+            " %g1 = add i64 %g, 1",
+            " %next = icmp slt i64 %g1, %last",
+            " br i1 %next, label %group, label %done",
+            "done:",
+        )
+        w.restore()
+        w.line(" ret void")
+        return w.function(f"void @rows(i64 %first, i64 %last, i64 %n, ptr %places, ptr %finite) {lanes.attributes}")
+
+    def _begin(self, w: LaneWriter) -> None:
+        """The time; and where a lane is fresh, its memory."""
+        lanes, own, t = self.lanes, self.program.memory.size, self.lanes.type
+        if self._clock is not None:
+            time, period = self.program.inputs.field(self._clock[0]), self.program.parameters.field(self._clock[1])
+            now = w.put(f"fmul {t} {w.load('%memory', own + 1)}, {w.load('%parameters', period.offset)}")
+            w.store(now, "%inputs", time.offset)
+        w.line(f" %fresh = fcmp oeq {t} {w.load('%memory', own)}, {lanes.number(1.0)}")
+        word, truth = f"i{lanes.count}", lanes.of("i1")
+        some = w.put(f"icmp ne {word} {w.put(f'bitcast {truth} %fresh to {word}')}, 0")
+        w.line(f" br i1 {some}, label %begin, label %go", "begin:")
+        w.line(" call void @start(ptr %inputs, ptr %parameters, ptr %new, ptr %new, ptr %new)")
+        for i in range(own):
+            begun = f"select {truth} %fresh, {t} {w.load('%new', i)}, {t} {w.load('%memory', i)}"
+            w.store(w.put(begun), "%memory", i)
+        w.line(" br label %go", "go:")
+
+    # ---------------------------------------------------------------- rows to lanes and back
+
+    def _pointers(self, w: LaneWriter, k: int, rows: list[str]) -> list[str]:
+        """The row of each lane in an array."""
+        shifts = [w.put(f"mul i64 {row}, %stride{k}") for row in rows]
+        return [w.put(f"getelementptr i8, ptr %base{k}, i64 {shift}") for shift in shifts]
+
+    @property
+    def _side(self) -> int:
+        """Numbers in a side of a square."""
+        return SQUARE // self.lanes.align
+
+    def _squares(self, size: int) -> Iterator[tuple[int, int]]:
+        """A row in pieces: start and width, the side of a square or 1; the last square may lie over another."""
+        side = self._side
+        if size < side or self.lanes.count < side:
+            return ((i, 1) for i in range(size))
+        return ((min(i, size - side), side) for i in range(0, size, side))
+
+    def _gather(self, w: LaneWriter, pointers: list[str], block: str, field: Field) -> None:
+        real, lanes = self.lanes.real.name, self.lanes
+        for start, width in self._squares(field.size):
+            kind = f"<{width} x {real}>"
+            places = [w.put(f"getelementptr {real}, ptr {p}, i64 {start}") for p in pointers]
+            if width == 1:
+                value = "poison" if lanes.count > 1 else w.put(f"load {real}, ptr {places[0]}")
+                for i, place in enumerate(places if lanes.count > 1 else ()):
+                    one = w.put(f"load {real}, ptr {place}, align {lanes.align}")
+                    value = w.put(f"insertelement {lanes.type} {value}, {real} {one}, i64 {i}")
+                w.store(value, f"%{block}", field.offset + start)
+                continue
+            parts = [w.put(f"load {kind}, ptr {place}, align {lanes.align}") for place in places]
+            wide = [self._joined(w, parts[j::width], width) for j in range(width)]
+            for j, value in enumerate(self._transposed(w, wide)):
+                w.store(value, f"%{block}", field.offset + start + j)
+
+    def _scatter(self, w: LaneWriter, pointers: list[str], block: str, field: Field) -> None:
+        real, lanes = self.lanes.real.name, self.lanes
+        for start, width in self._squares(field.size):
+            kind = f"<{width} x {real}>"
+            places = [w.put(f"getelementptr {real}, ptr {p}, i64 {start}") for p in pointers]
+            values = [w.load(f"%{block}", field.offset + start + j) for j in range(width)]
+            for j, value in enumerate(self._transposed(w, values) if width > 1 else values):
+                for s, place in enumerate(places[j::width]):
+                    if width == 1:
+                        part = value if lanes.count == 1 else w.put(f"extractelement {lanes.type} {value}, i64 {s}")
+                        w.line(f" store {real} {part}, ptr {place}, align {lanes.align}")
+                        continue
+                    part = self._shuffled(w, value, "poison", range(s * width, (s + 1) * width), lanes.count)
+                    w.line(f" store {kind} {part}, ptr {place}, align {lanes.align}")
+
+    def _joined(self, w: LaneWriter, parts: list[str], width: int) -> str:
+        """Short vectors one behind the other."""
+        while len(parts) > 1:
+            pairs = zip(parts[::2], parts[1::2], strict=True)
+            parts = [self._shuffled(w, a, b, range(2 * width), width) for a, b in pairs]
+            width *= 2
+        return parts[0]
+
+    def _transposed(self, w: LaneWriter, square: list[str]) -> list[str]:
+        """The transpose of squares that lie side by side, of two or of four vectors; its own inverse."""
+        count, side = self.lanes.count, len(square)
+        segments = range(0, count, side)
+
+        def mixed(a: str, b: str, order: list[int]) -> str:
+            """Numbers of both within each segment; those of b are numbered on from those of a."""
+            mask = [s + i if i < side else count + s + i - side for s in segments for i in order]
+            return self._shuffled(w, a, b, mask, count)
+
+        if side == 2:
+            a, b = square
+            return [mixed(a, b, [0, 2]), mixed(a, b, [1, 3])]
+        a, b, c, d = square
+        low, high = ([mixed(x, y, order) for x, y in ((a, b), (c, d))] for order in ([0, 4, 1, 5], [2, 6, 3, 7]))
+        return [mixed(*pair, order) for pair in (low, high) for order in ([0, 1, 4, 5], [2, 3, 6, 7])]
+
+    def _shuffled(self, w: LaneWriter, a: str, b: str, mask: Iterator[int] | range | list[int], size: int) -> str:
+        kind, order = f"<{size} x {self.lanes.real.name}>", [f"i32 {i}" for i in mask]
+        return w.put(f"shufflevector {kind} {a}, {kind} {b}, <{len(order)} x i32> <{', '.join(order)}>")
+
+
+@functools.cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, thread_name_prefix="taut")
