@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from taut import environments as environments
     from taut import errors as errors
     from taut import guards as guards
+    from taut import gym as gym
     from taut import laws as laws
     from taut import math as math
     from taut import sensors as sensors
@@ -66,6 +67,7 @@ if TYPE_CHECKING:
     from taut.control.trajectories.task_reference import TaskMotion as TaskMotion
     from taut.controller.compile import compile as compile
     from taut.controller.controller import Controller as Controller
+    from taut.controller.differentiable import differentiable as differentiable
     from taut.controller.export_c import export_c as export_c
     from taut.linear.joint_loop import error_dynamics as error_dynamics
     from taut.linear.linear_system import LinearSystem as LinearSystem

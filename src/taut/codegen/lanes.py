@@ -76,7 +76,7 @@ class LaneLoop:
         content += self.program.content + traced.content
 
         def text() -> str:
-            parts = [declarations(lanes), LaneWriter(lanes).declared, noise_text(steps.inputs, lanes)]
+            parts = [declarations(lanes), noise_text(steps.inputs, lanes)]
             parts += [kernel(self.program, "kernel", lanes, fused), kernel(start, "start", lanes)]
             parts += [] if inner is None else [kernel(inner, "substep", lanes)]
             return "\n".join([*parts, self._text(recorded)])
@@ -337,12 +337,6 @@ class LaneWriter:
         self.line("end:")
         self.restore()
         self.line(" ret void")
-
-    @property
-    def declared(self) -> str:
-        """What the functions call: once in a module."""
-        names = ("stmxcsr", "ldmxcsr") if self._flushes else ()
-        return "\n".join(f"declare void @llvm.x86.sse.{name}(ptr)" for name in names)
 
     def function(self, head: str) -> str:
         """The text of the function, and of what it declares."""

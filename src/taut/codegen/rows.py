@@ -9,24 +9,22 @@ from __future__ import annotations
 
 import ctypes
 import functools
-from collections.abc import Iterator, Mapping
+import itertools
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from taut.codegen.lanes import LaneWriter
+from taut.codegen.lanes import LANE_TICKS, LaneWriter
 from taut.codegen.llvm import Lanes, declarations, kernel
 from taut.codegen.native import compiled
 from taut.codegen.program import Block, Field, Program
 
-LANE_FRESH: Final = "lane.fresh"  # 1.0 where the next tick starts the memory
-TICKS: Final = "lane.ticks"  # since the start
+LANE_FRESH: Final = "lane.fresh"  # 1.0 where the next tick starts the memory; lane.ticks is since that start
 SQUARE: Final = 16  # bytes of a row that are moved together
 OPERATIONS: Final = 1_000_000  # that are worth another thread: 0.1 ms
-Places = NDArray[np.int64]
-"""(fields, 2) address, and bytes from row to row, of each field that goes in or out."""
 
 
 class RowCode:
@@ -40,7 +38,7 @@ class RowCode:
         lanes: Number and type.
         start: Of the memory in the first tick, from inputs and parameters.
         clock: Of a tick: the paths of the time, which then is no field that goes in, and of the period.
-        fused: As for `kernel`, where `program` is a part of another.
+        substep: Of the memory, from that of the tick on; and how often.
     """
 
     def __init__(
@@ -50,10 +48,12 @@ class RowCode:
         *,
         start: Program | None = None,
         clock: tuple[str, str] | None = None,
-        fused: Mapping[int, int] | None = None,
+        substep: tuple[Program, int] | None = None,
     ) -> None:
-        self.lanes, self.program, self._start, self._clock = lanes, program, start, clock
-        self.memory = Block() if start is None else Block.of({**program.memory.shapes, FRESH: (), TICKS: ()})
+        self.lanes, self.program, self._start, self._clock, self._substep = lanes, program, start, clock, substep
+        self.memory = (
+            Block() if start is None else Block.of({**program.memory.shapes, LANE_FRESH: (), LANE_TICKS: ()})
+        )
         own_time = None if clock is None else clock[0]
         self._given = [("inputs", field) for field in program.inputs.fields if field.path != own_time]
         self._given += [("parameters", field) for field in program.parameters.fields]
@@ -62,31 +62,20 @@ class RowCode:
             self._given.append(("memory", Field("memory", (self.memory.size,), 0)))
             self._made.append(self._given[-1])
         self.fields = list(dict.fromkeys(field.path for _, field in (*self._given, *self._made)))
-        """Fields of `Places`: those of inputs and parameters by path, "memory" of a tick, and those of outputs."""
+        """All that goes in and out: fields of inputs and parameters by path, "memory" of a tick, and outputs."""
         content = repr((lanes, clock, program.inputs, program.parameters, program.outputs)).encode() + program.content
         content += b"" if start is None else start.content
+        content += b"" if substep is None else substep[0].content + repr(substep[1]).encode()
 
         def text() -> str:
-            parts = [declarations(lanes), LaneWriter(lanes).declared, kernel(program, "kernel", lanes, fused)]
+            parts = [declarations(lanes), kernel(program, "kernel", lanes)]
             parts += [] if start is None else [kernel(start, "start", lanes)]
+            parts += [] if substep is None else [kernel(substep[0], "substep", lanes)]
             return "\n".join([*parts, self._text()])
 
         self._module = compiled(b"rows" + content, text, ("rows",))
         signature = [ctypes.c_int64] * 3 + [ctypes.c_void_p] * 2
-        self._rows = ctypes.CFUNCTYPE(None, *signature)(self._module["rows"])
-
-    def __call__(self, places: Places, finite: NDArray[np.bool_], threads: int) -> None:
-        """Evaluate all rows, as many as `finite` has, which is written. Releases the GIL."""
-        n = len(finite)
-        groups = -(-n // self.lanes.count)
-        threads = max(1, min(threads, groups, n * self.program.operations // OPERATIONS))
-        ends = [groups * k // threads for k in range(threads + 1)]
-        pointers = places.ctypes.data, finite.ctypes.data
-        parts = zip(ends[1:], ends[2:], strict=False)
-        others = [_pool(threads).submit(self._rows, first, last, n, *pointers) for first, last in parts]
-        self._rows(0, ends[1], n, *pointers)
-        for other in others:
-            other.result()
+        self.rows = ctypes.CFUNCTYPE(None, *signature)(self._module["rows"])
 
     # ---------------------------------------------------------------- text
 
@@ -125,6 +114,18 @@ class RowCode:
         if self._start is not None:
             self._begin(w)
         w.line(" call void @kernel(ptr %inputs, ptr %parameters, ptr %memory, ptr %new, ptr %outputs)")
+        if self._substep is not None:
+            before = f"given{len(self._given) - 1}" if self._start is None else "go"
+            w.line(
+                " br label %inner",
+                "inner:",
+                f" %i = phi i64 [0, %{before}], [%i1, %inner]",
+                " call void @substep(ptr %inputs, ptr %parameters, ptr %new, ptr %new, ptr %new)",
+                " %i1 = add i64 %i, 1",
+                f" %again = icmp slt i64 %i1, {self._substep[1]}",
+                " br i1 %again, label %inner, label %stepped",
+                "stepped:",
+            )
         checked = (("inputs", sizes["inputs"]), ("new", own), ("outputs", sizes["outputs"]))
         total = w.sum(t, [w.itself_away(f"%{name}", i) for name, size in checked for i in range(size)])
         w.line(f" %finites = fcmp oeq {t} {total}, {lanes.number(0.0)}")
@@ -143,7 +144,9 @@ class RowCode:
             self._scatter(w, self._pointers(w, self.fields.index(field.path), rows), block, field)
         for i, row in enumerate(rows):
             bit = "%finites" if lanes.count == 1 else w.put(f"extractelement {truth} %finites, i64 {i}")
-            w.line(f" store i8 {w.put(f'zext i1 {bit} to i8')}, ptr {w.put(f'getelementptr i8, ptr %finite, i64 {row}')}")
+            w.line(
+                f" store i8 {w.put(f'zext i1 {bit} to i8')}, ptr {w.put(f'getelementptr i8, ptr %finite, i64 {row}')}"
+            )
         w.line(
             " br label %leave",
             "leave:",
@@ -247,11 +250,39 @@ class RowCode:
             return [mixed(a, b, [0, 2]), mixed(a, b, [1, 3])]
         a, b, c, d = square
         low, high = ([mixed(x, y, order) for x, y in ((a, b), (c, d))] for order in ([0, 4, 1, 5], [2, 6, 3, 7]))
-        return [mixed(*pair, order) for pair in (low, high) for order in ([0, 1, 4, 5], [2, 3, 6, 7])]
+        return [mixed(x, y, order) for x, y in (low, high) for order in ([0, 1, 4, 5], [2, 3, 6, 7])]
 
-    def _shuffled(self, w: LaneWriter, a: str, b: str, mask: Iterator[int] | range | list[int], size: int) -> str:
+    def _shuffled(self, w: LaneWriter, a: str, b: str, mask: Iterable[int], size: int) -> str:
         kind, order = f"<{size} x {self.lanes.real.name}>", [f"i32 {i}" for i in mask]
         return w.put(f"shufflevector {kind} {a}, {kind} {b}, <{len(order)} x i32> <{', '.join(order)}>")
+
+
+class RowArrays:
+    """The arrays of a `RowCode`, by field: with n rows, or one row for all."""
+
+    def __init__(self, code: RowCode, n: int) -> None:
+        self._code, self.finite = code, np.zeros(n, dtype=np.bool_)
+        self._index = {path: k for k, path in enumerate(code.fields)}
+        self._places = (ctypes.c_int64 * (2 * len(code.fields)))()  # of each: address, bytes from row to row
+        self._kept: dict[str, NDArray[Any]] = {}
+
+    def put(self, path: str, array: NDArray[Any], *, per_lane: bool = True) -> None:
+        """The array of a field: of the type of the code, its rows without gaps."""
+        k, self._kept[path] = self._index[path], array
+        self._places[2 * k], self._places[2 * k + 1] = array.ctypes.data, array.strides[0] if per_lane else 0
+
+    def run(self, threads: int = 1) -> None:
+        """Evaluate all rows; `finite` (n,) has those without NaN or infinity. Releases the GIL."""
+        code, n = self._code, len(self.finite)
+        groups = -(-n // code.lanes.count)
+        threads = max(1, min(threads, groups, n * code.program.operations // OPERATIONS))
+        ends = [groups * k // threads for k in range(threads + 1)]
+        places = ctypes.addressof(self._places), self.finite.ctypes.data
+        parts = itertools.pairwise(ends[1:])
+        others = [_pool(threads).submit(code.rows, first, last, n, *places) for first, last in parts]
+        code.rows(0, ends[1], n, *places)
+        for other in others:
+            other.result()
 
 
 @functools.cache

@@ -12,10 +12,11 @@ from taut.base.checks import one_of, whole_number
 from taut.base.errors import ShapeError, TautError, UsageError, unknown_name
 from taut.base.paths import Named, Parameters
 from taut.codegen.functions import DOUBLE, SINGLE
+from taut.codegen.lanes import LANE_TICKS
 from taut.codegen.llvm import Lanes
 from taut.codegen.native import cores, host_lanes
 from taut.codegen.program import Block, trace
-from taut.codegen.rows import FRESH, TICKS, RowCode
+from taut.codegen.rows import LANE_FRESH, RowArrays, RowCode
 from taut.control.lawside import LawSide
 from taut.control.trajectories.reference import Sample
 from taut.controller.calls import sample_arguments, step_arguments
@@ -24,7 +25,7 @@ from taut.controller.kernel import DT, SideFunctions
 if TYPE_CHECKING:
     from taut.controller.controller import Controller
 
-Rows: TypeAlias = NDArray[np.floating[Any]]
+Rows: TypeAlias = NDArray[Any]
 Device = Literal["cpu", "cuda"]
 RealName = Literal["double", "float"]
 HOST: Final = (1, 3)  # of DLPack's kinds of memory: that of the CPU, as it is and pinned
@@ -76,23 +77,22 @@ class Batch:
         start = trace(SideFunctions(self.side, record=False).start, program.inputs, program.parameters, Block())
         real_kind = SINGLE if real == "float" else DOUBLE
         self.dtype = np.dtype(real_kind.dtype)
-        self._code = RowCode(program, Lanes(host_lanes(real_kind), real_kind), start=start, clock=("t", DT))
-        self._index = {path: k for k, path in enumerate(self._code.fields)}
-        self._places = np.zeros((len(self._index), 2), dtype=np.int64)
-        self._kept: dict[str, Rows] = {}  # what the code reads and writes by address
+        code = RowCode(program, Lanes(host_lanes(real_kind), real_kind), start=start, clock=("t", DT))
+        self._arrays = RowArrays(code, self.n)
+        self.finite = self._arrays.finite
+        rows = np.zeros((self.n, code.memory.size), dtype=self.dtype)
+        self._arrays.put("memory", rows)
+        self.memory = Named("the batch", "memory entry", code.memory.views(rows))
         self._shapes = {**program.inputs.shapes, **program.outputs.shapes}
-        self.finite = np.zeros(self.n, dtype=np.bool_)
-        rows = np.zeros((self.n, self._code.memory.size), dtype=self.dtype)
-        self._put("memory", rows, 1)
-        self.memory = Named("the batch", "memory entry", self._code.memory.views(rows))  # type: ignore[arg-type]
-        for path, shape in self._shapes.items():
-            if path in self._index:  # inputs of a law that follows nothing; held torques: none is known
-                self._put(path, np.eye(3, dtype=self.dtype) if shape == (3, 3) else np.zeros(shape, self.dtype), 0)
+        for path, shape in program.inputs.shapes.items():  # of a law that follows nothing; no torque is held
+            if path != "t":
+                zero = np.eye(3, dtype=self.dtype) if shape == (3, 3) else np.zeros(shape, self.dtype)
+                self._arrays.put(path, zero, per_lane=False)
         self._command, *others = program.outputs.fields
         for field in others:
-            self._put(field.path, np.zeros((self.n, *field.shape), dtype=self.dtype), 1)
-        self._put(DT, np.asarray(ctrl.dt, dtype=self.dtype), 0)
-        self.parameters = LaneParameters(self, dict(ctrl.parameters))
+            self._arrays.put(field.path, np.zeros((self.n, *field.shape), dtype=self.dtype))
+        self._arrays.put(DT, np.asarray(ctrl.dt, dtype=self.dtype), per_lane=False)
+        self.parameters = LaneParameters(self.side, self._arrays, self.dtype, dict(ctrl.parameters))
         self.reset()
 
     def __repr__(self) -> str:
@@ -138,7 +138,7 @@ class Batch:
             self._take(name, value)
         result = np.empty((self.n, *self._command.shape), dtype=self.dtype) if out is None else out
         self._take(self._command.path, result, name="out")
-        self._code(self._places, self.finite, self.threads)
+        self._arrays.run(self.threads)
         return result
 
     def reset(self, mask: Any = None) -> None:
@@ -151,15 +151,15 @@ class Batch:
                     f"mask must have shape ({self.n},) of truth values; got shape {lanes.shape} of {lanes.dtype}",
                     name="mask",
                 )
-        self.memory[FRESH][lanes], self.memory[TICKS][lanes] = 1.0, 0.0
+        self.memory[LANE_FRESH][lanes], self.memory[LANE_TICKS][lanes] = 1.0, 0.0
 
     def _take(self, path: str, value: Any, name: str = "") -> None:
         """Point the code to an array of a caller, which is checked."""
         array, shape, who = host_array(name or path, value), self._shapes[path], name or path
         if array.dtype != self.dtype:
             raise UsageError(
-                f"{who} must be {self.dtype}, as this batch computes; got {array.dtype}; convert it, or make the batch "
-                f"with real='{'float' if self.dtype == np.float64 else 'double'}'",
+                f"{who} must be {self.dtype}, as this batch computes; got {array.dtype}; convert it, or make the "
+                f"batch with real='{'float' if self.dtype == np.float64 else 'double'}'",
                 name=who,
                 value=str(array.dtype),
             )
@@ -168,7 +168,11 @@ class Batch:
             either = "" if name else f", or {shape} for all lanes"
             raise ShapeError(f"{who} must have shape {whole}{either}; got shape {array.shape}", name=who)
         if name and not array.flags.writeable:
-            raise UsageError(f"{who} is read-only; give an array that can be written, or leave it out", name=who)
+            raise UsageError(
+                f"{who} is read-only, or its library does not state that it is not (of Warp give out.numpy()); give "
+                "an array that can be written, or leave it out",
+                name=who,
+            )
         lead = array.ndim - len(shape)
         if not (array[0] if lead else array).flags.c_contiguous or not array.flags.aligned:
             raise UsageError(
@@ -177,11 +181,7 @@ class Batch:
                 name=who,
                 value=array.strides,
             )
-        self._put(path, array, lead)
-
-    def _put(self, path: str, array: Rows, lead: int) -> None:
-        self._kept[path] = array
-        self._places[self._index[path]] = array.__array_interface__["data"][0], array.strides[0] if lead else 0
+        self._arrays.put(path, array, per_lane=bool(lead))
 
 
 def reference_arrays(side: LawSide, ref: Sample | Mapping[str, Any] | None, dtype: Any) -> dict[str, Any]:
@@ -209,56 +209,57 @@ def host_array(name: str, value: Any) -> Rows:
         return value
     if not hasattr(value, "__dlpack_device__"):
         raise UsageError(
-            f"{name} must be an array with DLPack, of NumPy, torch, JAX or Warp; got {type(value).__name__}", name=name
-        )
-    kind, number = value.__dlpack_device__()
-    if kind not in HOST:
-        raise UsageError(
-            f"{name} is in the memory of {KINDS.get(int(kind), f'device {int(kind)}')}:{number}, and this batch runs "
-            "on the CPU; copy it there, such as by q.cpu()",
+            f"{name} must be an array with DLPack, of NumPy, torch, JAX or Warp; got {type(value).__name__}",
             name=name,
         )
     try:
-        array: Rows = np.from_dlpack(value)
+        kind, number = value.__dlpack_device__()
+        if kind in HOST:
+            array: Rows = np.from_dlpack(value)
+            return array
     except (BufferError, RuntimeError, TypeError, ValueError) as cause:
         raise UsageError(
-            f"{name} cannot be read where it is: {cause}; of a tensor with a gradient take q.detach(), or "
-            "taut.differentiable",
+            f"{name} cannot be read where it is: {cause}; a tensor of float32 or float64 without a gradient can, "
+            "such as q.detach(); for gradients take taut.differentiable",
             name=name,
         ) from cause
-    return array
+    raise UsageError(
+        f"{name} is in the memory of {KINDS.get(int(kind), f'device {int(kind)}')}:{number}, and this batch runs on "
+        "the CPU; copy it there, such as by q.cpu()",
+        name=name,
+    )
 
 
 class LaneParameters(Parameters):
     """Parameters of a batch by path, of all lanes or of each; new values are checked as those of a controller."""
 
-    def __init__(self, batch: Batch, values: dict[str, Any]) -> None:
+    def __init__(self, side: LawSide, arrays: RowArrays, dtype: Any, values: dict[str, Any]) -> None:
         super().__init__("the batch", {})
-        self._batch, self._shapes = batch, {path: value.shape for path, value in values.items()}
+        self._side, self._arrays, self._dtype, self._n = side, arrays, dtype, len(arrays.finite)
         for path, value in values.items():
-            self._store(path, value, 0)
+            self._store(path, value, per_lane=False)
 
     def __setitem__(self, path: str, value: Any) -> None:
-        batch, shape = self._batch, self._shapes[self._known(path)]
+        shape = self._side.parameters[self._known(path)].shape
         array = np.asarray(host_array(path, value) if hasattr(value, "__dlpack_device__") else value)
-        if array.shape == (batch.n, *shape):
+        if array.shape == (self._n, *shape):
             self._check_rows(path, array.astype(np.float64))
-            self._store(path, array, 1)
-        elif array.ndim == len(shape) + 1 and array.ndim > 1 and array.shape[1:] == shape:
+            self._store(path, array, per_lane=True)
+        elif array.ndim == len(shape) + 1 > 1 and array.shape[1:] == shape:
             raise ShapeError(
-                f"{path} must have shape {(batch.n, *shape)}, or {shape} for all lanes; got shape {array.shape}",
+                f"{path} must have shape {(self._n, *shape)}, or {shape} for all lanes; got shape {array.shape}",
                 name=path,
             )
         else:
-            self._store(path, batch.side.checked_parameter(path, array), 0)
+            self._store(path, self._side.checked_parameter(path, array), per_lane=False)
 
-    def _store(self, path: str, value: Any, lead: int) -> None:
-        self._values[path] = array = np.array(value, dtype=self._batch.dtype, order="C")
-        self._batch._put(path, array, lead)
+    def _store(self, path: str, value: Any, *, per_lane: bool) -> None:
+        self._values[path] = array = np.array(value, dtype=self._dtype, order="C")
+        self._arrays.put(path, array, per_lane=per_lane)
 
     def _check_rows(self, path: str, rows: Any) -> None:
-        """A parameter of each lane: numbers by the smallest and the largest, what is more than a vector one by one."""
-        check, entries = self._batch.side.checked_parameter, rows.ndim < 3 and not path.endswith("inertia")
+        """A parameter of each lane: entries by their smallest and largest, matrices one by one."""
+        check, entries = self._side.checked_parameter, rows.ndim < 3 and not path.endswith("inertia")
         try:
             for row in (rows.min(axis=0), rows.max(axis=0)) if entries else ():
                 check(path, row)

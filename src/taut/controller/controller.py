@@ -21,9 +21,9 @@ from taut.controller.parameters import ControllerParameters, StateMachine
 from taut.maths.model import Adds
 
 if TYPE_CHECKING:
-    from taut.controller.batch import Batch, Device, RealName
     from taut.control.tasks.feed import TaskSteps
     from taut.control.tasks.task import Task
+    from taut.controller.batch import Batch, Device, RealName
 
 
 class Controller:
@@ -223,9 +223,10 @@ class Controller:
     def batch(
         self, n: int, *, device: Device = "cpu", real: RealName = "double", threads: int | None = None
     ) -> Batch:
-        """Controllers of this law for n arms, stepped together on arrays of NumPy, torch, JAX or Warp, without a copy.
+        """Controllers of this law for n arms, stepped together on arrays of NumPy, torch, JAX or Warp.
 
-        It is for simulators of your own. It starts with the parameters that this controller has now.
+        It is for simulators of your own, whose arrays it reads and writes where they are. It starts with the
+        parameters that this controller has now.
 
         Args:
             n: Number of lanes.

@@ -16,7 +16,7 @@ from taut.codegen.functions import DOUBLE, SINGLE, Real
 from taut.codegen.llvm import Lanes
 from taut.codegen.native import cores, host_lanes
 from taut.codegen.program import Block, Values, trace
-from taut.codegen.rows import RowCode
+from taut.codegen.rows import RowArrays, RowCode
 from taut.control.lawside import HELD, KNOWN
 from taut.control.trajectories.reference import Sample
 from taut.controller.batch import host_array, reference_arrays
@@ -35,9 +35,9 @@ REALS: Final = {np.dtype(real.dtype): real for real in (DOUBLE, SINGLE)}
 def differentiable(ctrl: Controller) -> Differentiable:
     """The tick of a controller for torch: of many lanes at once, differentiable by all that goes in.
 
-    It is a pure function, command, memory' = tick(q, v, ..., reference, parameters, memory). The derivative is exact,
-    in reverse mode, compiled from the graph of the law itself; at a non-smooth point it is that of one side. In a tick
-    without memory it includes that of the start.
+    It is a pure function, command, memory' = tick(q, v, ..., reference, parameters, memory). Its derivative is exact,
+    in reverse mode, compiled from the graph of the law itself. At a non-smooth point it is that of one side; in a
+    tick without memory it includes that of the start.
 
     Args:
         ctrl: The controller of a law.
@@ -114,7 +114,9 @@ class Differentiable:
             given[path if path == TIME else f"{REMEMBERED}.{path}"] = value
         first, real = memory is None, REALS[dtype]
         row = self._row(self._blocks[first], given, len(q), q.dtype)
-        made = _function(self._torch).apply(row, self._code(first, False, real), lambda: self._code(first, True, real))
+        made = _function(self._torch).apply(
+            row, self._code(first, False, real), lambda: self._code(first, True, real)
+        )
         ends = np.cumsum([self._command.size, *(int(np.prod(shape)) for shape in self._memory.values())])
         command, *parts = self._torch.tensor_split(made, ends[:-1].tolist(), dim=1)
         new = {path: x.reshape(-1, *self._memory[path]) for path, x in zip(self._memory, parts, strict=True)}
@@ -126,7 +128,9 @@ class Differentiable:
         parts = []
         for field in block.fields:
             if field.path not in given:
-                raise UsageError(f"{field.path} is missing; memory is what the tick before gave, whole", name=field.path)
+                raise UsageError(
+                    f"{field.path} is missing; memory is what the tick before gave, whole", name=field.path
+                )
             value = self._torch.as_tensor(given[field.path])
             if value.dtype != dtype and isinstance(given[field.path], self._torch.Tensor):
                 raise UsageError(f"{field.path} must be {dtype}, as q is; got {value.dtype}", name=field.path)
@@ -171,13 +175,14 @@ def _function(torch: Any) -> Any:
     """The class of torch's that has a derivative of its own."""
 
     def run(code: RowCode, *tensors: Any) -> Any:
-        arrays = [tensor.detach().contiguous().numpy() for tensor in tensors]
-        arrays.append(np.empty((len(arrays[0]), code.program.outputs.size), dtype=arrays[0].dtype))
-        places = np.array([(array.ctypes.data, array.strides[0]) for array in arrays], dtype=np.int64)
-        code(places, np.empty(len(arrays[0]), dtype=np.bool_), cores())
-        return torch.from_numpy(arrays[-1])
+        made = torch.empty((len(tensors[0]), code.program.outputs.size), dtype=tensors[0].dtype)
+        arrays = RowArrays(code, len(made))
+        for path, tensor in zip(code.fields, (*tensors, made), strict=True):
+            arrays.put(path, tensor.detach().contiguous().numpy())
+        arrays.run(cores())
+        return made
 
-    class Rows(torch.autograd.Function):
+    class Rows(torch.autograd.Function):  # type: ignore[misc]
         @staticmethod
         def forward(ctx: Any, row: Any, code: RowCode, derivative: Any) -> Any:
             ctx.save_for_backward(row)
@@ -185,7 +190,7 @@ def _function(torch: Any) -> Any:
             return run(code, row)
 
         @staticmethod
-        @torch.autograd.function.once_differentiable
+        @torch.autograd.function.once_differentiable  # type: ignore[untyped-decorator]
         def backward(ctx: Any, weights: Any) -> Any:
             return run(ctx.derivative(), *ctx.saved_tensors, weights), None, None
 
