@@ -1,8 +1,8 @@
 """RowCode: a program for many rows of numbers at once, a row in each lane of the processor.
 
 What goes in and out are arrays with a row for each of n lanes, as simulators have them. A row is a block as C has it,
-fields in order; rows may lie any distance apart, and one row may serve all lanes. On their way between arrays and
-registers numbers are transposed, squares of 16 bytes a side at a time.
+fields in order; rows may lie any distance apart, and one row may serve all lanes. Numbers are put into lanes, and
+taken out, on the way between memory and registers: a tenth of the time of an impedance law, a third of that of a PID.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import ctypes
 import functools
 import itertools
-from collections.abc import Iterable, Iterator
+import os
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final
 
@@ -23,12 +23,13 @@ from taut.codegen.native import compiled
 from taut.codegen.program import Block, Field, Program
 
 LANE_FRESH: Final = "lane.fresh"  # 1.0 where the next tick starts the memory; lane.ticks is since that start
-SQUARE: Final = 16  # bytes of a row that are moved together
 OPERATIONS: Final = 1_000_000  # that are worth another thread: 0.1 ms
+TIME: Final = "t"  # an input of a tick that is made here, of lane.ticks and the period
+PERIOD: Final = "dt"
 
 
 class RowCode:
-    """A pure function of rows; with a `start` it is a tick, whose memory goes on in its rows.
+    """A pure function of rows; with a `start` it is a tick, whose memory goes on in its rows, and which has the time.
 
     A row in which a number that goes in, comes out or is remembered is not finite gives NaN in all that comes out,
     and its memory stays as it was; no other row sees it.
@@ -37,7 +38,6 @@ class RowCode:
         program: Whose outputs are what comes out.
         lanes: Number and type.
         start: Of the memory in the first tick, from inputs and parameters.
-        clock: Of a tick: the paths of the time, which then is no field that goes in, and of the period.
         substep: Of the memory, from that of the tick on; and how often.
     """
 
@@ -47,15 +47,13 @@ class RowCode:
         lanes: Lanes,
         *,
         start: Program | None = None,
-        clock: tuple[str, str] | None = None,
         substep: tuple[Program, int] | None = None,
     ) -> None:
-        self.lanes, self.program, self._start, self._clock, self._substep = lanes, program, start, clock, substep
-        self.memory = (
-            Block() if start is None else Block.of({**program.memory.shapes, LANE_FRESH: (), LANE_TICKS: ()})
-        )
-        own_time = None if clock is None else clock[0]
-        self._given = [("inputs", field) for field in program.inputs.fields if field.path != own_time]
+        self.lanes, self.program, self._start, self._substep = lanes, program, start, substep
+        more = {} if start is None else {LANE_FRESH: (), LANE_TICKS: ()}
+        self.memory = Block.of({**program.memory.shapes, **more})
+        inputs = [field for field in program.inputs.fields if start is None or field.path != TIME]
+        self._given = [("inputs", field) for field in inputs]
         self._given += [("parameters", field) for field in program.parameters.fields]
         self._made = [("outputs", field) for field in program.outputs.fields]
         if start is not None:
@@ -63,7 +61,7 @@ class RowCode:
             self._made.append(self._given[-1])
         self.fields = list(dict.fromkeys(field.path for _, field in (*self._given, *self._made)))
         """All that goes in and out: fields of inputs and parameters by path, "memory" of a tick, and outputs."""
-        content = repr((lanes, clock, program.inputs, program.parameters, program.outputs)).encode() + program.content
+        content = repr((lanes, program.inputs, program.parameters, program.outputs)).encode() + program.content
         content += b"" if start is None else start.content
         content += b"" if substep is None else substep[0].content + repr(substep[1]).encode()
 
@@ -144,9 +142,8 @@ class RowCode:
             self._scatter(w, self._pointers(w, self.fields.index(field.path), rows), block, field)
         for i, row in enumerate(rows):
             bit = "%finites" if lanes.count == 1 else w.put(f"extractelement {truth} %finites, i64 {i}")
-            w.line(
-                f" store i8 {w.put(f'zext i1 {bit} to i8')}, ptr {w.put(f'getelementptr i8, ptr %finite, i64 {row}')}"
-            )
+            place = w.put(f"getelementptr i8, ptr %finite, i64 {row}")
+            w.line(f" store i8 {w.put(f'zext i1 {bit} to i8')}, ptr {place}")
         w.line(
             " br label %leave",
             "leave:",
@@ -162,10 +159,9 @@ class RowCode:
     def _begin(self, w: LaneWriter) -> None:
         """The time; and where a lane is fresh, its memory."""
         lanes, own, t = self.lanes, self.program.memory.size, self.lanes.type
-        if self._clock is not None:
-            time, period = self.program.inputs.field(self._clock[0]), self.program.parameters.field(self._clock[1])
-            now = w.put(f"fmul {t} {w.load('%memory', own + 1)}, {w.load('%parameters', period.offset)}")
-            w.store(now, "%inputs", time.offset)
+        time, period = self.program.inputs.field(TIME), self.program.parameters.field(PERIOD)
+        now = w.put(f"fmul {t} {w.load('%memory', own + 1)}, {w.load('%parameters', period.offset)}")
+        w.store(now, "%inputs", time.offset)
         w.line(f" %fresh = fcmp oeq {t} {w.load('%memory', own)}, {lanes.number(1.0)}")
         word, truth = f"i{lanes.count}", lanes.of("i1")
         some = w.put(f"icmp ne {word} {w.put(f'bitcast {truth} %fresh to {word}')}, 0")
@@ -183,78 +179,23 @@ class RowCode:
         shifts = [w.put(f"mul i64 {row}, %stride{k}") for row in rows]
         return [w.put(f"getelementptr i8, ptr %base{k}, i64 {shift}") for shift in shifts]
 
-    @property
-    def _side(self) -> int:
-        """Numbers in a side of a square."""
-        return SQUARE // self.lanes.align
-
-    def _squares(self, size: int) -> Iterator[tuple[int, int]]:
-        """A row in pieces: start and width, the side of a square or 1; the last square may lie over another."""
-        side = self._side
-        if size < side or self.lanes.count < side:
-            return ((i, 1) for i in range(size))
-        return ((min(i, size - side), side) for i in range(0, size, side))
-
     def _gather(self, w: LaneWriter, pointers: list[str], block: str, field: Field) -> None:
         real, lanes = self.lanes.real.name, self.lanes
-        for start, width in self._squares(field.size):
-            kind = f"<{width} x {real}>"
-            places = [w.put(f"getelementptr {real}, ptr {p}, i64 {start}") for p in pointers]
-            if width == 1:
-                value = "poison" if lanes.count > 1 else w.put(f"load {real}, ptr {places[0]}")
-                for i, place in enumerate(places if lanes.count > 1 else ()):
-                    one = w.put(f"load {real}, ptr {place}, align {lanes.align}")
-                    value = w.put(f"insertelement {lanes.type} {value}, {real} {one}, i64 {i}")
-                w.store(value, f"%{block}", field.offset + start)
-                continue
-            parts = [w.put(f"load {kind}, ptr {place}, align {lanes.align}") for place in places]
-            wide = [self._joined(w, parts[j::width], width) for j in range(width)]
-            for j, value in enumerate(self._transposed(w, wide)):
-                w.store(value, f"%{block}", field.offset + start + j)
+        for i in range(field.size):
+            value = "poison"
+            for lane, pointer in enumerate(pointers):
+                one = w.put(f"load {real}, ptr {w.put(f'getelementptr {real}, ptr {pointer}, i64 {i}')}")
+                wide = lanes.count > 1
+                value = w.put(f"insertelement {lanes.type} {value}, {real} {one}, i64 {lane}") if wide else one
+            w.store(value, f"%{block}", field.offset + i)
 
     def _scatter(self, w: LaneWriter, pointers: list[str], block: str, field: Field) -> None:
         real, lanes = self.lanes.real.name, self.lanes
-        for start, width in self._squares(field.size):
-            kind = f"<{width} x {real}>"
-            places = [w.put(f"getelementptr {real}, ptr {p}, i64 {start}") for p in pointers]
-            values = [w.load(f"%{block}", field.offset + start + j) for j in range(width)]
-            for j, value in enumerate(self._transposed(w, values) if width > 1 else values):
-                for s, place in enumerate(places[j::width]):
-                    if width == 1:
-                        part = value if lanes.count == 1 else w.put(f"extractelement {lanes.type} {value}, i64 {s}")
-                        w.line(f" store {real} {part}, ptr {place}, align {lanes.align}")
-                        continue
-                    part = self._shuffled(w, value, "poison", range(s * width, (s + 1) * width), lanes.count)
-                    w.line(f" store {kind} {part}, ptr {place}, align {lanes.align}")
-
-    def _joined(self, w: LaneWriter, parts: list[str], width: int) -> str:
-        """Short vectors one behind the other."""
-        while len(parts) > 1:
-            pairs = zip(parts[::2], parts[1::2], strict=True)
-            parts = [self._shuffled(w, a, b, range(2 * width), width) for a, b in pairs]
-            width *= 2
-        return parts[0]
-
-    def _transposed(self, w: LaneWriter, square: list[str]) -> list[str]:
-        """The transpose of squares that lie side by side, of two or of four vectors; its own inverse."""
-        count, side = self.lanes.count, len(square)
-        segments = range(0, count, side)
-
-        def mixed(a: str, b: str, order: list[int]) -> str:
-            """Numbers of both within each segment; those of b are numbered on from those of a."""
-            mask = [s + i if i < side else count + s + i - side for s in segments for i in order]
-            return self._shuffled(w, a, b, mask, count)
-
-        if side == 2:
-            a, b = square
-            return [mixed(a, b, [0, 2]), mixed(a, b, [1, 3])]
-        a, b, c, d = square
-        low, high = ([mixed(x, y, order) for x, y in ((a, b), (c, d))] for order in ([0, 4, 1, 5], [2, 6, 3, 7]))
-        return [mixed(x, y, order) for x, y in (low, high) for order in ([0, 1, 4, 5], [2, 3, 6, 7])]
-
-    def _shuffled(self, w: LaneWriter, a: str, b: str, mask: Iterable[int], size: int) -> str:
-        kind, order = f"<{size} x {self.lanes.real.name}>", [f"i32 {i}" for i in mask]
-        return w.put(f"shufflevector {kind} {a}, {kind} {b}, <{len(order)} x i32> <{', '.join(order)}>")
+        for i in range(field.size):
+            value = w.load(f"%{block}", field.offset + i)
+            for lane, pointer in enumerate(pointers):
+                one = value if lanes.count == 1 else w.put(f"extractelement {lanes.type} {value}, i64 {lane}")
+                w.line(f" store {real} {one}, ptr {w.put(f'getelementptr {real}, ptr {pointer}, i64 {i}')}")
 
 
 class RowArrays:
@@ -264,11 +205,11 @@ class RowArrays:
         self._code, self.finite = code, np.zeros(n, dtype=np.bool_)
         self._index = {path: k for k, path in enumerate(code.fields)}
         self._places = (ctypes.c_int64 * (2 * len(code.fields)))()  # of each: address, bytes from row to row
-        self._kept: dict[str, NDArray[Any]] = {}
+        self.kept: dict[str, NDArray[Any]] = {}
 
     def put(self, path: str, array: NDArray[Any], *, per_lane: bool = True) -> None:
         """The array of a field: of the type of the code, its rows without gaps."""
-        k, self._kept[path] = self._index[path], array
+        k, self.kept[path] = self._index[path], array
         self._places[2 * k], self._places[2 * k + 1] = array.ctypes.data, array.strides[0] if per_lane else 0
 
     def run(self, threads: int = 1) -> None:
@@ -288,3 +229,7 @@ class RowArrays:
 @functools.cache
 def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="taut")
+
+
+if hasattr(os, "register_at_fork"):  # the threads stay behind in the parent
+    os.register_at_fork(after_in_child=_pool.cache_clear)

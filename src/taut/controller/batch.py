@@ -16,7 +16,7 @@ from taut.codegen.lanes import LANE_TICKS
 from taut.codegen.llvm import Lanes
 from taut.codegen.native import cores, host_lanes
 from taut.codegen.program import Block, trace
-from taut.codegen.rows import LANE_FRESH, RowArrays, RowCode
+from taut.codegen.rows import LANE_FRESH, TIME, RowArrays, RowCode
 from taut.control.lawside import LawSide
 from taut.control.trajectories.reference import Sample
 from taut.controller.calls import sample_arguments, step_arguments
@@ -77,7 +77,7 @@ class Batch:
         start = trace(SideFunctions(self.side, record=False).start, program.inputs, program.parameters, Block())
         real_kind = SINGLE if real == "float" else DOUBLE
         self.dtype = np.dtype(real_kind.dtype)
-        code = RowCode(program, Lanes(host_lanes(real_kind), real_kind), start=start, clock=("t", DT))
+        code = RowCode(program, Lanes(host_lanes(real_kind), real_kind), start=start)
         self._arrays = RowArrays(code, self.n)
         self.finite = self._arrays.finite
         rows = np.zeros((self.n, code.memory.size), dtype=self.dtype)
@@ -85,7 +85,7 @@ class Batch:
         self.memory = Named("the batch", "memory entry", code.memory.views(rows))
         self._shapes = {**program.inputs.shapes, **program.outputs.shapes}
         for path, shape in program.inputs.shapes.items():  # of a law that follows nothing; no torque is held
-            if path != "t":
+            if path != TIME:
                 zero = np.eye(3, dtype=self.dtype) if shape == (3, 3) else np.zeros(shape, self.dtype)
                 self._arrays.put(path, zero, per_lane=False)
         self._command, *others = program.outputs.fields
@@ -154,12 +154,15 @@ class Batch:
         self.memory[LANE_FRESH][lanes], self.memory[LANE_TICKS][lanes] = 1.0, 0.0
 
     def _take(self, path: str, value: Any, name: str = "") -> None:
-        """Point the code to an array of a caller, which is checked."""
+        """Point the code to an array of a caller, which is checked; one of NumPy's that it has already stays."""
+        if value is self._arrays.kept.get(path):
+            return
         array, shape, who = host_array(name or path, value), self._shapes[path], name or path
         if array.dtype != self.dtype:
+            other = {"float32": "float", "float64": "double"}.get(str(array.dtype))
+            way = f", or make the batch with real='{other}'" if other else ""
             raise UsageError(
-                f"{who} must be {self.dtype}, as this batch computes; got {array.dtype}; convert it, or make the "
-                f"batch with real='{'float' if self.dtype == np.float64 else 'double'}'",
+                f"{who} must be {self.dtype}, as this batch computes; got {array.dtype}; convert it{way}",
                 name=who,
                 value=str(array.dtype),
             )
@@ -269,4 +272,4 @@ class LaneParameters(Parameters):
             try:
                 check(path, row)
             except TautError as cause:
-                raise cause.about(path, f"lane {lane}: {path}") from None
+                raise cause.about("", f"lane {lane}: ") from None

@@ -16,8 +16,7 @@ from taut.codegen.functions import DOUBLE, SINGLE, Real
 from taut.codegen.llvm import Lanes
 from taut.codegen.native import cores, host_lanes
 from taut.codegen.program import Block, Values, trace
-from taut.codegen.rows import RowArrays, RowCode
-from taut.control.lawside import HELD, KNOWN
+from taut.codegen.rows import TIME, RowArrays, RowCode
 from taut.control.trajectories.reference import Sample
 from taut.controller.batch import host_array, reference_arrays
 from taut.controller.calls import step_arguments
@@ -28,7 +27,6 @@ from taut.trace.derivative import adjoints
 from taut.trace.scalar import active_graph, to_node, to_symbol
 
 REMEMBERED: Final = "memory"
-TIME: Final = "t"
 REALS: Final = {np.dtype(real.dtype): real for real in (DOUBLE, SINGLE)}
 
 
@@ -70,9 +68,9 @@ class Differentiable:
         given = {**program.inputs.shapes, **program.parameters.shapes}
         remembered = {f"{REMEMBERED}.{path}": shape for path, shape in self._memory.items()}
         self._blocks = {True: Block.of(given), False: Block.of({**given, **remembered})}  # by whether memory starts
-        zero: dict[str, Any] = {KNOWN: 0.0, HELD: np.zeros(ctrl.arm.n), TIME: 0.0, DT: ctrl.dt}
+        zero: dict[str, Any] = {path: np.zeros(shape) for path, shape in program.inputs.shapes.items()}
+        self._constants = {path: value for path, value in zero.items() if not path.startswith("ref.")} | {DT: ctrl.dt}
         self._code = functools.cache(self._compiled)
-        self._constants = {path: value for path, value in zero.items() if path in given}
 
     def __call__(
         self,
@@ -108,7 +106,7 @@ class Differentiable:
         for path in parameters or {}:
             if path not in self._ctrl.parameters:
                 raise unknown_name("the controller", "parameter", path, self._ctrl.parameters)
-        given |= {**self._constants, **self._ctrl.parameters, **(parameters or {})}
+        given = {**self._constants, **given, **self._ctrl.parameters, **(parameters or {})}
         given |= reference_arrays(self._side, ref, dtype)
         for path, value in (memory or {}).items():
             given[path if path == TIME else f"{REMEMBERED}.{path}"] = value
@@ -131,8 +129,10 @@ class Differentiable:
                 raise UsageError(
                     f"{field.path} is missing; memory is what the tick before gave, whole", name=field.path
                 )
-            value = self._torch.as_tensor(given[field.path])
-            if value.dtype != dtype and isinstance(given[field.path], self._torch.Tensor):
+            value = given[field.path]
+            if not isinstance(value, self._torch.Tensor):
+                value = self._torch.tensor(np.asarray(value), dtype=dtype)
+            if value.dtype != dtype:
                 raise UsageError(f"{field.path} must be {dtype}, as q is; got {value.dtype}", name=field.path)
             if tuple(value.shape) not in (field.shape, (n, *field.shape)):
                 raise ShapeError(
@@ -140,7 +140,7 @@ class Differentiable:
                     f"{tuple(value.shape)}",
                     name=field.path,
                 )
-            parts.append(value.to(dtype).expand(n, *field.shape).reshape(n, field.size))
+            parts.append(value.expand(n, *field.shape).reshape(n, field.size))
         return self._torch.cat(parts, dim=1)
 
     # ---------------------------------------------------------------- code

@@ -13,13 +13,13 @@ from taut.arm.description import Arm
 from taut.base.errors import ShapeError, UsageError, unknown_name
 from taut.base.fields import Choice, Declared, Field, Plain, Whole
 from taut.base.paths import subtree
-from taut.base.types import Float64Array
+from taut.base.types import Array, Float64Array
 from taut.codegen.functions import DOUBLE
 from taut.codegen.lanes import LANE_TICKS
 from taut.codegen.llvm import Lanes
 from taut.codegen.native import cores, host_lanes
 from taut.codegen.program import Block, Values, trace
-from taut.codegen.rows import LANE_FRESH, RowArrays, RowCode
+from taut.codegen.rows import LANE_FRESH, TIME, RowArrays, RowCode
 from taut.control.command import Command, Torque
 from taut.control.law import Law
 from taut.control.laws.impedance import Impedance
@@ -50,6 +50,7 @@ class JointTorque(Sample):
 
     __slots__ = ("tau",)
     _shapes: ClassVar[Shapes] = {"tau": ("n",)}
+    tau: Array
 
     @classmethod
     def at_rest(cls, x: Snapshot, tool: str | None) -> JointTorque:  # noqa: ARG003
@@ -129,14 +130,14 @@ class FusedArms:
 
         repeats = plant.substeps - 1
         code = RowCode(
-            trace(tick, inputs, parameters, memory), Lanes(host_lanes(DOUBLE)), clock=("t", DT),
+            trace(tick, inputs, parameters, memory), Lanes(host_lanes(DOUBLE)),
             start=trace(begin, inputs, parameters, Block()),
             substep=(trace(loop.substep, inputs, parameters, memory), repeats) if repeats else None,
         )  # fmt: skip
-        self._arrays = RowArrays(code, n)
+        self._arrays, self._threads = RowArrays(code, n), cores()
         rows, self._used = np.zeros((n, code.memory.size)), np.zeros(n)
         self._memory = code.memory.views(rows)
-        self._given = {path: np.zeros((n, *shape)) for path, shape in inputs.shapes.items() if path != "t"}
+        self._given = {path: np.zeros((n, *shape)) for path, shape in inputs.shapes.items() if path != TIME}
         for path, array in {**self._given, "memory": rows, "effort": self._used}.items():
             self._arrays.put(path, array)
         for path, value in numbers.items():
@@ -164,7 +165,7 @@ class FusedArms:
             for path, array in self._given.items():
                 if path.startswith("noise."):
                     rng.standard_normal(out=array)
-            self._arrays.run(cores())
+            self._arrays.run(self._threads)
             self.alive &= self._arrays.finite
             self.effort += self._used / ticks
 
@@ -263,16 +264,9 @@ class Episodes:
                 name="scenario",
             )
         law, joints = _law(laws, episode), plant.arm.n
-        ctrl, self._arm, self._fields = experiment.controller(law), plant.arm, law.reference.fields(joints)
-        self.arms: FusedArms | HostedArms
-        if isinstance(plant, ModelPlant):
-            self.arms = FusedArms(ctrl, plant, n, experiment.duration, plant.arm.effort)
-        else:
-            self.arms = HostedArms(ctrl, plant, n, plant.arm.effort)
-        for path, value in experiment.parameters.items():
-            self.arms.put(path, np.repeat(np.asarray(value)[np.newaxis], n, axis=0))
-        self._q0, self._v0 = state_at_start(plant.arm, experiment.q0, experiment.v0)
         side = experiment.controller(next(iter(laws.values())), engine="float").side
+        self._look = Look(plant.arm, side.law.reference, law.controlled_frame, n)
+        self._q0, self._v0 = state_at_start(plant.arm, experiment.q0, experiment.v0)
         self.steps = max(1, math.ceil(round(experiment.duration * side.rate) / episode.decimation))
         feed = ReferenceFeed(experiment.reference, side.law.reference, side.arm, side.dt, side.at_rest(self._q0))
         ticks, fields, done = self.steps * episode.decimation + 1, side.law.reference.fields(joints), 0
@@ -280,12 +274,10 @@ class Episodes:
         while done < ticks:
             done += feed.fill({name: row[done:] for name, row in rows.items()}, done, lambda: None)
         self._reference = {name: row[:: episode.decimation] for name, row in rows.items()}
-        self._look = Look(plant.arm, side.law.reference, law.controlled_frame, n)
+        ctrl, self._arm, self._fields = experiment.controller(law), plant.arm, law.reference.fields(joints)
         usual: Any = plant.arm.effort if episode.action == "torque" else SCALES[episode.action]
-        scale, size = (
-            np.asarray(usual if episode.scale is None else episode.scale),
-            6 if "p" in self._fields else joints,
-        )
+        scale = np.asarray(usual if episode.scale is None else episode.scale)
+        size = 6 if "p" in self._fields else joints
         if scale.shape not in ((), (1,), (size,)) or not np.isfinite(scale).all():
             raise ShapeError(f"scale must be a number or ({size},), finite; got {scale.tolist()}", name="scale")
         self._scale, self._gains = np.broadcast_to(scale, (size,)), dict[str, tuple[Any, Any]]()
@@ -296,6 +288,13 @@ class Episodes:
             low, high = (np.array(owner.checked_parameter(path, end)) for end in ends)
             self._gains[path] = low, high / low
         self.action_size = size + sum(low.size for low, _ in self._gains.values())
+        self.arms: FusedArms | HostedArms
+        if isinstance(plant, ModelPlant):
+            self.arms = FusedArms(ctrl, plant, n, experiment.duration, plant.arm.effort)
+        else:
+            self.arms = HostedArms(ctrl, plant, n, plant.arm.effort)
+        for path, value in experiment.parameters.items():
+            self.arms.put(path, np.repeat(np.asarray(value)[np.newaxis], n, axis=0))
         self._step, everywhere = np.zeros(n, dtype=np.int64), np.ones(n, dtype=np.bool_)
         self._first = {"q": self._q0}
         self.begin(everywhere, np.random.default_rng(0))

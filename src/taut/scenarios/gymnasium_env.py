@@ -104,7 +104,7 @@ class ScenarioVectorEnv(VectorEnv[Numbers, Numbers, NDArray[Any]]):
         return self._lanes.seen, reward, terminated, truncated, {}
 
 
-def spaces(lanes: Episodes) -> tuple[Box, Box]:
+def spaces(lanes: Episodes) -> tuple[Any, Any]:
     """Observations and actions of one arm."""
     seen = lanes.seen.shape[1]
     return (

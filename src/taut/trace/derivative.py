@@ -90,7 +90,7 @@ def adjoints(graph: Graph, outputs: Sequence[int], weights: Sequence[int], wante
                 finite = graph.compare(int(Op.LE), graph.unary(int(Op.ABS), slope), graph.const(LARGEST))
                 slope = graph.select(finite, slope, zero)
             part = graph.mul(weight, slope)
-            if graph.value[slope] is None and not wild.isdisjoint((i, *operands)):
+            if i in wild and graph.value[slope] is None:
                 part = graph.select(graph.compare(int(Op.EQ), weight, zero), zero, part)
             total[x] = graph.add(total.get(x, zero), part)
     return [total.get(i, zero) for i in wanted]

@@ -1,0 +1,131 @@
+"""Scenarios as environments of Gymnasium: its own checker, runs of taut, the vector form, and that something learns."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import taut
+from taut.gym import Episode, ScenarioEnv, ScenarioVectorEnv
+from taut.scenarios.scenario import load_scenario
+
+RIGID = {"plant.kind": "rigid"}
+PUSH = Episode(scenario="panda_pushed", action="pose change", values=RIGID, gains={"law.K": ((100, 10), (1000, 100))})
+SHORT = {"run.duration": 0.1}
+
+
+@pytest.mark.filterwarnings("ignore:.*A Box observation space (min|max)imum value is -?infinity")
+@pytest.mark.parametrize(
+    "episode",
+    [
+        Episode(scenario="one_joint_pid", action="torque", scale=2.0, values=SHORT),
+        Episode(scenario="so101_servo", values={"plant.sensors": {"position": {"noise": 1e-3}}}),
+        PUSH,
+    ],
+    ids=["torque", "noise", "pose and stiffness"],
+)
+def test_an_environment_passes_the_checker_of_gymnasium(episode: Episode) -> None:
+    check_env(ScenarioEnv(episode), skip_render_check=True)
+
+
+def experiment_of(episode: Episode) -> Any:
+    scenario = load_scenario(episode.scenario, values=episode.values)
+    return next(iter(scenario.cases.values()), scenario)
+
+
+@pytest.mark.parametrize(
+    "episode",
+    [
+        Episode(scenario="panda_payload", decimation=5, values={"control.rate": 500}),  # in MuJoCo
+        Episode(scenario="so101_servo", decimation=2),  # with several steps of the integrator
+    ],
+    ids=lambda episode: episode.scenario,
+)
+def test_an_action_of_zero_is_a_run_that_stays(episode: Episode) -> None:
+    place = experiment_of(episode)
+    ctrl = place.experiment.controller(next(iter(place.laws.values())))
+    envs = ScenarioVectorEnv(episode, 2)
+    seen, _ = envs.reset(seed=0)
+    q0 = seen[0, : ctrl.arm.n].astype(float) if place.experiment.q0 is None else place.experiment.q0
+    run = taut.run(ctrl, place.experiment.plant, taut.JointMotion(q=q0), duration=0.2, q0=q0)
+    for k in range(1, 8):
+        seen, *_ = envs.step(np.zeros(envs.action_space.shape))
+        tick = k * episode.decimation
+        now = np.hstack([run.q[tick], run.v[tick]])
+        np.testing.assert_allclose(seen[:, : 2 * ctrl.arm.n], np.tile(now, (2, 1)), rtol=1e-5, atol=1e-6)
+
+
+def test_observation_and_reward_are_those_of_the_reference() -> None:
+    episode = Episode(scenario="gantry_decentralised", decimation=20, width=0.05, effort=0.0)
+    envs, place = ScenarioVectorEnv(episode, 3), experiment_of(episode)
+    n, reference = envs.action_space.shape[1], place.experiment.reference
+    seen, _ = envs.reset(seed=0)
+    for k in range(5):
+        wanted = reference.at(k * 20 / place.experiment.rate)
+        np.testing.assert_allclose(seen[:, 2 * n : 3 * n], wanted.q - seen[:, :n], atol=1e-6)
+        np.testing.assert_allclose(seen[:, 3 * n :], wanted.v - seen[:, n : 2 * n], atol=1e-6)
+        seen, reward, *_ = envs.step(np.array([[0.0], [1.0], [-1.0]]) * np.ones(n))
+        error = np.sum(seen[:, 2 * n : 3 * n] ** 2, axis=1)
+        np.testing.assert_allclose(reward, 1.0 / (1.0 + error / 0.05**2), rtol=1e-5)
+    assert seen[1, 0] > seen[0, 0] > seen[2, 0]
+
+
+def test_poses_and_gains_of_an_action_reach_the_law() -> None:
+    episode = Episode(scenario="panda_pushed", action="pose", values=RIGID | {"run.duration": 3.0}, decimation=100)
+    x, y, turned = np.zeros(6), np.zeros(6), np.zeros(6)
+    x[0], y[1], turned[5] = 0.5, -1.0, 0.4
+    stiff = Episode(**{name: getattr(episode, name) for name in ("scenario", "action", "values", "decimation")},
+                    gains={"law.K": ((50.0, 5.0), (3000.0, 300.0))})  # fmt: skip
+    envs = ScenarioVectorEnv(stiff, 4)
+    seen, _ = envs.reset(seed=0)
+    start = seen[:, 14:20]
+    actions = np.hstack([np.array([x, y, turned, x]), np.repeat([[1.0], [1.0], [1.0], [-1.0]], 6, axis=1)])
+    for _ in range(9):  # before the push of the scenario
+        seen, *_ = envs.step(actions)
+    moved = start - seen[:, 14:20]
+    wanted = np.array([0.1, -0.2, 0.2])  # half, and all, of 0.2 m; 0.4 of 0.5 rad
+    np.testing.assert_allclose([moved[0, 0], moved[1, 1], moved[2, 5]], wanted, atol=0.01)
+    assert moved[3, 0] < 0.8 * moved[0, 0]  # a soft spring lags behind
+
+
+def test_each_lane_of_a_vector_environment_begins_anew_in_the_step_after_its_end() -> None:
+    envs = ScenarioVectorEnv(Episode(scenario="one_joint_pid", action="torque", scale=2.0, values=SHORT), 5)
+    first, _ = envs.reset(seed=3)
+    actions = np.ones((5, 1), dtype=np.float32)
+    broken = actions.copy()
+    broken[2] = np.nan
+    for k in range(12):
+        seen, reward, terminated, truncated, _ = envs.step(broken if k == 3 else actions)
+        assert terminated.tolist() == [False, False, k == 3, False, False]
+        alone = k - 4  # steps of the lane that ended early
+        assert truncated.tolist() == [(k == 9)] * 2 + [alone == 10] + [(k == 9)] * 2
+        assert (reward == 0.0).tolist() == [k == 10] * 2 + [k in (3, 4)] + [k == 10] * 2
+        if k == 4:
+            np.testing.assert_array_equal(seen[2], first[2])
+            assert (seen[[0, 1, 3, 4]] != first[0]).any(axis=1).all()
+        if k == 10:
+            np.testing.assert_array_equal(seen[[0, 1, 3, 4]], first[[0, 1, 3, 4]])
+    again, _ = envs.reset(seed=3)
+    np.testing.assert_array_equal(again, first)
+
+
+def test_evolution_of_a_linear_policy_learns_to_follow() -> None:
+    """Each lane is a candidate; the best eighth make the next generation."""
+    envs, n = ScenarioVectorEnv(Episode(scenario="one_joint_pid", decimation=50, width=0.5), 64), 64
+    rng = np.random.default_rng(0)
+    mean, std, returns = np.zeros(2), np.full(2, 3.0), []
+    for _ in range(4):
+        w = mean + std * rng.standard_normal((n, 2))
+        seen, _ = envs.reset(seed=0)
+        total, over = np.zeros(n), np.zeros(n, dtype=bool)
+        while not over.all():
+            seen, reward, _, over, _ = envs.step(np.sum(w * seen[:, 2:], axis=1, keepdims=True))
+            total += reward
+        best = w[np.argsort(total)[-n // 8 :]]
+        mean, std = best.mean(axis=0), best.std(axis=0)
+        returns.append(total.mean())
+    assert returns[0] < 0.6 * returns[-1]
+    assert mean[0] > 0.0
