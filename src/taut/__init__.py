@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from taut import gym as gym
     from taut import laws as laws
     from taut import math as math
+    from taut import robots as robots
     from taut import sensors as sensors
     from taut import textbook as textbook
     from taut import trajectories as trajectories

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, Final, NoReturn, TextIO, cast
 
 from taut.base.errors import TautError, UsageError, printable
-from taut.cli import analysis, book, models, run, sweep
+from taut.cli import analysis, book, models, robots, run, sweep
 from taut.cli.command import FAILED, STATUS, WRONG, Command
 
 NEGATIVE: Final = re.compile(r"-(\d|\.\d|inf|nan)", re.IGNORECASE)  # a value, where argparse expects an option
@@ -33,10 +33,13 @@ COMMANDS: Final[tuple[Command, ...]] = (
     run.REPORT,
     run.SCENARIOS,
     run.EXPORT,
+    robots.BRINGUP,
     models.ARMS,
     models.LAWS,
     models.CHECK,
     run.DOCTOR,
+    run.REPAIR,
+    run.REPLAY,
     analysis.DESIGN,
     models.BENCH,
     book.BOOK,

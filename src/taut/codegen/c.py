@@ -144,6 +144,13 @@ KEYWORDS: Final = frozenset(
         "auto", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum", "extern",
         "float", "for", "goto", "if", "inline", "int", "long", "register", "restrict", "return", "short", "signed",
         "sizeof", "static", "struct", "switch", "typedef", "union", "unsigned", "void", "volatile", "while",
+        # of C++, which reads the header
+        "alignas", "alignof", "and", "and_eq", "asm", "bitand", "bitor", "bool", "catch", "char16_t", "char32_t",
+        "char8_t", "class", "co_await", "co_return", "co_yield", "compl", "concept", "const_cast", "consteval",
+        "constexpr", "constinit", "decltype", "delete", "dynamic_cast", "explicit", "export", "false", "friend",
+        "mutable", "namespace", "new", "noexcept", "not", "not_eq", "nullptr", "operator", "or", "or_eq", "private",
+        "protected", "public", "reinterpret_cast", "requires", "static_assert", "static_cast", "template", "this",
+        "thread_local", "throw", "true", "try", "typeid", "typename", "using", "virtual", "wchar_t", "xor", "xor_eq",
     }
 )  # fmt: skip
 
@@ -186,13 +193,18 @@ class Struct:
             for member, node in tree.items():
                 if isinstance(node, Field):
                     shape = "".join(f"[{size}]" for size in node.shape)
-                    note = f"  /* {comment(node.path)} [{notes[node.path]}] */" if node.path in notes else ""
-                    yield f"{indent}{real} {member}{shape};{note}"
+                    unit = f" [{notes[node.path]}]" if node.path in notes else ""
+                    yield f"{indent}{real} {member}{shape};  /* {comment(node.path)}{unit} */"
                 else:
                     yield from (f"{indent}struct {{", *members(node, indent + "    "), f"{indent}}} {member};")
 
         inside = list(members(self._tree(), "    ")) or [f"    {real} none;  /* this law has nothing here */"]
         return ["typedef struct {", *inside, f"}} {name};"]
+
+    def paths(self) -> Iterator[tuple[str, str, int]]:
+        """Each path, its member, and how many numbers it has."""
+        for field in self._fields:
+            yield comment(field.path), ".".join(self._members[field.path]), field.size
 
     def initial(self, flat: Float64Array, precision: Precision) -> str:
         """The initialiser of a struct with these numbers."""

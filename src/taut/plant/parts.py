@@ -115,13 +115,9 @@ class PlantParts(Declared):
         names = self.arm.joint_names
         self.actuation.check_size(names, "actuation.")
         if self.actuation.motor is not None:
+            others = {"inner_rate": self.actuation.inner_rate, "adds": self.adds.names, "rk4": self.smooth}
             there = [name for name in self.actuation.for_torque_only if name != "motor"]
-            for name, value in {
-                "inner_rate": self.actuation.inner_rate,
-                "adds": self.adds.names,
-                "rk4": self.smooth,
-            }.items():
-                there += [name] if value else []
+            there += [name for name, value in others.items() if value]
             self.actuation.motor.check_with(self.arm, self.takes, there)
         self.sensors.check_arm(self.arm, touched=self.touched)
         if isinstance(self.friction, FrictionLaw):

@@ -129,28 +129,38 @@ def simulated(
         assert isinstance(target, PlantBase)
         going = HostedRun(made, target, reference, ticks, q, v, seed, schedule)
     going.tape.unstable = stability.message if stability.stable is False else ""
-    going.tape.info = RunInfo(
-        rate=side.rate,
+    going.tape.info = info_of(
+        side, law, target.name, target.arm, q, made.parameters,
         duration=length,
         seed=seed,
-        law=repr(law),
-        arm=side.arm.name,
-        controller_arm=_undrawn(side.arm),
-        plant_arm=_undrawn(target.arm),
-        plant=target.name,
         events=tuple(
             Change(t=event.t, set=_arrays(event.set)) for event in sorted(changes, key=lambda event: event.t)
         ),
-        sensing=str(side.sensing),
-        command_limits="none" if side.limits is None else str(side.limits),
         parameters=parameters,
         stability=stability,
-        versions=versions(),
         around=around_info(target, q, length),
-        limits=_limits(side.arm),
-        **_of_tool(law, side, q, made.parameters),
-    )
+    )  # fmt: skip
     return _recorded(going, log, progress)
+
+
+def info_of(
+    side: LawSide, law: Law | Task, plant: str, arm: Arm, q: Float64Array, gains: Mapping[str, Any], **more: Any
+) -> RunInfo:
+    """What is known of a run of a law on a plant of that name with this arm, which starts at q; and more by name."""
+    return RunInfo(
+        rate=side.rate,
+        law=repr(law),
+        arm=side.arm.name,
+        controller_arm=_undrawn(side.arm),
+        plant_arm=_undrawn(arm),
+        plant=plant,
+        sensing=str(side.sensing),
+        command_limits="none" if side.limits is None else str(side.limits),
+        versions=versions(),
+        limits=_limits(side.arm),
+        **_of_tool(law, side, q, gains),
+        **more,
+    )
 
 
 def _arrays(values: Mapping[str, ArrayLike]) -> dict[str, Float64Array]:
