@@ -43,6 +43,7 @@ DOORS = [
     "environments",
     "errors",
     "guards",
+    "gym",
     "laws",
     "math",
     "robots",

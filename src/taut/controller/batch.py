@@ -12,11 +12,11 @@ from taut.base.checks import one_of, whole_number
 from taut.base.errors import ShapeError, TautError, UsageError, unknown_name
 from taut.base.paths import Named, Parameters
 from taut.codegen.functions import DOUBLE, SINGLE
-from taut.codegen.lanes import LANE_TICKS
+from taut.codegen.lanes.loop import LANE_TICKS
+from taut.codegen.lanes.rows import LANE_FRESH, TIME, RowArrays, RowCode
 from taut.codegen.llvm import Lanes
 from taut.codegen.native import cores, host_lanes
 from taut.codegen.program import Block, trace
-from taut.codegen.rows import LANE_FRESH, TIME, RowArrays, RowCode
 from taut.control.lawside import LawSide
 from taut.control.trajectories.reference import Sample
 from taut.controller.calls import sample_arguments, step_arguments

@@ -13,10 +13,10 @@ from taut.base.checks import instance_of
 from taut.base.errors import ShapeError, UsageError, missing_extra, unknown_name
 from taut.base.paths import subtree
 from taut.codegen.functions import DOUBLE, SINGLE, Real
+from taut.codegen.lanes.rows import TIME, RowArrays, RowCode
 from taut.codegen.llvm import Lanes
 from taut.codegen.native import cores, host_lanes
 from taut.codegen.program import Block, Values, trace
-from taut.codegen.rows import TIME, RowArrays, RowCode
 from taut.control.trajectories.reference import Sample
 from taut.controller.batch import host_array, reference_arrays
 from taut.controller.calls import step_arguments

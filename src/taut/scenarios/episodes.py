@@ -15,11 +15,11 @@ from taut.base.fields import Choice, Declared, Field, Plain, Whole
 from taut.base.paths import subtree
 from taut.base.types import Array, Float64Array
 from taut.codegen.functions import DOUBLE
-from taut.codegen.lanes import LANE_TICKS
+from taut.codegen.lanes.loop import LANE_TICKS
+from taut.codegen.lanes.rows import LANE_FRESH, TIME, RowArrays, RowCode
 from taut.codegen.llvm import Lanes
 from taut.codegen.native import cores, host_lanes
 from taut.codegen.program import Block, Values, trace
-from taut.codegen.rows import LANE_FRESH, TIME, RowArrays, RowCode
 from taut.control.command import Command, Torque
 from taut.control.law import Law
 from taut.control.laws.impedance import Impedance

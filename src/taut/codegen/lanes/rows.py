@@ -17,7 +17,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from taut.codegen.lanes import LANE_TICKS, LaneWriter
+from taut.codegen.lanes.loop import LANE_TICKS
+from taut.codegen.lanes.writer import LaneWriter
 from taut.codegen.llvm import Lanes, declarations, kernel
 from taut.codegen.native import compiled
 from taut.codegen.program import Block, Field, Program
