@@ -48,6 +48,7 @@ DOORS = [
     "math",
     "robots",
     "sensors",
+    "tensors",
     "textbook",
     "trajectories",
 ]

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from taut import math as math
     from taut import robots as robots
     from taut import sensors as sensors
+    from taut import tensors as tensors
     from taut import textbook as textbook
     from taut import trajectories as trajectories
     from taut.analysis.design.design import design as design
@@ -68,7 +69,6 @@ if TYPE_CHECKING:
     from taut.control.trajectories.task_reference import TaskMotion as TaskMotion
     from taut.controller.compile import compile as compile
     from taut.controller.controller import Controller as Controller
-    from taut.controller.differentiable import differentiable as differentiable
     from taut.controller.export_c import export_c as export_c
     from taut.linear.joint_loop import error_dynamics as error_dynamics
     from taut.linear.linear_system import LinearSystem as LinearSystem

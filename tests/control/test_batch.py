@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+import pickle
 import signal
 import subprocess
 import sys
@@ -275,6 +277,8 @@ def test_parameters_that_mean_nothing_are_refused_with_their_lane() -> None:
         (RangeError, "model.payload.mass", [1.0, math.nan, 1.0]),
         (RangeError, "model.payload.inertia", inertia),
         (ShapeError, "law.kp", np.ones((2, 2, 2))),
+        (ShapeError, "law.kd", np.ones((3, 2))),
+        (ShapeError, "law.kd", [[1.0, 2.0], [3.0]]),
         (ShapeError, "model.payload.com", np.ones((4, 3))),
         (UnknownNameError, "law.kq", 1.0),
     ]
@@ -284,6 +288,13 @@ def test_parameters_that_mean_nothing_are_refused_with_their_lane() -> None:
             batch.parameters[path] = value
         for name, kept in before.items():
             np.testing.assert_array_equal(batch.parameters[name], kept)
+
+
+def test_a_batch_is_neither_copied_nor_pickled() -> None:
+    batch = taut.compile(L.PID(kp=1.0), taut.load_arm("planar2")).batch(2)
+    for make in (copy.copy, copy.deepcopy, pickle.dumps):
+        with refused(UsageError):
+            make(batch)
 
 
 def test_batches_that_cannot_be_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -304,7 +315,7 @@ def test_batches_that_cannot_be_are_refused(monkeypatch: pytest.MonkeyPatch) -> 
         taut.compile([taut.Phase(L.PID(kp=1.0), taut.hold())], arm).batch(3)
     monkeypatch.setitem(sys.modules, "torch", None)
     with refused(MissingExtraError):
-        taut.differentiable(ctrl)
+        taut.tensors.differentiable(ctrl)
     for other in (arm, taut.compile(L.PID(kp=1.0), arm, engine="float")):
         with refused(UsageError):
-            taut.differentiable(other)
+            taut.tensors.differentiable(other)

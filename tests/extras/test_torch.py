@@ -1,4 +1,4 @@
-"""taut.differentiable: torch's own check of the derivative, by everything that goes in, over ticks with memory."""
+"""taut.tensors.differentiable: torch's own check of the derivative, by everything that goes in, over ticks with memory."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def arguments(ctrl: Any) -> dict[str, Any]:
 
 def ticks(ctrl: Any, count: int, names: list[str]) -> Any:
     """A function of tensors: the command after some ticks, and the memory."""
-    step = taut.differentiable(ctrl)
+    step = taut.tensors.differentiable(ctrl)
 
     def run(*tensors: Any) -> Any:
         given = dict(zip(names, tensors, strict=True))
@@ -103,7 +103,7 @@ def test_the_command_is_that_of_the_controller(case: str) -> None:
 
 def test_single_precision_and_a_gradient_where_the_error_is_zero() -> None:
     ctrl = taut.compile(Feels(K=np.eye(2)), taut.load_arm("planar2"))
-    step = taut.differentiable(ctrl)
+    step = taut.tensors.differentiable(ctrl)
     q = torch.zeros(3, 2, requires_grad=True)
     command, _ = step(q, ref={"q": torch.zeros(2), "v": torch.zeros(2), "a": torch.zeros(2)}, F_ext=torch.zeros(6))
     assert command.dtype == torch.float32
@@ -113,7 +113,7 @@ def test_single_precision_and_a_gradient_where_the_error_is_zero() -> None:
 
 def test_a_lane_that_is_not_finite_has_no_derivative_and_the_others_theirs() -> None:
     ctrl = taut.compile(L.ComputedTorque(kp=9.0, kd=6.0), taut.load_arm("planar2"))
-    step, ref = taut.differentiable(ctrl), taut.JointMotion(q=[0.1, 0.2])
+    step, ref = taut.tensors.differentiable(ctrl), taut.JointMotion(q=[0.1, 0.2])
     q = torch.full((9, 2), 0.3, dtype=torch.float64)
     q[4, 0] = torch.nan
     q.requires_grad_()
@@ -127,13 +127,16 @@ def test_a_lane_that_is_not_finite_has_no_derivative_and_the_others_theirs() -> 
 
 def test_tensors_that_do_not_fit_are_refused() -> None:
     ctrl = taut.compile(L.PID(kp=9.0, ki=1.0), taut.load_arm("planar2"))
-    step, ref = taut.differentiable(ctrl), taut.JointMotion(q=[0.1, 0.2])
+    step, ref = taut.tensors.differentiable(ctrl), taut.JointMotion(q=[0.1, 0.2])
     q = torch.zeros(3, 2, dtype=torch.float64)
     _, memory = step(q, q, ref)
     wrong: list[tuple[Any, dict[str, Any]]] = [
         (UsageError, {"q": q.half()}),
         (UsageError, {"q": torch.zeros(3, 2, device="meta", dtype=torch.float64)}),
         (UsageError, {"v": q.float()}),
+        (UsageError, {"v": torch.zeros(3, 2, device="meta", dtype=torch.float64)}),
+        (ShapeError, {"q": q[0]}),
+        (ShapeError, {"q": q.numpy()}),
         (ShapeError, {"v": torch.zeros(2, 2, dtype=torch.float64)}),
         (UsageError, {"v": None}),
         (UsageError, {"ref": {"q": q}}),

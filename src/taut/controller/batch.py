@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, Literal, NoReturn, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from taut.base.checks import one_of, whole_number
+from taut.base.checks import float_array, one_of, whole_number
 from taut.base.errors import ShapeError, TautError, UsageError, unknown_name
 from taut.base.paths import Named, Parameters
 from taut.codegen.functions import DOUBLE, SINGLE
@@ -97,6 +97,9 @@ class Batch:
 
     def __repr__(self) -> str:
         return f"Batch(n={self.n}, {self.side.law!r}, {self.side.arm!r}, {self.dtype})"
+
+    def __reduce__(self) -> NoReturn:
+        raise UsageError("a batch cannot be copied or pickled; make another one: ctrl.batch(n)", name="batch")
 
     def step(
         self,
@@ -223,7 +226,7 @@ def host_array(name: str, value: Any) -> Rows:
     except (BufferError, RuntimeError, TypeError, ValueError) as cause:
         raise UsageError(
             f"{name} cannot be read where it is: {cause}; a tensor of float32 or float64 without a gradient can, "
-            "such as q.detach(); for gradients take taut.differentiable",
+            "such as q.detach(); for gradients take taut.tensors.differentiable",
             name=name,
         ) from cause
     raise UsageError(
@@ -244,13 +247,14 @@ class LaneParameters(Parameters):
 
     def __setitem__(self, path: str, value: Any) -> None:
         shape = self._side.parameters[self._known(path)].shape
-        array = np.asarray(host_array(path, value) if hasattr(value, "__dlpack_device__") else value)
+        array = float_array(path, host_array(path, value) if hasattr(value, "__dlpack_device__") else value)
         if array.shape == (self._n, *shape):
-            self._check_rows(path, array.astype(np.float64))
+            self._check_rows(path, array)
             self._store(path, array, per_lane=True)
-        elif array.ndim == len(shape) + 1 > 1 and array.shape[1:] == shape:
+        elif array.ndim > len(shape):
             raise ShapeError(
-                f"{path} must have shape {(self._n, *shape)}, or {shape} for all lanes; got shape {array.shape}",
+                f"{path} must have shape {(self._n, *shape)}, or {shape} for all lanes, as it was compiled; got "
+                f"shape {array.shape}",
                 name=path,
             )
         else:

@@ -1,4 +1,4 @@
-"""taut.differentiable: the tick of a controller as a function of torch tensors, with its exact derivative."""
+"""The tick of a controller as a function of torch tensors, with its exact derivative."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def differentiable(ctrl: Controller) -> Differentiable:
 
 
 class Differentiable:
-    """The tick of a controller as a function of torch tensors. Made by `taut.differentiable`; call it.
+    """The tick of a controller as a function of torch tensors. Made by `taut.tensors.differentiable`; call it.
 
     A lane in which a number is not finite gets NaN in all of its results; in the derivative likewise.
     """
@@ -100,7 +100,10 @@ class Differentiable:
             ShapeError: A tensor of another shape.
         """
         given, _ = step_arguments(self._side, (), {"q": q, "v": v, **measured})
-        dtype = host_array("q", q.detach() if isinstance(q, self._torch.Tensor) else q).dtype
+        if not isinstance(q, self._torch.Tensor) or q.ndim != 2:
+            got = f"shape {tuple(q.shape)}" if isinstance(q, self._torch.Tensor) else type(q).__name__
+            raise ShapeError(f"q must be a tensor of torch, (n, {self._side.arm.n}); got {got}", name="q")
+        dtype = host_array("q", q.detach()).dtype
         if dtype not in REALS:
             raise UsageError(f"q must be float64 or float32; got {dtype}", name="q")
         for path in parameters or {}:
@@ -132,8 +135,9 @@ class Differentiable:
             value = given[field.path]
             if not isinstance(value, self._torch.Tensor):
                 value = self._torch.tensor(np.asarray(value), dtype=dtype)
-            if value.dtype != dtype:
-                raise UsageError(f"{field.path} must be {dtype}, as q is; got {value.dtype}", name=field.path)
+            if value.dtype != dtype or value.device.type != "cpu":
+                got = f"{value.dtype} on {value.device}"
+                raise UsageError(f"{field.path} must be {dtype} on the CPU, as q is; got {got}", name=field.path)
             if tuple(value.shape) not in (field.shape, (n, *field.shape)):
                 raise ShapeError(
                     f"{field.path} must have shape {(n, *field.shape)}, or {field.shape} for all lanes; got shape "

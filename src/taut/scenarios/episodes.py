@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taut.arm.description import Arm
-from taut.base.errors import ShapeError, UsageError, unknown_name
+from taut.base.checks import float_array, instance_of, whole_number
+from taut.base.errors import RangeError, ShapeError, UsageError, unknown_name
 from taut.base.fields import Choice, Declared, Field, Plain, Whole
 from taut.base.paths import subtree
 from taut.base.types import Array, Float64Array
@@ -250,7 +251,9 @@ class Episodes:
     """n episodes side by side."""
 
     def __init__(self, episode: Episode, n: int) -> None:
-        scenario, self._n, self._episode = load_scenario(episode.scenario, values=episode.values), n, episode
+        instance_of("episode", episode, Episode, "a taut.gym.Episode")
+        self._n, self._episode = whole_number("n", n, minimum=1), episode
+        scenario = load_scenario(episode.scenario, values=episode.values)
         cases = scenario.cases or {"": scenario}
         if episode.case is not None and episode.case not in cases:
             raise unknown_name(f"scenario '{scenario.name}'", "case", episode.case, cases)
@@ -278,14 +281,23 @@ class Episodes:
         usual: Any = plant.arm.effort if episode.action == "torque" else SCALES[episode.action]
         scale = np.asarray(usual if episode.scale is None else episode.scale)
         size = 6 if "p" in self._fields else joints
-        if scale.shape not in ((), (1,), (size,)) or not np.isfinite(scale).all():
-            raise ShapeError(f"scale must be a number or ({size},), finite; got {scale.tolist()}", name="scale")
+        if not np.isfinite(scale).all():
+            raise UsageError(
+                f"arm '{plant.arm.name}' has joints without a torque limit; give scale, the torque of an action of 1",
+                name="scale",
+            )
+        if scale.shape not in ((), (1,), (size,)):
+            raise ShapeError(f"scale must be a number or ({size},); got {scale.tolist()}", name="scale")
         self._scale, self._gains = np.broadcast_to(scale, (size,)), dict[str, tuple[Any, Any]]()
         for path, ends in episode.gains.items():
             if path not in {**plant.parameters, **ctrl.parameters}:
                 raise unknown_name("the loop", "parameter", path, {**plant.parameters, **ctrl.parameters})
             owner: Any = ctrl.side if path in ctrl.parameters else plant
-            low, high = (np.array(owner.checked_parameter(path, end)) for end in ends)
+            low, high = (owner.checked_parameter(path, end) for end in _two(path, ends))
+            if not (low > 0.0).all() or not (high > 0.0).all():
+                raise RangeError(
+                    f"the ends of {path} must be > 0, as its scale is logarithmic; got {low} and {high}", name="gains"
+                )
             self._gains[path] = low, high / low
         self.action_size = size + sum(low.size for low, _ in self._gains.values())
         self.arms: FusedArms | HostedArms
@@ -317,7 +329,12 @@ class Episodes:
 
     def act(self, actions: Any, rng: np.random.Generator) -> tuple[Float64Array, Mask, Mask]:
         """A step of all lanes by actions (n, k): rewards, and which lanes are terminated and truncated."""
-        given = np.clip(np.asarray(actions, dtype=np.float64).reshape(self._n, self.action_size), -1.0, 1.0)
+        whole = float_array("actions", actions)
+        if whole.size != self._n * self.action_size:
+            raise ShapeError(
+                f"actions must have shape {(self._n, self.action_size)}; got shape {whole.shape}", name="actions"
+            )
+        given = np.clip(whole.reshape(self._n, self.action_size), -1.0, 1.0)
         change, rest = given[:, : self._scale.size] * self._scale, given[:, self._scale.size :]
         for path, (low, ratio) in self._gains.items():
             part, rest = rest[:, : low.size].reshape(-1, *low.shape), rest[:, low.size :]
@@ -339,6 +356,12 @@ class Episodes:
 
     def _watch(self) -> None:
         self._look.at(self.arms, {name: rows[self._step] for name, rows in self._reference.items()})
+
+
+def _two(path: str, ends: Any) -> tuple[Any, Any]:
+    if not isinstance(ends, tuple | list) or len(ends) != 2:
+        raise UsageError(f"gains['{path}'] must be the two ends (low, high); got {ends!r}", name="gains")
+    return ends[0], ends[1]
 
 
 def _law(laws: Mapping[str, Law], episode: Episode) -> Law:

@@ -98,7 +98,8 @@ class ScenarioVectorEnv(VectorEnv[Numbers, Numbers, NDArray[Any]]):
         """One action of each."""
         reward, terminated, truncated = self._lanes.act(actions, self.np_random)
         begins = self._over
-        self._lanes.begin(begins, self.np_random)
+        if begins.any():
+            self._lanes.begin(begins, self.np_random)
         reward[begins], terminated[begins], truncated[begins] = 0.0, False, False
         self._over = terminated | truncated
         return self._lanes.seen, reward, terminated, truncated, {}

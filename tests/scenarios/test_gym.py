@@ -1,4 +1,4 @@
-"""Scenarios as environments of Gymnasium: its own checker, runs of taut, the vector form, and that something learns."""
+"""Scenarios as environments of Gymnasium: its own checker, runs of taut, the vector form, and what is refused."""
 
 from __future__ import annotations
 
@@ -7,14 +7,23 @@ from typing import Any
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from refusals import refused
 
 import taut
+from taut.errors import RangeError, ShapeError, UnknownNameError, UsageError
 from taut.gym import Episode, ScenarioEnv, ScenarioVectorEnv
 from taut.scenarios.scenario import load_scenario
 
 RIGID = {"plant.kind": "rigid"}
-PUSH = Episode(scenario="panda_pushed", action="pose change", values=RIGID, gains={"law.K": ((100, 10), (1000, 100))})
 SHORT = {"run.duration": 0.1}
+HEIGHT = 0.48  # [m] of a floor below the tool, which begins at 0.487 m
+FLOOR = {"kind": "wall", "point": [0.0, 0.0, HEIGHT], "normal": [0.0, 0.0, 1.0], "stiffness": 1e4, "damping": 50.0}
+ON_FLOOR = Episode(
+    scenario="panda_payload",
+    action="pose change",
+    values=RIGID | {"plant.environment": FLOOR, "run.duration": 0.2},
+    gains={"law.K": ((100, 10), (1000, 100))},
+)
 
 
 @pytest.mark.filterwarnings("ignore:.*A Box observation space (min|max)imum value is -?infinity")
@@ -23,12 +32,25 @@ SHORT = {"run.duration": 0.1}
     [
         Episode(scenario="one_joint_pid", action="torque", scale=2.0, values=SHORT),
         Episode(scenario="so101_servo", values={"plant.sensors": {"position": {"noise": 1e-3}}}),
-        PUSH,
+        ON_FLOOR,
+        pytest.param(Episode(scenario="cabinet_door", action="pose", values=SHORT), marks=pytest.mark.long),
     ],
-    ids=["torque", "noise", "pose and stiffness"],
+    ids=["torque", "noise", "contact", "contact in MuJoCo"],
 )
 def test_an_environment_passes_the_checker_of_gymnasium(episode: Episode) -> None:
     check_env(ScenarioEnv(episode), skip_render_check=True)
+
+
+def test_a_tool_that_goes_down_rests_on_the_floor() -> None:
+    envs = ScenarioVectorEnv(ON_FLOOR, 2)
+    envs.reset(seed=0)
+    down = np.zeros(envs.action_space.shape)
+    down[:, 2], down[0, 8] = -0.3, -1.0  # 3 mm in each step; the spring of one lane is soft upwards
+    for _ in range(20):
+        envs.step(down)
+    arm = taut.load_arm("panda")
+    heights = [taut.snapshot(arm, q).T().p[2] for q in envs._lanes.arms.q]
+    assert HEIGHT - 5e-3 < heights[1] < heights[0] < HEIGHT
 
 
 def experiment_of(episode: Episode) -> Any:
@@ -112,20 +134,30 @@ def test_each_lane_of_a_vector_environment_begins_anew_in_the_step_after_its_end
     np.testing.assert_array_equal(again, first)
 
 
-def test_evolution_of_a_linear_policy_learns_to_follow() -> None:
-    """Each lane is a candidate; the best eighth make the next generation."""
-    envs, n = ScenarioVectorEnv(Episode(scenario="one_joint_pid", decimation=50, width=0.5), 64), 64
-    rng = np.random.default_rng(0)
-    mean, std, returns = np.zeros(2), np.full(2, 3.0), []
-    for _ in range(4):
-        w = mean + std * rng.standard_normal((n, 2))
-        seen, _ = envs.reset(seed=0)
-        total, over = np.zeros(n), np.zeros(n, dtype=bool)
-        while not over.all():
-            seen, reward, _, over, _ = envs.step(np.sum(w * seen[:, 2:], axis=1, keepdims=True))
-            total += reward
-        best = w[np.argsort(total)[-n // 8 :]]
-        mean, std = best.mean(axis=0), best.std(axis=0)
-        returns.append(total.mean())
-    assert returns[0] < 0.6 * returns[-1]
-    assert mean[0] > 0.0
+def test_what_is_no_episode_is_refused() -> None:
+    wrong: list[tuple[Any, Any]] = [
+        (UnknownNameError, {"scenario": "panda_paylod"}),
+        (UsageError, {"scenario": "one_joint_pid", "action": "torques"}),
+        (UsageError, {"scenario": "touch_and_press"}),
+        (UsageError, {"scenario": "geared_force", "action": "torque", "scale": 1.0}),
+        (UnknownNameError, {"scenario": "gain_bounds", "case": "none of them"}),
+        (UnknownNameError, {"scenario": "one_joint_pid", "law": "PDD"}),
+        (UnknownNameError, {"scenario": "one_joint_pid", "gains": {"law.K": (1.0, 2.0)}}),
+        (RangeError, {"scenario": "one_joint_pid", "gains": {"law.kp": (-1.0, 2.0)}}),
+        (ShapeError, {"scenario": "one_joint_pid", "scale": [1.0, 2.0]}),
+        (UsageError, {"scenario": "one_joint_pid", "action": "torque"}),
+        (RangeError, {"scenario": "one_joint_pid", "gains": {"law.kp": (0.0, 2.0)}}),
+        (UsageError, {"scenario": "one_joint_pid", "gains": {"law.kp": 2.0}}),
+        (RangeError, {"scenario": "one_joint_pid", "decimation": 0}),
+    ]
+    for kind, arguments in wrong:
+        with refused(kind):
+            ScenarioEnv(Episode(**arguments))
+    one = Episode(scenario="one_joint_pid", values=SHORT)
+    with refused(UsageError):
+        ScenarioEnv("one_joint_pid")
+    for n in (0, 1.5):
+        with refused(RangeError):
+            ScenarioVectorEnv(one, n)
+    with refused(ShapeError):
+        ScenarioEnv(one).step(np.zeros(3))
