@@ -27,7 +27,7 @@ test: $(VENV)/test.stamp
 	$(BIN)/pytest -n 2 --dist loadgroup
 
 test-extras: $(EXTRAS)/test.stamp
-	$(EXTRAS)/bin/pytest tests/extras
+	$(EXTRAS)/bin/pytest tests/extras "tests/test_docs.py::test_the_python_on_the_page_runs[tensors.md]"
 
 lock: $(BIN)/python
 	$(BIN)/python tools/lock.py
@@ -44,6 +44,7 @@ scorecard: $(VENV)/test.stamp
 
 bench: $(VENV)/test.stamp
 	cd benchmarks && ../$(BIN)/python run.py
+	cd benchmarks && ../$(BIN)/python batch.py
 
 soak: $(VENV)/test.stamp
 	cd benchmarks && ../$(BIN)/python soak.py

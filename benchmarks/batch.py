@@ -1,6 +1,6 @@
-"""ctrl.batch of 4096 laws against the scalar tick, one core: the table of docs/batch.md.
+"""ctrl.batch of 4096 laws against the scalar tick, one core: the table of docs/tensors.md.
 
-`make bench-batch` runs it. Each figure is a median of ratios of interleaved rounds in the time of one thread, so that
+`make bench` runs it, as `python batch.py` in this folder does. Each figure is a median of ratios of interleaved rounds in the time of one thread, so that
 other work on the machine does not count; each case computes for the same time in its turn. States and gains differ
 in every lane; putting them into lanes, and the checks of all numbers, are part of it.
 """
@@ -45,7 +45,8 @@ def cases(ctrl: taut.Controller) -> dict[str, Any]:
         for path, value in ctrl.parameters.items():
             if path.startswith("law."):
                 batch.parameters[path] = np.multiply.outer(rng.uniform(0.7, 1.4, N), value)
-        wanted = {name: np.tile(value, (N, *[1] * value.ndim)).astype(dtype) for name, value in ref.stated().items()}
+        fields = {name: np.asarray(getattr(ref, name), dtype) for name in ref.fields(7)}
+        wanted = {name: np.tile(value, (N, *[1] * value.ndim)) for name, value in fields.items()}
         given = {"q": q.astype(dtype), "v": v.astype(dtype), "ref": wanted, "out": np.empty((N, 7), dtype)}
         batch.step(**given)
         assert batch.finite.all()
@@ -68,9 +69,9 @@ def main() -> int:
     table = Table(
         "law",
         "operations",
-        "scalar tick [ns]",
-        "double [ns], factor",
-        "float [ns], factor",
+        "scalar tick, ns",
+        "double, ns; factor",
+        "float, ns; factor",
         "float is off by",
         title=title,
     )

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
-import torch
-import warp
 
 import taut
 from taut.errors import UsageError
 
+jnp, torch, warp = (pytest.importorskip(name) for name in ("jax.numpy", "torch", "warp"))
 ARM, N = taut.load_arm("ur5"), 37
 RNG = np.random.default_rng(0)
 Q = (ARM.home + 0.3 * RNG.standard_normal((N, ARM.n))).astype(np.float32)

@@ -1,4 +1,4 @@
-"""taut.tensors.differentiable: torch's own check of the derivative, by everything that goes in, over ticks with memory."""
+"""A tick for torch: its own check of the derivative by everything that goes in, over ticks with memory."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
 import taut
 from taut import Gain, Torque
 from taut.errors import ShapeError, UnknownNameError, UsageError
 
+torch = pytest.importorskip("torch")
 L, LANES = taut.laws, 2
 
 

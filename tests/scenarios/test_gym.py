@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import runpy
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -132,6 +134,12 @@ def test_each_lane_of_a_vector_environment_begins_anew_in_the_step_after_its_end
             np.testing.assert_array_equal(seen[[0, 1, 3, 4]], first[[0, 1, 3, 4]])
     again, _ = envs.reset(seed=3)
     np.testing.assert_array_equal(again, first)
+
+
+def test_the_example_learns_to_follow() -> None:
+    example = Path(__file__).parents[2] / "examples" / "learning" / "follow.py"
+    first, last = runpy.run_path(str(example))["learn"](generations=4)
+    assert last > 5.0 * first > 0.0
 
 
 def test_what_is_no_episode_is_refused() -> None:
