@@ -1,8 +1,9 @@
 """ctrl.batch of 4096 laws against the scalar tick, one core: the table of docs/tensors.md.
 
-`make bench` runs it, as `python batch.py` in this folder does. Each figure is a median of ratios of interleaved rounds in the time of one thread, so that
-other work on the machine does not count; each case computes for the same time in its turn. States and gains differ
-in every lane; putting them into lanes, and the checks of all numbers, are part of it.
+`make bench` runs it, as `python batch.py` in this folder does. Each figure is a median of ratios of interleaved
+rounds in the time of one thread, so that other work on the machine does not count; each case computes for the same
+time in its turn. States and gains differ in every lane; putting them into lanes, and the checks of all numbers, are
+part of it.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ ARMS, SPREAD, SMALLEST = 128, 0.5, 0.02  # spreads of the gains: at first, at le
 
 
 def returns(envs: taut.gym.ScenarioVectorEnv, policies: np.ndarray) -> np.ndarray:
-    """(arms,) sums of rewards over one episode, of a policy (2, 7) for each arm: gains of the error and of its rate."""
+    """(arms,) sums of rewards of an episode. Policies (arms, 2, 7) are gains of the error and of its rate."""
     seen, _ = envs.reset(seed=0)
     total, over = np.zeros(len(policies)), np.zeros(len(policies), dtype=bool)
     while not over.all():

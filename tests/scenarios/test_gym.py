@@ -154,7 +154,7 @@ def test_what_is_no_episode_is_refused() -> None:
         (RangeError, {"scenario": "one_joint_pid", "gains": {"law.kp": (-1.0, 2.0)}}),
         (ShapeError, {"scenario": "one_joint_pid", "scale": [1.0, 2.0]}),
         (UsageError, {"scenario": "one_joint_pid", "action": "torque"}),
-        (RangeError, {"scenario": "one_joint_pid", "gains": {"law.kp": (0.0, 2.0)}}),
+        (UsageError, {"scenario": "one_joint_pid", "gains": {"law.kp": (0.0, 2.0)}}),
         (UsageError, {"scenario": "one_joint_pid", "gains": {"law.kp": 2.0}}),
         (RangeError, {"scenario": "one_joint_pid", "decimation": 0}),
     ]

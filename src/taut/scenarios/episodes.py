@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from taut.arm.description import Arm
 from taut.base.checks import float_array, instance_of, whole_number
-from taut.base.errors import RangeError, ShapeError, UsageError, unknown_name
+from taut.base.errors import ShapeError, UsageError, unknown_name
 from taut.base.fields import Choice, Declared, Field, Plain, Whole
 from taut.base.paths import subtree
 from taut.base.types import Array, Float64Array
@@ -289,16 +289,14 @@ class Episodes:
         if scale.shape not in ((), (1,), (size,)):
             raise ShapeError(f"scale must be a number or ({size},); got {scale.tolist()}", name="scale")
         self._scale, self._gains = np.broadcast_to(scale, (size,)), dict[str, tuple[Any, Any]]()
-        for path, ends in episode.gains.items():
+        for path, both in episode.gains.items():
             if path not in {**plant.parameters, **ctrl.parameters}:
                 raise unknown_name("the loop", "parameter", path, {**plant.parameters, **ctrl.parameters})
             owner: Any = ctrl.side if path in ctrl.parameters else plant
-            low, high = (owner.checked_parameter(path, end) for end in _two(path, ends))
-            if not (low > 0.0).all() or not (high > 0.0).all():
-                raise RangeError(
-                    f"the ends of {path} must be > 0, as its scale is logarithmic; got {low} and {high}", name="gains"
-                )
-            self._gains[path] = low, high / low
+            ends = [owner.checked_parameter(path, end) for end in both] if isinstance(both, (tuple, list)) else []
+            if len(ends) != 2 or not all((end > 0.0).all() for end in ends):
+                raise UsageError(f"gains of {path} must be two ends (low, high) > 0; got {both!r}", name="gains")
+            self._gains[path] = ends[0], ends[1] / ends[0]
         self.action_size = size + sum(low.size for low, _ in self._gains.values())
         self.arms: FusedArms | HostedArms
         if isinstance(plant, ModelPlant):
@@ -329,12 +327,7 @@ class Episodes:
 
     def act(self, actions: Any, rng: np.random.Generator) -> tuple[Float64Array, Mask, Mask]:
         """A step of all lanes by actions (n, k): rewards, and which lanes are terminated and truncated."""
-        whole = float_array("actions", actions)
-        if whole.size != self._n * self.action_size:
-            raise ShapeError(
-                f"actions must have shape {(self._n, self.action_size)}; got shape {whole.shape}", name="actions"
-            )
-        given = np.clip(whole.reshape(self._n, self.action_size), -1.0, 1.0)
+        given = np.clip(float_array("actions", actions, shape=(self._n, self.action_size)), -1.0, 1.0)
         change, rest = given[:, : self._scale.size] * self._scale, given[:, self._scale.size :]
         for path, (low, ratio) in self._gains.items():
             part, rest = rest[:, : low.size].reshape(-1, *low.shape), rest[:, low.size :]
@@ -356,12 +349,6 @@ class Episodes:
 
     def _watch(self) -> None:
         self._look.at(self.arms, {name: rows[self._step] for name, rows in self._reference.items()})
-
-
-def _two(path: str, ends: Any) -> tuple[Any, Any]:
-    if not isinstance(ends, tuple | list) or len(ends) != 2:
-        raise UsageError(f"gains['{path}'] must be the two ends (low, high); got {ends!r}", name="gains")
-    return ends[0], ends[1]
 
 
 def _law(laws: Mapping[str, Law], episode: Episode) -> Law:

@@ -53,7 +53,7 @@ class ScenarioEnv(gymnasium.Env[Numbers, Numbers]):
 
     def step(self, action: Numbers) -> tuple[Numbers, float, bool, bool, Info]:
         """One action."""
-        reward, terminated, truncated = self._lanes.act(action, self.np_random)
+        reward, terminated, truncated = self._lanes.act(np.asarray(action)[np.newaxis], self.np_random)
         seen = self._lanes.seen[0]
         return seen, float(reward[0]), bool(terminated[0]), bool(truncated[0]), {}
 

@@ -14,7 +14,7 @@ FLUSH: Final = (
 
 
 class LaneWriter:
-    """Writes a function that goes over groups of lanes; a writer, with what the two of them share."""
+    """Writes a function that goes over groups of lanes; a writer, with what such functions share."""
 
     def __init__(self, lanes: Lanes) -> None:
         self._lanes, self._writer = lanes, Writer()
