@@ -49,10 +49,10 @@ class Batch:
     finite: NDArray[np.bool_]
     """(n,) whether all numbers of each lane were finite in the last tick."""
     memory: Mapping[str, Rows]
-    """(n, ...) by path: the memory of the lanes itself, to read and to write. lane.ticks counts ticks since the
-    start; where lane.fresh is 1 the next tick starts the others from what is measured then."""
+    """The memory of the lanes itself by path, (n, ...), to read and to write. lane.ticks counts ticks since the
+    start; where lane.fresh is 1 the next tick starts the rest from what is measured then."""
     parameters: Parameters
-    """By path, (n, ...) of each lane or (...) of all. What is set is checked, and copied."""
+    """Parameters by path, (n, ...) of each lane or (...) of all. What is set is checked, and copied."""
 
     def __init__(self, ctrl: Controller, n: int, device: Device, real: RealName, threads: int | None) -> None:
         self.n = whole_number("n", n, minimum=1)
@@ -61,10 +61,8 @@ class Batch:
         one_of("real", real, ("double", "float"))
         self.side: LawSide = ctrl.side
         if device == "cuda":
-            raise UsageError(
-                "device='cuda': this version has no code for a GPU; take device='cpu' and arrays in its memory",
-                name="device",
-            )
+            text = "this version has no code for a GPU; take device='cpu' and arrays in its memory"
+            raise UsageError(f"device='cuda': {text}", name="device")
         if self.side.task is not None:
             raise UsageError(
                 "a batch is for a law, whose reference is written from outside; the references of a task are made by "

@@ -241,7 +241,7 @@ class Controller:
             >>> import numpy as np, taut
             >>> ctrl = taut.compile(taut.laws.PID(kp=10.0), taut.load_arm("planar2"))
             >>> batch = ctrl.batch(3)
-            >>> batch.parameters["law.kp"] = [[1.0, 1.0], [2.0, 2.0], [3.0, 3.0]]
+            >>> batch.parameters["law.kp"] = [1.0, 2.0, 3.0]
             >>> batch.step(np.zeros((3, 2)), np.zeros((3, 2)), taut.JointMotion(q=[1.0, 2.0])).tolist()
             [[1.0, 2.0], [2.0, 4.0], [3.0, 6.0]]
         """

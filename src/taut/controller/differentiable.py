@@ -101,7 +101,7 @@ class Differentiable:
         """
         given, _ = step_arguments(self._side, (), {"q": q, "v": v, **measured})
         if not isinstance(q, self._torch.Tensor) or q.ndim != 2:
-            got = f"shape {tuple(q.shape)}" if isinstance(q, self._torch.Tensor) else type(q).__name__
+            got = f"{type(q).__name__} of shape {tuple(np.shape(q))}"
             raise ShapeError(f"q must be a tensor of torch, (n, {self._side.arm.n}); got {got}", name="q")
         dtype = host_array("q", q.detach()).dtype
         if dtype not in REALS:

@@ -23,7 +23,6 @@ import numpy as np
 from taut.analysis.sweeps.chunks import Results, Runner, Stopped, failed_results, runner_of
 from taut.analysis.sweeps.plan import Plan
 from taut.base.errors import UsageError
-from taut.codegen.native import cores as cores
 
 START: Final = 300.0  # [s] for a process to begin and compile the loop
 SAMPLE_PATIENCE: Final = 60.0  # [s] for a sample, until it is known how long one takes

@@ -8,9 +8,7 @@ from typing import Final
 from taut.codegen.functions import SINGLE
 from taut.codegen.llvm import CACHE_LINE, Lanes, Writer, spread
 
-FLUSH: Final = (
-    0x8040  # bits of MXCSR: what is smaller than normal numbers is zero; it would take a hundred times longer
-)
+FLUSH: Final = 0x8040  # bits of MXCSR: numbers smaller than the normal ones are zero, not a hundred times slower
 
 
 class LaneWriter:
