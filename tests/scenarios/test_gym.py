@@ -116,22 +116,25 @@ def test_poses_and_gains_of_an_action_reach_the_law() -> None:
 
 
 def test_each_lane_of_a_vector_environment_begins_anew_in_the_step_after_its_end() -> None:
-    envs = ScenarioVectorEnv(Episode(scenario="one_joint_pid", action="torque", scale=2.0, values=SHORT), 5)
+    episode = Episode(scenario="one_joint_pid", action="torque", scale=2.0, values=SHORT)
+    envs, well, others = ScenarioVectorEnv(episode, 5), ScenarioVectorEnv(episode, 5), [0, 1, 3, 4]
     first, _ = envs.reset(seed=3)
+    well.reset(seed=3)
     actions = np.ones((5, 1), dtype=np.float32)
     broken = actions.copy()
     broken[2] = np.nan
     for k in range(12):
         seen, reward, terminated, truncated, _ = envs.step(broken if k == 3 else actions)
+        np.testing.assert_array_equal(seen[others], well.step(actions)[0][others])
         assert terminated.tolist() == [False, False, k == 3, False, False]
         alone = k - 4  # steps of the lane that ended early
         assert truncated.tolist() == [(k == 9)] * 2 + [alone == 10] + [(k == 9)] * 2
         assert (reward == 0.0).tolist() == [k == 10] * 2 + [k in (3, 4)] + [k == 10] * 2
         if k == 4:
             np.testing.assert_array_equal(seen[2], first[2])
-            assert (seen[[0, 1, 3, 4]] != first[0]).any(axis=1).all()
+            assert (seen[others] != first[0]).any(axis=1).all()
         if k == 10:
-            np.testing.assert_array_equal(seen[[0, 1, 3, 4]], first[[0, 1, 3, 4]])
+            np.testing.assert_array_equal(seen[others], first[others])
     again, _ = envs.reset(seed=3)
     np.testing.assert_array_equal(again, first)
 
