@@ -142,6 +142,7 @@ def test_tensors_that_do_not_fit_are_refused() -> None:
         (UsageError, {"ref": {"q": q}}),
         (UnknownNameError, {"parameters": {"law.kq": q}}),
         (ShapeError, {"parameters": {"law.kp": torch.zeros(4, dtype=torch.float64)}}),
+        (ShapeError, {"parameters": {"law.kp": "much"}}),
         (UsageError, {"memory": {"t": memory["t"]}}),
     ]
     for kind, change in wrong:

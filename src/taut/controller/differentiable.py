@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from taut.base.checks import instance_of
+from taut.base.checks import float_array, instance_of
 from taut.base.errors import ShapeError, UsageError, missing_extra, unknown_name
 from taut.base.paths import subtree
 from taut.codegen.functions import DOUBLE, SINGLE, Real
@@ -88,7 +88,8 @@ class Differentiable:
             q: (n, joints) measured positions [rad | m], a tensor of float64 or float32, as all others.
             v: (n, joints) measured velocities [rad/s | m/s].
             ref: One sample for all lanes, or tensors by the names of its fields, as for `Batch.step`.
-            parameters: By path, (n, ...) or (...) for all; those of the controller where left out.
+            parameters: By path, (n, ...) or (...) for all; those of the controller where left out. Their ranges are
+                not checked.
             memory: That of the tick before; it starts from what is measured if left out.
             measured: F_ext, tau_meas and others, where the law needs them.
 
@@ -134,7 +135,7 @@ class Differentiable:
                 )
             value = given[field.path]
             if not isinstance(value, self._torch.Tensor):
-                value = self._torch.tensor(np.asarray(value), dtype=dtype)
+                value = self._torch.tensor(float_array(field.path, value), dtype=dtype)
             if value.dtype != dtype or value.device.type != "cpu":
                 got = f"{value.dtype} on {value.device}"
                 raise UsageError(f"{field.path} must be {dtype} on the CPU, as q is; got {got}", name=field.path)

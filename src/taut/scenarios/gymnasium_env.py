@@ -43,9 +43,7 @@ class ScenarioEnv(gymnasium.Env[Numbers, Numbers]):
         self._lanes = Episodes(episode, 1)
         self.observation_space, self.action_space = spaces(self._lanes)
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Numbers, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Numbers, Info]:
         """Begin an episode."""
         super().reset(seed=seed, options=options)
         self._lanes.begin(np.ones(1, dtype=np.bool_), self.np_random)
@@ -85,9 +83,7 @@ class ScenarioVectorEnv(VectorEnv[Numbers, Numbers, NDArray[Any]]):
         self.action_space = batch_space(self.single_action_space, n)
         self._over = np.zeros(n, dtype=np.bool_)
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Numbers, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Numbers, Info]:
         """All begin an episode."""
         super().reset(seed=seed, options=options)
         self._over[:] = False
@@ -107,8 +103,5 @@ class ScenarioVectorEnv(VectorEnv[Numbers, Numbers, NDArray[Any]]):
 
 def spaces(lanes: Episodes) -> tuple[Any, Any]:
     """Observations and actions of one arm."""
-    seen = lanes.seen.shape[1]
-    return (
-        Box(-np.inf, np.inf, (seen,), np.float32),
-        Box(-1.0, 1.0, (lanes.action_size,), np.float32),
-    )
+    seen = Box(-np.inf, np.inf, lanes.seen.shape[1:], np.float32)
+    return seen, Box(-1.0, 1.0, (lanes.action_size,), np.float32)
