@@ -181,7 +181,8 @@ class Batch:
         if not (array[0] if lead else array).flags.c_contiguous or not array.flags.aligned:
             raise UsageError(
                 f"{who} has gaps within a row, or is not aligned: strides {array.strides} in bytes, of "
-                f"{array.itemsize} a number; rows may lie apart, but the numbers of each side by side: make it contiguous",
+                f"{array.itemsize} a number; rows may lie apart, but the numbers of each side by side: "
+                "make it contiguous",
                 name=who,
                 value=array.strides,
             )
