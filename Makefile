@@ -1,7 +1,7 @@
 # make demo   set up, run the main job, print what it made and where
 # make test   set up, run lint, types and tests
-# make test-extras   sweeps on a Ray cluster of this machine, logs in the readers of Rerun and rosbags: in an
-#                    environment of its own, .venv-extras (1 GB)
+# make test-extras   arrays and gradients of torch, JAX and Warp, sweeps on a Ray cluster of this machine, logs in the
+#                    readers of Rerun and rosbags: in an environment of its own, .venv-extras (3.8 GB)
 # make lock   write locked.txt anew: what taut needs, with versions and hashes
 # make bars   the long counts;  make bench  figures against Pinocchio and MuJoCo;  make docs  the site
 # make firmware   exported C: time here, instructions on a Cortex-M7 in QEMU
@@ -27,7 +27,7 @@ test: $(VENV)/test.stamp
 	$(BIN)/pytest -n 2 --dist loadgroup
 
 test-extras: $(EXTRAS)/test.stamp
-	$(EXTRAS)/bin/pytest tests/extras
+	$(EXTRAS)/bin/pytest tests/extras "tests/test_docs.py::test_the_python_on_the_page_runs[tensors.md]"
 
 lock: $(BIN)/python
 	$(BIN)/python tools/lock.py
@@ -44,6 +44,7 @@ scorecard: $(VENV)/test.stamp
 
 bench: $(VENV)/test.stamp
 	cd benchmarks && ../$(BIN)/python run.py
+	cd benchmarks && ../$(BIN)/python batch.py
 
 soak: $(VENV)/test.stamp
 	cd benchmarks && ../$(BIN)/python soak.py
@@ -71,7 +72,7 @@ $(VENV)/demo.stamp: $(BIN)/python pyproject.toml constraints.txt
 # another reads the servo files and the friction of better-actuator-models, which itself needs Python 3.12, and another
 # compares the frames of motors with those of damiao-motor, which itself needs a web server.
 $(VENV)/test.stamp: $(BIN)/python pyproject.toml constraints.txt
-	$(PIP) install --quiet -c constraints.txt -e ".[arms,can,control,franka,oracles,ruckig,sweep,ur,dev,docs]"
+	$(PIP) install --quiet -c constraints.txt -e ".[arms,can,control,franka,gym,oracles,ruckig,sweep,ur,dev,docs]"
 	$(PIP) download --quiet --dest .wheels -c constraints.txt $$($(BIN)/python tools/core_requirements.py)
 	$(PIP) download --quiet --dest .wheels -c constraints.txt --no-deps --python-version 3.12 better-actuator-models
 	$(PIP) download --quiet --dest .wheels -c constraints.txt --no-deps damiao-motor
@@ -79,5 +80,5 @@ $(VENV)/test.stamp: $(BIN)/python pyproject.toml constraints.txt
 
 $(EXTRAS)/test.stamp: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(EXTRAS)
-	$(EXTRAS)/bin/python -m pip --disable-pip-version-check install --quiet -c constraints.txt pytest -e ".[arms,ray,sweep,viewers]"
+	$(EXTRAS)/bin/python -m pip --disable-pip-version-check install --quiet -c constraints.txt pytest -e ".[arms,gym,ray,sweep,tensors,viewers]"
 	@touch $@

@@ -23,7 +23,7 @@ import numpy as np
 import taut
 from taut.analysis.sweeps import sweep as front
 from taut.analysis.sweeps.chunks import runner_of
-from taut.analysis.sweeps.workers import cores
+from taut.codegen.native import cores
 
 TICKS, CHUNK, BILLION = 1000, 1024, 1_000_000_000
 CENTER = [0.0, -0.3, 0.0, -1.8, 0.0, 1.5, 0.7]

@@ -17,12 +17,13 @@ from taut.analysis.sweeps.chunks import LaneRuns, Results, runner_of
 from taut.analysis.sweeps.cluster import check_ray, run_on_ray
 from taut.analysis.sweeps.plan import Plan, Runs, Subject, Variation
 from taut.analysis.sweeps.store import Memory, Store
-from taut.analysis.sweeps.workers import Chunk, cores, run_chunks
+from taut.analysis.sweeps.workers import Chunk, run_chunks
 from taut.base.checks import one_of, whole_number
 from taut.base.errors import RangeError, UsageError, count_of, unknown_name
 from taut.base.paths import Named
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
+from taut.codegen.native import cores
 from taut.control.tasks.phase import Phase
 from taut.controller import Controller
 from taut.loop import Loop
