@@ -15,6 +15,7 @@ import re
 import socket
 import tempfile
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import IO, Any, Final
@@ -110,8 +111,11 @@ def main() -> None:
         return
     write(answers, ("ready", None))
     with suppress(BrokenPipeError):  # of a parent that is gone
-        for answer in _answers(ray, workers, known, pickled, chunks):
-            write(answers, answer)
+        try:
+            for answer in _answers(ray, workers, known, pickled, chunks):
+                write(answers, answer)
+        except ray.exceptions.RayError as cause:
+            write(answers, ("absent", _sentence(cause)))
 
 
 def _answers(
@@ -124,14 +128,16 @@ def _answers(
     task = ray.remote(num_cpus=1, max_retries=0)(_work())
     given = known, [ray.put(pickled)]  # in a list, Ray hands on the reference
     yield ray.get(task.options(max_retries=3).remote(*given, None))
-    waiting, again, looked, limit = iter(chunks), list[Chunk](), -COUNT_PERIOD, 1
+    waiting, again, looked, limit = iter(chunks), deque[Chunk](), -COUNT_PERIOD, 1
     flying: dict[Any, Chunk] = {}
     died = set[Chunk]()
     while True:
         if workers is None and time.monotonic() > looked + COUNT_PERIOD:
             looked, limit = time.monotonic(), max(1, int(FOR_EACH_CPU * ray.cluster_resources().get("CPU", 0)))
         while len(flying) < (workers or limit):
-            chunk = again.pop() if again else next(waiting, None)
+            chunk = next(waiting, None)
+            if chunk is None and again:  # last, on other workers than it died with
+                chunk = again.popleft()
             if chunk is None:
                 break
             flying[task.remote(*given, chunk)] = chunk
