@@ -212,7 +212,7 @@ def drawn_shares(shares: Mapping[str, Sequence[Share]]) -> Figure:
     for i, (ax, (name, each)) in enumerate(
         zip(figure.subplots(1, len(shares), squeeze=False)[0], shares.items(), strict=True)
     ):
-        ax = prepared(ax, f"which parameter matters for {name}", xlabel="first-order share of the variance of ranks")
+        ax = prepared(ax, f"share in {name}", xlabel="of the variance of ranks")
         labels = [f"{short_name(one.path, 26)} ({'+' if one.correlation >= 0.0 else '-'})" for one in each]
         ax.barh(
             labels,

@@ -149,6 +149,7 @@ class Plan:
     seed: int
     columns: Mapping[str, tuple[str, Sequence[int]]] = field(default_factory=dict)  # of metrics, see `columns_of`
     figures: Mapping[str, Callable[[Run], float]] = field(default_factory=dict)  # other numbers, of whole runs
+    units: Mapping[str, str] = field(default_factory=dict)  # of columns
     record: tuple[str, ...] = ()  # names of `run.arrays()` that are kept
     every: int = 1  # tick of those
     real: str = "double"

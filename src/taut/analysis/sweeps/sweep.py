@@ -154,9 +154,9 @@ class Sweep(Result):
 
     @property
     def worst(self) -> int | None:
-        """The worst sample: of runs that did not come to their end the shortest, else the largest first number.
+        """The worst sample: of runs that did not come to their end the shortest, else that of the first number.
 
-        Largest without its sign; None where there is no number.
+        That has the largest number without its sign, or the smallest where success has only a lower bound for it.
         """
         if not self.completed.all():
             return int(self.table["sample"][np.argmin(np.where(self.completed, np.inf, self.table["ticks"]))])
@@ -165,8 +165,9 @@ class Sweep(Result):
         return None
 
     def _worst_of(self, number: str) -> int | None:
-        values = np.abs(self._values(number))
-        return int(self.table["sample"][np.nanargmax(values)]) if np.isfinite(values).any() else None
+        values, (low, high) = self._values(number), self.bounds.get(number, (-np.inf, np.inf))
+        size = -values if high == np.inf and low > -np.inf else np.abs(values)
+        return int(self.table["sample"][np.nanargmax(size)]) if np.isfinite(size).any() else None
 
     def loop(self, sample: int) -> Loop:
         """The loop of a sample of a model plant, with its parameters and reference, as `taut.tune` takes several."""
@@ -237,9 +238,10 @@ class Sweep(Result):
         return figures
 
     def _title(self, name: str) -> str:
-        """What a number is called: a column of a metric may have a unit behind it."""
+        """What a number is called, with its unit where it is a metric's."""
         metric = self.plan.columns[name][0] if name in self.plan.columns else ""
-        return name.replace(metric, METRICS[metric].title, 1) if metric else name
+        title = name.partition(" [")[0].replace(metric, METRICS[metric].title, 1) if metric else name
+        return f"{title} [{self.plan.units[name]}]" if name in self.plan.units else title
 
     @property
     def _kinds(self) -> list[str]:
@@ -447,9 +449,11 @@ def _kept(
     for name in bounds:
         if name not in columns and name not in plan.figures:
             raise unknown_name("the sweep", "number", name, columns)
+    units = {name: METRICS[metric].units_of(nominal) for name, (metric, _) in columns.items()}
     return dataclasses.replace(
-        plan, columns=columns, record=tuple(record), every=whole_number("every", every, minimum=1), real=real
-    )
+        plan, columns=columns, record=tuple(record), every=whole_number("every", every, minimum=1), real=real,
+        units={name: each[columns[name][1][0] if len(each) > 1 else 0] for name, each in units.items()},
+    )  # fmt: skip
 
 
 def _has(nominal: Run, name: str) -> bool:
