@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -25,6 +25,9 @@ from taut.scenarios.references import POSITIONS
 from taut.scenarios.run import value_of
 from taut.scenarios.scenario import PassFigure, Scenario, load_scenario
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 FILE_KEYS: Final = ("model", "scene", "file")  # of a scenario, whose values may be paths from its folder
 WORST: Final = "worst.toml"
 
@@ -37,6 +40,7 @@ class ScenarioSweep(Result):
     outputs: Mapping[str, Path]
     skipped: Mapping[str, str]  # what could not be made, and why
     repeat: str = ""  # the command that runs the worst case
+    pictures: Mapping[str, Figure] = field(default_factory=dict)  # that are drawn
 
     def content(self) -> Content:
         """Of the sweep, with its files."""
@@ -45,7 +49,8 @@ class ScenarioSweep(Result):
         faults = [*content.faults, *(f"no {kind}: {reason}" for kind, reason in self.skipped.items())]
         texts = {"Worst case": self.outputs["worst"].read_text(encoding="utf-8")} if "worst" in self.outputs else {}
         again = [f"{'run it':10} {self.repeat}"] if self.repeat and "worst" in self.outputs else []
-        return replace(content, notes=[*content.notes, *notes, *again], faults=faults, texts=texts)
+        drawn = {name: partial(_same, figure) for name, figure in self.pictures.items()}
+        return replace(content, notes=[*content.notes, *notes, *again], faults=faults, texts=texts, figures=drawn)
 
     def json(self) -> dict[str, Any]:
         found, rate = self.found, self.found.success if self.found.samples else None
@@ -57,6 +62,10 @@ class ScenarioSweep(Result):
             "outputs": {kind: str(path) for kind, path in self.outputs.items()},
             **super().json(),
         }
+
+
+def _same(figure: Figure) -> Figure:
+    return figure
 
 
 def sweep_scenario(scenario: Scenario, name: str, vary: Mapping[str, Variation], **options: Any) -> Sweep:
@@ -118,12 +127,15 @@ def written(
             outputs["worst"] = write_sample(scenario, law, found, found.worst, worst, own)
         except TautError as cause:
             skipped["worst case"] = str(cause)
-    for kind, draw in found.content().figures.items():
+    pictures = {kind: draw() for kind, draw in found.content().figures.items()}
+    for kind, figure in pictures.items():
         file = checked_target("picture", folder / f"{kind}.png", (".png",))
         with written_aside("picture", file) as aside:
-            draw().savefig(aside, dpi=150)
+            figure.savefig(aside, dpi=150)
         outputs[kind] = file
-    made = ScenarioSweep(found=found, outputs=outputs, skipped=skipped, repeat=f"taut run {worst}{more}")
+    made = ScenarioSweep(
+        found=found, outputs=outputs, skipped=skipped, repeat=f"taut run {worst}{more}", pictures=pictures
+    )
     return replace(made, outputs=outputs | {"report": report(made, folder / "report.html", repeat=made.repeat)})
 
 

@@ -309,7 +309,7 @@ def _plants(plant: Plants | None) -> dict[str, RigidPlant | None]:
     """Plants by name; those without are numbered."""
     if plant is None or isinstance(plant, RigidPlant):
         return {"plant": plant}
-    if not isinstance(plant, (Sequence, Mapping)) or not plant:
+    if not isinstance(plant, (list, tuple, Mapping)) or not plant:
         raise UsageError(
             f"plant must be a taut.RigidPlant, or several in a list or by name; got {plant!r}", name="plant"
         )

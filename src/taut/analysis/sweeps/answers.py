@@ -39,13 +39,12 @@ class Rate:
 
     @cached_property
     def interval(self) -> tuple[float, float]:
-        """Both ends of the 95 % interval; from 0 to 1 of no samples."""
-        from scipy.stats import binomtest
+        """Both ends of the 95 % interval."""
+        from scipy.special import betaincinv
 
-        if not self.samples:
-            return 0.0, 1.0
-        found = binomtest(self.count, self.samples).proportion_ci(LEVEL, method="exact")
-        return float(found.low), float(found.high)
+        k, rest, tail = self.count, self.samples - self.count, 0.5 * (1.0 - LEVEL)
+        low = float(betaincinv(k, rest + 1, tail)) if k else 0.0
+        return low, float(betaincinv(k + 1, rest, 1.0 - tail)) if rest else 1.0
 
     def __str__(self) -> str:
         low, high = self.interval

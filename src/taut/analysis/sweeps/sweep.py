@@ -150,6 +150,8 @@ class Sweep(Result):
     def _values(self, number: str) -> Float64Array:
         if number == SUCCESS:
             return self.succeeded.astype(np.float64)
+        if number not in self.plan.numbers:
+            raise unknown_name("the sweep", "number", number, (SUCCESS, *self.plan.numbers))
         return np.where(self.completed, self.table[number], np.nan)
 
     @property
