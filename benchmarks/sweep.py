@@ -129,7 +129,7 @@ def answers(file: Path) -> None:
         "law.kp[3]": taut.uniform(200.0, 800.0),
         "q0": taut.uniform(panda.home - 0.1, panda.home + 0.1),
     }
-    bounds = {"final_error": (0.0, 0.05)}
+    bounds = {"final_error": (0.0, 0.03)}
     found = taut.sweep(loop, vary, samples=2000, metrics=["final_error"], success=bounds)
     print(found)
     drawn = []
