@@ -16,7 +16,7 @@ from taut.base.types import Float64Array
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LEVEL: Final = 0.95  # of confidence, of every interval
+CONFIDENCE_LEVEL: Final = 0.95  # of confidence, of every interval
 PERCENTILES: Final = (5.0, 25.0, 50.0, 75.0, 95.0)
 GROUPS: Final = 20  # of samples, each of which is left out once for the spread of an estimate
 MIN_SAMPLES: Final = 2 * GROUPS  # for a variance share
@@ -42,7 +42,7 @@ class Rate:
         """Both ends of the 95 % interval."""
         from scipy.special import betaincinv
 
-        k, rest, tail = self.count, self.samples - self.count, 0.5 * (1.0 - LEVEL)
+        k, rest, tail = self.count, self.samples - self.count, 0.5 * (1.0 - CONFIDENCE_LEVEL)
         low = float(betaincinv(k, rest + 1, tail)) if k else 0.0
         return low, float(betaincinv(k + 1, rest, 1.0 - tail)) if rest else 1.0
 
@@ -135,7 +135,7 @@ def shares_of(inputs: Mapping[str, Float64Array], y: Float64Array) -> tuple[Shar
         return ()
     rank = _standard(rankdata(y[known]))
     group = np.arange(len(rank)) % GROUPS
-    width = float(stdtrit(GROUPS - 1, 0.5 + 0.5 * LEVEL))
+    width = float(stdtrit(GROUPS - 1, 0.5 + 0.5 * CONFIDENCE_LEVEL))
     out = []
     for path, column in inputs.items():
         x = column[known]

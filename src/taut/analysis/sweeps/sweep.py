@@ -213,8 +213,8 @@ class Sweep(Result):
             if worst is not None:
                 numbers = np.nanpercentile(values, PERCENTILES).tolist()
                 rows.append((self._title(name), *numbers, values[self.table["sample"] == worst].item(), worst))
-        heads = ("number", *(f"{percent:g} %" for percent in PERCENTILES), "worst", "sample")
-        tables = [Table(title="numbers of the runs that came to their end", columns=heads, rows=rows)]
+        heads = ("metric", *(f"{percent:g} %" for percent in PERCENTILES), "worst", "sample")
+        tables = [Table(title="metrics of the runs that came to their end", columns=heads, rows=rows)]
         matter = [(name, *dataclasses.astuple(one)) for name, each in self._matters.items() for one in each[:BARS]]
         if matter:
             heads = ("of", "parameter", "share", "+-", "correlation")
