@@ -292,6 +292,11 @@ def test_gains_tuned_for_the_worst_of_a_set_hold_on_each_those_for_the_nominal_d
     assert all(after < 0.95 * before for before, after in zip(start, costs(worst.law), strict=True))
     assert [each.cost for each in worst.after] == pytest.approx(costs(worst.law), rel=1e-9)
     assert worst.cost == pytest.approx(max(costs(worst.law)) / max(start), rel=1e-9)
+    twice = taut.RigidPlant(ONE, friction=None), taut.JointMotion(q=ONE.home + 0.03)
+    both = {"large": loops["prompt"], "small": taut.Loop(ctrl, *twice, duration=0.4)}
+    first = taut.tune(both, paths, bounds=bounds, over="worst", evaluations=1).history[0]
+    assert first.costs.tolist() == [1.0, pytest.approx(first.figures[1].cost / first.figures[0].cost)]
+    assert first.costs[1] < 0.05
     for change in ({"kp": 1.1}, {"kp": 0.9}, {"kd": 1.1}, {"kd": 0.9}):
         near = {name: np.asarray(getattr(worst.law, name)) * factor for name, factor in change.items()}
         assert max(costs(dataclasses.replace(worst.law, **near))) >= max(costs(worst.law))
