@@ -235,6 +235,7 @@ def carried(name: str, mass: float, com: list[float], duration: float = 1.0, ang
     return taut.run(computed_torque(name), taut.RigidPlant(arm.with_payload(mass, com=com)), path, duration=duration)
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize(
     ("name", "mass", "com", "duration", "angle"),
     [
@@ -254,6 +255,7 @@ def test_a_payload_is_found_alone_with_its_mass_and_centre(
     assert 3e-4 < numbers["standard error of the centre"] < 0.03
 
 
+@pytest.mark.long
 def test_a_payload_is_fitted_beyond_the_one_that_was_declared() -> None:
     arm = runs.arm_of("panda")
     ctrl = taut.compile(L.ComputedTorque(kp=100.0, kd=20.0), arm.with_payload(1.0, com=[0.0, 0.0, 0.05]))
@@ -466,6 +468,7 @@ def pressed(plant: Callable[[taut.Arm, taut.Pose], Any], stroke: list[float], du
     )
 
 
+@pytest.mark.long
 def test_a_board_that_leans_is_found_with_its_angle() -> None:
     def plant(arm: taut.Arm, T: taut.Pose) -> Any:
         board = taut.Constraint.plane(point=T.p, normal=[np.sin(0.12), 0.0, np.cos(0.12)])
@@ -476,6 +479,7 @@ def test_a_board_that_leans_is_found_with_its_angle() -> None:
     assert found.evidence["tilt along the path"].value == pytest.approx(np.degrees(0.12), rel=0.02)
 
 
+@pytest.mark.long
 def test_a_contact_that_bounces_is_found_and_its_remedy_ends_it() -> None:
     def wiped(contact: str) -> taut.Run:
         def plant(arm: taut.Arm, T: taut.Pose) -> Any:

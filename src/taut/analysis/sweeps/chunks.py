@@ -20,7 +20,7 @@ from taut.base.errors import TautError
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.functions import DOUBLE, SINGLE
-from taut.codegen.lanes import LANE_ALIVE, LANE_TICKS, LaneLoop, NotInLanes, Rows
+from taut.codegen.lanes.loop import LANE_ALIVE, LANE_TICKS, LaneLoop, NotInLanes, Rows
 from taut.codegen.llvm import Lanes
 from taut.codegen.loop import steps_of
 from taut.codegen.native import host_lanes

@@ -29,12 +29,13 @@ from taut.analysis.sweeps.answers import (
 from taut.analysis.sweeps.chunks import LaneRuns, Runner, runner_of
 from taut.analysis.sweeps.plan import SEED, Plan, Runs, Subject, Variation, changed_reference
 from taut.analysis.sweeps.store import Memory, Store
-from taut.analysis.sweeps.workers import cores, run_chunks
+from taut.analysis.sweeps.workers import run_chunks
 from taut.base.checks import one_of, whole_number
 from taut.base.errors import RangeError, UsageError, count_of, unknown_name
 from taut.base.paths import Named
 from taut.base.result import Cell, Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
+from taut.codegen.native import cores
 from taut.control.tasks.phase import Phase
 from taut.controller import Controller
 from taut.loop import Loop, ModelPlant
