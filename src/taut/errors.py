@@ -4,6 +4,7 @@ from taut.base.front_door import lazy_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from taut.analysis.sweeps.cluster import ClusterError as ClusterError
     from taut.base.errors import FileError as FileError
     from taut.base.errors import MatchError as MatchError
     from taut.base.errors import MissingExtraError as MissingExtraError

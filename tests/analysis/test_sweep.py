@@ -6,6 +6,7 @@ import dataclasses
 import itertools
 import json
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from taut.analysis.sweeps import sweep as front
 from taut.analysis.sweeps.chunks import LaneRuns, SingleRuns, runner_of
 from taut.analysis.sweeps.plan import Plan, Subject
 from taut.cli.main import main
-from taut.errors import FileError, RangeError, ShapeError, UnknownNameError, UsageError
+from taut.errors import FileError, MissingExtraError, RangeError, ShapeError, UnknownNameError, UsageError
 
 L, S, D, T = taut.laws, taut.sensors, taut.drives, taut.trajectories
 PLANAR, ONE = taut.load_arm("planar2"), taut.load_arm("one_joint")
@@ -146,7 +147,7 @@ def test_neither_lanes_nor_workers_nor_the_order_of_chunks_change_a_bit(monkeypa
         monkeypatch.setattr(chunks, "host_lanes", lambda _, count=count: count)
         assert tables_equal(taut.sweep(noisy(), vary, samples=100, seed=5, workers=threads).table, found)
     run = workers.run_chunks
-    monkeypatch.setattr(front, "run_chunks", lambda plan, shared, todo, n: run(plan, shared, list(todo)[::-1], n))
+    monkeypatch.setattr(front, "run_chunks", lambda plan, shared, n, todo: run(plan, shared, n, todo[::-1]))
     assert tables_equal(taut.sweep(noisy(), vary, samples=100, seed=5, workers=2).table, found)
     fewer = taut.sweep(noisy(), vary, samples=40, seed=5).table
     assert all(np.array_equal(fewer[name], found[name][:40]) for name in fewer)
@@ -401,6 +402,8 @@ def test_a_start_that_the_plant_refuses_is_refused_too() -> None:
         (UsageError, lambda: taut.sweep(planar(), {}, samples=1, record=["q"])),
         (UnknownNameError, lambda: taut.sweep(planar(), {}, samples=1, record=["qq"], out="nowhere")),
         (RangeError, lambda: taut.sweep(planar(), {}, samples=1, workers=0)),
+        (UsageError, lambda: taut.sweep(planar(), {}, samples=1, ray="local")),
+        (UsageError, lambda: taut.sweep(planar(), {}, samples=1, ray=True)),  # type: ignore[arg-type]
     ],
 )  # fmt: skip
 def test_wrong_arguments_are_refused(error: Any, make: Callable[[], Any]) -> None:
@@ -420,6 +423,16 @@ def test_what_cannot_be_sent_to_a_process_is_refused(tmp_path: Path) -> None:
         )
     assert taut.sweep(ctrl, {}, Deadly(ONE, str(tmp_path)), duration=0.01, samples=2, workers=1).completed.all()
     assert os.path.exists(tmp_path / "begun")  # noqa: PTH110
+
+
+def test_a_sweep_on_a_cluster_needs_ray(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with refused(MissingExtraError):
+        taut.sweep(planar(), {}, samples=1, ray="auto")
+    words = ["sweep", "one_joint_pid", "--law", "PD", "--vary", "law.kp=1:9", "--ray", "local"]
+    with refused(UsageError):
+        assert main(words) == 2
+        raise UsageError(capsys.readouterr().err.strip())
 
 
 # -------------------------------------------------------------------- the command

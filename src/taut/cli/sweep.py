@@ -54,7 +54,7 @@ def _sweep(arguments: argparse.Namespace, say: Say) -> Answer:
     scenario, name = scenario_with_law(arguments, arguments.set)
     found = sweep_scenario(
         scenario, name, _varied(arguments.vary or ()), samples=arguments.samples, seed=arguments.seed,
-        metrics=arguments.metric, out=arguments.out, workers=arguments.workers,
+        metrics=arguments.metric, out=arguments.out, workers=arguments.workers, ray=arguments.ray,
         progress=False if arguments.json else None,
     )  # fmt: skip
     made = ScenarioSweep(found=found, outputs={}, skipped={})
@@ -96,6 +96,10 @@ SWEEP: Final = Command(
             "type": Path,
             "metavar": "DIR",
             "help": "folder for samples (Parquet), pictures, a report, the worst case; an interrupted sweep goes on",
+        },
+        "--ray": {
+            "metavar": "ADDRESS",
+            "help": "a Ray cluster: HOST:PORT, or auto for the one of this machine",
         },
         "--workers": {"type": int, "metavar": "N", "help": "threads or processes (default: the number of cores)"},
         "--set": {

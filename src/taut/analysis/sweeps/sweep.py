@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import pickle
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
@@ -26,10 +26,11 @@ from taut.analysis.sweeps.answers import (
     rate_of,
     shares_of,
 )
-from taut.analysis.sweeps.chunks import LaneRuns, Runner, runner_of
+from taut.analysis.sweeps.chunks import LaneRuns, Results, runner_of
+from taut.analysis.sweeps.cluster import check_ray, run_on_ray
 from taut.analysis.sweeps.plan import SEED, Plan, Runs, Subject, Variation, changed_reference
 from taut.analysis.sweeps.store import Memory, Store
-from taut.analysis.sweeps.workers import run_chunks
+from taut.analysis.sweeps.workers import Chunk, run_chunks
 from taut.base.checks import one_of, whole_number
 from taut.base.errors import RangeError, UsageError, count_of, unknown_name
 from taut.base.paths import Named
@@ -279,6 +280,7 @@ def sweep(
     every: int = 1,
     out: str | os.PathLike[str] | None = None,
     workers: int | None = None,
+    ray: str | None = None,
     real: Literal["double", "float"] = "double",
     progress: bool | None = None,
 ) -> Sweep:
@@ -287,7 +289,8 @@ def sweep(
     A loop of a model plant is compiled once and runs in the lanes of the processor and in threads: some ten million
     steps a second and core. A loop with a plant of another kind, such as MuJoCo, a task and a stream with a source
     run one by one, each worker in a process of its own. Results depend on the seed alone: not on the number of
-    workers, of lanes, or on the order in which chunks are done. Ctrl-C ends the sweep with what is done.
+    workers, of lanes, or on the order in which chunks are done. Ctrl-C ends the sweep with what is done. With `ray`
+    the same chunks run on a cluster.
 
     Args:
         loop: What `taut.run` takes: a `taut.Loop`; or a controller or a task, with plant, ref and duration.
@@ -308,7 +311,9 @@ def sweep(
         record: What is kept of every run besides, of `run.arrays()`: ("q", "tau"). It needs `out`.
         every: Tick of which that is kept.
         out: Folder for a Parquet file of each chunk. A sweep that was interrupted goes on where it stopped.
-        workers: Threads or processes; as many as there are cores if left out. 1 needs no other process.
+        workers: Threads or processes; as many as there are cores if left out. 1 needs no other process. With `ray`,
+            chunks in flight at most.
+        ray: A Ray cluster that runs already: "auto" for the one of this machine, "HOST:PORT" or "ray://HOST:PORT".
         real: "float" runs twice as many lanes in single precision, with its rounding.
         progress: As in `taut.run`.
 
@@ -319,7 +324,8 @@ def sweep(
     Raises:
         UnknownNameError: No such path, metric or column.
         RangeError, ShapeError, UsageError: Values that the loop refuses, before the first run.
-        FileError, MissingExtraError: A folder that holds another sweep, or cannot be used; no pyarrow.
+        FileError, MissingExtraError: A folder that holds another sweep, or cannot be used; no pyarrow, no Ray.
+        ClusterError: A cluster that does not answer, has no worker that can run the loop, or is lost.
 
     Example:
         >>> import taut
@@ -333,7 +339,7 @@ def sweep(
     """
     return sweep_with(
         {}, loop, vary, plant, ref, samples=samples, seed=seed, duration=duration, q0=q0, v0=v0, metrics=metrics,
-        success=success, record=record, every=every, out=out, workers=workers, real=real, progress=progress,
+        success=success, record=record, every=every, out=out, workers=workers, ray=ray, real=real, progress=progress,
     )  # fmt: skip
 
 
@@ -355,10 +361,13 @@ def sweep_with(
     every: int = 1,
     out: str | os.PathLike[str] | None = None,
     workers: int | None = None,
+    ray: str | None = None,
     real: Literal["double", "float"] = "double",
     progress: bool | None = None,
 ) -> Sweep:
     """`sweep`, which keeps other numbers of each run too: functions of whole runs, by name."""
+    if ray is not None:
+        check_ray(ray)
     made, target, reference, length = what_to_run(loop, plant, ref, duration)
     plan = Plan.of(Subject.of(made, target, reference, length, q0, v0), vary, samples, seed)
     given = None if isinstance(made, Loop) else (target, None if made.side.task is not None else reference)
@@ -368,26 +377,27 @@ def sweep_with(
     if plan.record and out is None:
         raise UsageError("record keeps what runs record in files; give out='a folder'", name="out")
     runner = runner_of(plan, made if isinstance(made, Loop) else None, nominal)
-    threads = cores() if workers is None else whole_number("workers", workers, minimum=1)
-    alone = isinstance(runner, LaneRuns) or threads == 1
+    number = None if workers is None else whole_number("workers", workers, minimum=1)
+    alone = ray is None and (isinstance(runner, LaneRuns) or (number or cores()) == 1)
     if not alone:
         _require_pickle(plan)
     if real == "float" and not isinstance(runner, LaneRuns):
         raise UsageError("real='float' is for loops that run in lanes, with a model plant", name="real")
-    done = _swept(plan, runner, runner if alone else None, threads, out, progress)
-    return dataclasses.replace(done, bounds=bounds)
+    run_all = partial(run_chunks, plan, runner if alone else None, number or cores())
+    if ray is not None:
+        run_all = partial(run_on_ray, plan, ray, number)
+    return dataclasses.replace(_swept(plan, runner.size, run_all, out, progress), bounds=bounds)
 
 
 def _swept(
     plan: Plan,
-    runner: Runner,
-    shared: Runner | None,
-    threads: int,
+    size: int,
+    run_all: Callable[[list[Chunk]], Iterator[Results]],
     out: str | os.PathLike[str] | None,
     progress: bool | None,
 ) -> Sweep:
     """Run all chunks that are not done."""
-    size, complete = runner.size, True
+    complete = True
     store = Memory(plan.samples) if out is None else Store(out, plan, size)
     chunks = [(first, min(size, plan.samples - first)) for first in range(0, plan.samples, size)]
     left = [chunk for chunk in chunks if not store.has(chunk[0])]
@@ -395,7 +405,7 @@ def _swept(
     with Progress(plan.samples, progress, "sweeping") as bar:
         bar.advance(done)
         try:
-            for results in run_chunks(plan, shared, left, min(threads, max(1, len(left)))):
+            for results in run_all(left) if left else ():
                 store.write(results)
                 done += len(results.table["sample"])
                 bar.advance(len(results.table["sample"]))

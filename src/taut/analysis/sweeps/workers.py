@@ -1,7 +1,7 @@
 """Workers of a sweep: threads that run chunks, in lanes or each through a process of its own.
 
 A process that dies or hangs takes its chunk with it, which is then run sample by sample, and a sample twice at most:
-each has one result, whatever happened. Started as `python -m taut.analysis.sweeps.workers`.
+each has one result, whatever happened.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import IO, Any, Final
 
 import numpy as np
@@ -35,19 +35,76 @@ class Died(Exception):  # noqa: N818  # a result of a sample
     """A process ended or was ended in the middle of a chunk."""
 
 
+class Child:
+    """A Python process that answers on standard output to what it is sent on standard input.
+
+    Args:
+        module: Its `main` runs there.
+        errors: File of what it prints; it prints where this process does if left out.
+    """
+
+    def __init__(self, module: str, errors: IO[bytes] | None = None) -> None:
+        command = [sys.executable, "-c", f"from {module} import main; main()"]
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        pipe = subprocess.PIPE
+        self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=errors, env=environment)
+        self.stopped = False
+
+    def send(self, message: object) -> None:
+        """Send a message; where the process is gone, the answer shows it."""
+        with contextlib.suppress(OSError):
+            write(self._process.stdin, message)
+
+    def answer(self, limit: float = threading.TIMEOUT_MAX) -> tuple[str, Any]:
+        """The next answer. Raises `Died`, with how, where the process ends, or is ended after `limit` [s]."""
+        hung = threading.Event()
+
+        def end() -> None:
+            hung.set()
+            self._process.kill()
+
+        timer = threading.Timer(limit, end)
+        timer.start()
+        try:
+            kind, what = read(self._process.stdout)
+        except (EOFError, OSError, pickle.UnpicklingError):
+            status = self.close()
+            if self.stopped:
+                raise Stopped from None
+            how = f"did not answer for {limit:.3g} s" if hung.is_set() else f"ended with status {status}"
+            raise Died(how) from None
+        finally:
+            timer.cancel()
+        return kind, what
+
+    def stop(self) -> None:
+        """End the process, and with it what it runs."""
+        self.stopped = True
+        self._process.kill()
+
+    def close(self) -> int:
+        """End the process and wait for it: its exit status."""
+        self._process.kill()
+        for pipe in (self._process.stdin, self._process.stdout):
+            assert pipe is not None
+            with contextlib.suppress(OSError):
+                pipe.close()
+        return self._process.wait()
+
+
 class InProcess(Runner):
     """A runner in a process of its own, which is begun anew where it has died."""
 
     def __init__(self, plan: Plan) -> None:
-        self._plan, self._longest, self._stopped = plan, 0.0, False
-        self._process: subprocess.Popen[bytes] | None = None
+        self._plan, self._longest = plan, 0.0
+        self._child: Child | None = None
 
     def results(self, first: int, count: int, step: Callable[[], None] = lambda: None) -> Results:
-        process = self._process or self._begin()
-        self._send(process, (first, count))
+        child = self._child or self._begin()
+        child.send((first, count))
         while True:
             began = time.monotonic()
-            kind, what = self._answer(process, max(SAMPLE_PATIENCE, LONGEST * self._longest))
+            kind, what = self._answer(child, max(SAMPLE_PATIENCE, LONGEST * self._longest))
             step()
             if kind == "results":
                 assert isinstance(what, Results)
@@ -56,66 +113,39 @@ class InProcess(Runner):
 
     def stop(self) -> None:
         """End the process, and with it what it runs."""
-        self._stopped = True
-        if self._process is not None:
-            self._process.kill()
+        if self._child is not None:
+            self._child.stop()
 
-    def close(self) -> int:
-        """Wait for the end of the process: its exit status."""
-        process, self._process = self._process, None
-        if process is None:
-            return 0
-        process.kill()
-        for pipe in (process.stdin, process.stdout):
-            assert pipe is not None
-            with contextlib.suppress(OSError):
-                pipe.close()
-        return process.wait()
+    def close(self) -> None:
+        """Wait for the end of the process."""
+        if self._child is not None:
+            self._child.close()
 
-    def _begin(self) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", __name__]
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
-        self._process = process
-        self._send(process, self._plan)
-        kind, what = self._answer(process, START)
+    def _begin(self) -> Child:
+        child = self._child = Child(__name__)
+        child.send(self._plan)
+        kind, what = self._answer(child, START)
         if kind == "refused":
             raise UsageError(f"the loop cannot be made in another process: {what}", name="loop")
-        return process
+        return child
 
-    def _send(self, process: subprocess.Popen[bytes], message: object) -> None:
-        with contextlib.suppress(OSError):  # of a process that is gone, which the answer shows
-            _write(process.stdin, message)
-
-    def _answer(self, process: subprocess.Popen[bytes], limit: float) -> tuple[str, Any]:
-        hung = threading.Event()
-
-        def end() -> None:
-            hung.set()
-            process.kill()
-
-        timer = threading.Timer(limit, end)
-        timer.start()
+    def _answer(self, child: Child, limit: float) -> tuple[str, Any]:
         try:
-            kind, what = _read(process.stdout)
-        except (EOFError, OSError, pickle.UnpicklingError):
-            status = self.close()
-            if self._stopped:
-                raise Stopped from None
-            how = f"did not answer for {limit:.3g} s" if hung.is_set() else f"ended with status {status}"
+            return child.answer(limit)
+        except Died as how:
+            self._child = None
             raise Died(f"the process that ran it {how}") from None
-        finally:
-            timer.cancel()
-        return kind, what
 
 
-def _write(pipe: IO[bytes] | None, message: object) -> None:
+def write(pipe: IO[bytes] | None, message: object) -> None:
+    """Send a message to another process."""
     assert pipe is not None
     pickle.dump(message, pipe)
     pipe.flush()
 
 
-def _read(pipe: IO[bytes] | None) -> Any:
+def read(pipe: IO[bytes] | None) -> Any:
+    """The next message of another process."""
     assert pipe is not None
     return pickle.load(pipe)
 
@@ -143,14 +173,14 @@ def _together(parts: list[Results]) -> Results:
     return Results(table=joined([p.table for p in parts]), rows=joined([p.rows for p in parts]), messages=messages)
 
 
-def run_chunks(plan: Plan, shared: Runner | None, chunks: Iterable[Chunk], workers: int) -> Iterator[Results]:
+def run_chunks(plan: Plan, shared: Runner | None, workers: int, chunks: Sequence[Chunk]) -> Iterator[Results]:
     """The results of chunks, in the order in which they are done; on leaving, what still runs is ended.
 
     Args:
         plan: What runs.
         shared: The runner that all threads share; None for one in a process for each.
+        workers: Number of threads at most.
         chunks: Those that are to be run.
-        workers: Number of threads.
     """
     waiting, lock, stop = iter(chunks), threading.Lock(), threading.Event()
     done: queue.Queue[Results | BaseException | None] = queue.Queue(maxsize=2 * workers)
@@ -184,7 +214,7 @@ def run_chunks(plan: Plan, shared: Runner | None, chunks: Iterable[Chunk], worke
             put(error)
         put(None)
 
-    threads = [threading.Thread(target=work, daemon=True) for _ in range(workers)]
+    threads = [threading.Thread(target=work, daemon=True) for _ in range(min(workers, len(chunks)))]
     for thread in threads:
         thread.start()
     try:
@@ -210,24 +240,26 @@ def run_chunks(plan: Plan, shared: Runner | None, chunks: Iterable[Chunk], worke
             each.close()
 
 
-def main() -> None:
-    """The process of a worker: a plan, then chunks, on standard input; answers on standard output."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends it
+def messages() -> tuple[IO[bytes], IO[bytes]]:
+    """Where a child reads what it is sent, and where it writes answers; Ctrl-C is for its parent."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a user's code prints is no answer
+    return sys.stdin.buffer, answers
+
+
+def main() -> None:
+    """The process of a worker: a plan, then chunks, on standard input; answers on standard output."""
+    sent, answers = messages()
     try:
-        runner = runner_of(_read(sys.stdin.buffer))
+        runner = runner_of(read(sent))
     except Exception as error:
-        _write(answers, ("refused", f"{type(error).__name__}: {error}"))
+        write(answers, ("refused", f"{type(error).__name__}: {error}"))
         return
-    _write(answers, ("ready", None))
+    write(answers, ("ready", None))
     while True:
         try:
-            first, count = _read(sys.stdin.buffer)
+            first, count = read(sent)
         except EOFError:
             return
-        _write(answers, ("results", runner.results(first, count, lambda: _write(answers, ("sample", None)))))
-
-
-if __name__ == "__main__":
-    main()
+        write(answers, ("results", runner.results(first, count, lambda: write(answers, ("sample", None)))))
