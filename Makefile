@@ -1,8 +1,11 @@
 # make demo   set up, run the main job, print what it made and where
 # make test   set up, run lint, types and tests
+# make test-extras   logs in the readers of Rerun and rosbags, which it installs (0.5 GB)
+# make lock   write locked.txt anew: what taut needs, with versions and hashes
 # make bars   the long counts;  make bench  figures against Pinocchio and MuJoCo;  make docs  the site
 # make firmware   exported C: time here, instructions on a Cortex-M7 in QEMU
 # make scorecard   the rows of docs/reliability.md and how many hold
+# make soak   a robot's loop for a minute beside a busy program; three laws on a Franka's test server
 # make fuzz   10,000 mutants of every kind of file that is read: N=100 takes fewer
 
 PYTHON ?= python3
@@ -10,7 +13,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: demo test bars fuzz scorecard bench firmware docs clean
+.PHONY: demo test test-extras lock bars fuzz scorecard soak bench firmware docs clean
 
 demo: $(VENV)/demo.stamp
 	$(BIN)/taut run panda_payload --out out/demo
@@ -20,6 +23,13 @@ test: $(VENV)/test.stamp
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2 --dist loadgroup
+
+test-extras: $(VENV)/test.stamp
+	$(PIP) install --quiet -c constraints.txt -e ".[viewers]"
+	$(BIN)/pytest tests/record/test_viewers.py
+
+lock: $(BIN)/python
+	$(BIN)/python tools/lock.py
 
 bars: $(VENV)/test.stamp
 	TAUT_BARS=1 $(BIN)/pytest -n 2 -m "bars or long" -s
@@ -33,6 +43,10 @@ scorecard: $(VENV)/test.stamp
 
 bench: $(VENV)/test.stamp
 	cd benchmarks && ../$(BIN)/python run.py
+
+soak: $(VENV)/test.stamp
+	cd benchmarks && ../$(BIN)/python soak.py
+	cd benchmarks && ../$(BIN)/python soak_franka.py
 
 firmware: $(VENV)/test.stamp
 	cd benchmarks && ../$(BIN)/python c_export.py
@@ -53,9 +67,11 @@ $(VENV)/demo.stamp: $(BIN)/python pyproject.toml constraints.txt
 	@touch $@
 
 # Everything the tests need, and a folder of wheels from which one of them installs taut into an empty environment,
-# and another reads the servo files and the friction of better-actuator-models, which itself needs Python 3.12.
+# another reads the servo files and the friction of better-actuator-models, which itself needs Python 3.12, and another
+# compares the frames of motors with those of damiao-motor, which itself needs a web server.
 $(VENV)/test.stamp: $(BIN)/python pyproject.toml constraints.txt
-	$(PIP) install --quiet -c constraints.txt -e ".[arms,control,franka,oracles,ruckig,dev,docs]"
+	$(PIP) install --quiet -c constraints.txt -e ".[arms,can,control,franka,oracles,ruckig,sweep,ur,dev,docs]"
 	$(PIP) download --quiet --dest .wheels -c constraints.txt $$($(BIN)/python tools/core_requirements.py)
 	$(PIP) download --quiet --dest .wheels -c constraints.txt --no-deps --python-version 3.12 better-actuator-models
+	$(PIP) download --quiet --dest .wheels -c constraints.txt --no-deps damiao-motor
 	@touch $@

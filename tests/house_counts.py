@@ -18,7 +18,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "taut"
-APART = ("tests", "benchmarks", "docs", "notebooks")
+APART = ("tests", "benchmarks", "docs", "examples", "notebooks")
 FAMILIES = (  # members of a family, and front doors, may have one importer
     "control/laws", "control/trajectories", "plant/environments",
     "arm/loaders", "cli", "book",

@@ -67,6 +67,7 @@ def portable(text: str) -> str:
     text = text.replace("\n", "\\n")
     text = re.sub(r"[^\s'\"]*/pytest-of-[^/]+/pytest-\d+(/popen-gw\d+)?(/[^\s/'\"]+\d)?", "TMP", text)
     text = re.sub(r"[^\s'\"(]*?(\w+\.py):\d+", r"\1:LINE", text)
+    text = re.sub(r"127(\.\d+){3}", "127.0.0.1", text)
     text = re.sub(rf"({FOREIGN}) .*?(?= at |$)", r"\1 ...", text)
     return re.sub(r"\d+(\.\d+)?(e[-+]?\d+)?", lambda number: four_digits(number[0]), text)
 

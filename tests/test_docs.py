@@ -24,6 +24,7 @@ ROOMS = ("analysis", "drives", "dynamics", "environments", "guards", "laws", "se
 REPOSITORY = Path(__file__).parents[1]
 PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").glob("*.md"))]
 WHOLE = bool(os.environ.get("TAUT_BARS"))  # `make bars`
+FILE = re.compile(r"# (\w+\.py)\n")  # begins a block that is a file of its own
 BLOCK = re.compile(r"^```(python|console)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 mpl.use("Agg")
 
@@ -36,7 +37,10 @@ def blocks(page: Path, kind: str) -> list[str]:
 def test_the_python_on_the_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     # The blocks of a page are one file, so that units can be read from the comments of its laws.
-    text = "\n".join(blocks(page, "python"))
+    text = "\n".join(block for block in blocks(page, "python") if not FILE.match(block))
+    for block in blocks(page, "python"):
+        if name := FILE.match(block):
+            (tmp_path / name[1]).write_text(block, encoding="utf-8")
     file = tmp_path / f"page_{page.stem.lower()}.py"
     file.write_text(text, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))

@@ -45,6 +45,7 @@ DOORS = [
     "guards",
     "laws",
     "math",
+    "robots",
     "sensors",
     "textbook",
     "trajectories",
@@ -151,13 +152,13 @@ def test_the_core_declares_what_it_imports() -> None:
 
 
 LIMITS = {  # the house as it is; a change that needs more says why in the commit that raises a number
-    "lines": (61_600, house.lines),
-    "lines of code": (42_000, house.code_lines),
-    "modules": (276, lambda: len(house.modules())),
+    "lines": (68_000, house.lines),
+    "lines of code": (47_500, house.code_lines),
+    "modules": (310, lambda: len(house.modules())),
     "modules in one folder": (16, house.largest_folder),
-    "modules with one importer": (34, lambda: len(house.slices())),
-    "names in taut": (75, lambda: len(taut.__all__)),
-    "modules loaded to compile a PID": (58, lambda: len(house.loaded_for(PID))),
+    "modules with one importer": (36, lambda: len(house.slices())),
+    "names in taut": (80, lambda: len(taut.__all__)),
+    "modules loaded to compile a PID": (59, lambda: len(house.loaded_for(PID))),
     "modules of analysis that design(PID) loads": (12, lambda: len(house.loaded_for(DESIGN, "taut.analysis."))),
     "import circles": (3, lambda: len(house.circles())),
     "constants of one name with several values": (0, lambda: len(house.constants_of_several_values())),

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
+import tomllib
 import venv
 import zipfile
 from pathlib import Path
@@ -46,6 +48,19 @@ def python(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     pip = ["-m", "pip", "--python", made, "--disable-pip-version-check", "install", "--quiet", "--no-compile"]
     execute(sys.executable, *pip, wheel, cwd=folder)
     return made
+
+
+def test_the_locked_versions_are_those_that_are_tested() -> None:
+    """With hashes, for what taut itself needs, as `make lock` writes them."""
+    tested = {
+        line.partition("==")[0].lower(): line for line in (REPOSITORY / "constraints.txt").read_text().split("\n")
+    }
+    locked = [line.split() for line in (REPOSITORY / "locked.txt").read_text().splitlines() if line[0] != "#"]
+    assert all(tested[pin.partition("==")[0].lower()] == pin for pin, _ in locked)
+    assert all(re.fullmatch("--hash=sha256:[0-9a-f]{64}", found) for _, found in locked)
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    needed = {re.split("[<>=]", one)[0] for one in project["dependencies"]}
+    assert needed <= {pin.partition("==")[0] for pin, _ in locked}
 
 
 def test_tests_of_a_group_run_in_one_process(request: pytest.FixtureRequest) -> None:

@@ -19,11 +19,17 @@ if TYPE_CHECKING:
     from taut import guards as guards
     from taut import laws as laws
     from taut import math as math
+    from taut import robots as robots
     from taut import sensors as sensors
     from taut import textbook as textbook
     from taut import trajectories as trajectories
     from taut.analysis.design.design import design as design
     from taut.analysis.diagnosis.diagnosis import doctor as doctor
+    from taut.analysis.sweeps.distributions import choice as choice
+    from taut.analysis.sweeps.distributions import log_uniform as log_uniform
+    from taut.analysis.sweeps.distributions import normal as normal
+    from taut.analysis.sweeps.distributions import uniform as uniform
+    from taut.analysis.sweeps.sweep import sweep as sweep
     from taut.analysis.tuning import tune as tune
     from taut.arm.description import Arm as Arm
     from taut.arm.description import Friction as Friction

@@ -17,5 +17,7 @@ if TYPE_CHECKING:
     from taut.base.errors import TraceError as TraceError
     from taut.base.errors import UnknownNameError as UnknownNameError
     from taut.base.errors import UsageError as UsageError
+    from taut.runtime.realtime.status import RobotError as RobotError
+    from taut.runtime.robots.driver import DriverError as DriverError
 
 __getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

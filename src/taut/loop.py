@@ -13,12 +13,10 @@ import numpy as np
 from taut.arm.description import Arm, Payload
 from taut.arm.parts import require_radians
 from taut.base.checks import finite_array, instance_of, positive_scalar, read_only
-from taut.base.errors import MatchError, RangeError, ShapeError, UsageError, count_of, warn
+from taut.base.errors import MatchError, RangeError, ShapeError, UsageError, count_of
 from taut.base.paths import Parameters, subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.control.combine import SideBySide, all_laws
-from taut.control.laws.other_topics.adaptive import Adaptive
-from taut.control.laws.other_topics.variable_stiffness import VariableStiffness
 from taut.control.lawside import LawSide
 from taut.control.trajectories.reference import Hold, Reference, as_reference
 from taut.maths.dynamics import pose
@@ -143,8 +141,10 @@ def check_fit(side: LawSide, plant: AnyPlant) -> None:
     check_force_feedback(side, plant)
     _check_weight(side, plant)
     _check_adds(side, plant)
-    _check_springs(side, plant)
-    _check_payload(side, plant)
+    for path, held in all_laws(side.law, "law"):
+        if isinstance(held, SideBySide):  # each part knows some joints alone
+            break
+        held.check_plant(path, side.arm, plant.name, plant.parameters)
 
 
 def require_no_reference(side: LawSide, ref: object) -> None:
@@ -223,30 +223,6 @@ def _check_adds(side: LawSide, plant: AnyPlant) -> None:
             "compile with adds=plant.adds",
             name="gravity",
         )
-
-
-def _check_springs(side: LawSide, plant: AnyPlant) -> None:
-    """MatchError for a law that assumes other antagonistic springs than the drives have."""
-    for path, law in all_laws(side.law, "law"):
-        if isinstance(law, SideBySide):  # each part has the springs of some joints alone
-            return
-        for name, ours in law.springs.parameters().items() if isinstance(law, VariableStiffness) else ():
-            theirs = plant.parameters.get(f"actuation.motor.springs.{name}", ours)
-            if not np.allclose(ours, theirs, atol=0.0):
-                both = f"is {ours.tolist()}, and the drives of plant '{plant.name}' have {theirs.tolist()}"
-                raise MatchError(f"{path}.springs.{name} {both}; give both the same springs", name="springs")
-
-
-def _check_payload(side: LawSide, plant: AnyPlant) -> None:
-    """RuntimeWarning for a plant that carries more than an adaptive law was judged with."""
-    for path, law in all_laws(side.law, "law"):
-        excess = float(plant.parameters.get("plant.payload.mass", 0.0)) - side.arm.payload.mass
-        if isinstance(law, Adaptive) and excess > law.max_payload[()]:
-            warn(
-                f"{path}.max_payload is {law.max_payload[()]:g} kg and plant '{plant.name}' carries {excess:g} kg "
-                "more than the controller's arm, for which gamma may be too large: the adaptation may oscillate with "
-                "growing amplitude; raise max_payload"
-            )
 
 
 def _same(a: Payload | None, b: Payload | None) -> bool:

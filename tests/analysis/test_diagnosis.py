@@ -121,6 +121,8 @@ SCENARIOS = {  # all other runs have no finding, nor has panda_geared's payload 
     ("panda_payload", "", "feedforward + PD"): ("wrong payload", "nonlinear"),
     ("panda_payload", "", "computed torque"): ("wrong payload", "nonlinear"),
     ("panda_robust", "2 kg", "computed torque"): ("wrong payload", "nonlinear"),
+    ("panda_robust", "2 kg", "observer"): ("wrong payload", "nonlinear"),
+    ("panda_robust", "2 kg", "PID"): ("wrong payload", "nonlinear"),
     ("panda_robust", "2 kg", "robust"): ("wrong payload", "nonlinear"),
     ("panda_springs", "computed torque, rotors", "task"): ("effort limit exceeded", "command"),  # without limits
     ("panda_springs", "springs, stiff", "task"): ("effort limit exceeded", "command"),

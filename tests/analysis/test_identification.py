@@ -377,7 +377,8 @@ def test_too_little_excitation_is_refused_in_one_sentence() -> None:
 
 
 def test_a_joint_that_sticks_is_told_from_a_motion_that_leaves_it_out() -> None:
-    arm, motion = arm_of("planar2"), motion_of("planar2")
+    arm = arm_of("planar2")
+    motion = taut.trajectories.Sine(center=arm.home, amplitude=0.3, frequency=[0.4, 0.6])
     plant = taut.RigidPlant(arm.with_friction(taut.Friction(coulomb=[0.1, 30.0])))
     ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm)
     with refused(taut.errors.NumericalError) as caught:

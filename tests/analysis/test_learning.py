@@ -479,6 +479,10 @@ class Forgetful(taut.PlantBase):
 def test_a_plant_that_does_not_start_alike_is_refused() -> None:
     arm = taut.load_arm("one_joint")
     ctrl = taut.compile(taut.laws.PID(kp=50.0, kd=10.0) + taut.laws.FeedForward(), arm)
+    with refused(taut.errors.ShapeError):
+        learn(
+            ctrl, taut.RigidPlant(taut.load_arm("planar2")), taut.JointMotion(q=[0.5]), by=NormOptimal(), duration=0.5
+        )
     with refused(taut.errors.UsageError):
         learn(ctrl, Forgetful(arm), taut.JointMotion(q=[0.5]), by=NormOptimal(), duration=0.5, q0=[0.0])
 

@@ -167,3 +167,5 @@ def test_a_global_law_brings_back_every_start() -> None:
 def test_a_loop_that_does_not_rest_has_no_region() -> None:
     with refused(taut.errors.UsageError):
         taut.analysis.region_of_attraction(upright(0.3), q=1.0, at=[0.0], samples=5)
+    with refused(taut.errors.ShapeError):
+        taut.analysis.region_of_attraction(upright(0.3), q=[1.0, 1.0], samples=5)

@@ -58,7 +58,10 @@ LAWS: dict[str, tuple[Callable[[taut.Arm], taut.Law], str]] = {
     "Robust": (
         # without intervals: a bound on what is zero at rest, such as weight without gravity, is not smooth there
         lambda _: laws.Robust(
-            lam=10.0, k=10.0, phi=1.0, uncertainty=laws.Uncertainty(viscous=(0.0, 0.0), coulomb=(0.0, 0.0))
+            lam=10.0,
+            k=10.0,
+            phi=1.0,
+            uncertainty=laws.Uncertainty(disturbance=1.0, viscous=(0.0, 0.0), coulomb=(0.0, 0.0)),
         ),
         FREE,
     ),
@@ -74,6 +77,7 @@ LAWS: dict[str, tuple[Callable[[taut.Arm], taut.Law], str]] = {
     "GravityPID": (lambda arm: laws.GravityPID(kp=400.0 * own(arm), kd=40.0 * own(arm)), FREE),
     "GravityCompensation": (lambda arm: laws.GravityCompensation(kd=40.0 * own(arm)), FREE),
     "VelocityPI": (lambda _: laws.VelocityPI(kp=10.0, ki=5.0), VELOCITY),
+    "JointPosition": (lambda _: laws.JointPosition(), POSITION),
     "via_joint_space": (lambda _: taut.via_joint_space(laws.ComputedTorque(kp=100.0, kd=20.0)), FREE),
     "via_joint_space, drives": (lambda _: taut.via_joint_space(laws.VelocityPI(kp=10.0)), VELOCITY),
     "TaskComputedTorque": (lambda _: laws.TaskComputedTorque(kp=100.0, kd=20.0, ki=50.0), FREE),
@@ -98,7 +102,7 @@ LAWS: dict[str, tuple[Callable[[taut.Arm], taut.Law], str]] = {
     "HybridMotionForce": (lambda arm: on_a_plane(arm, kfp=1.0, kdamp=50.0), TOUCHED),
 }
 SPECIFYING = frozenset({"Impedance", "Impedance with D", "Admittance", "Admittance, drives", "Admittance, joints"})
-HARD = frozenset({"VelocityPI", "via_joint_space, drives", "TaskVelocity", "TaskPosition"})
+HARD = frozenset({"VelocityPI", "JointPosition", "via_joint_space, drives", "TaskVelocity", "TaskPosition"})
 DRIFTS = frozenset({"GravityCompensation", "ForceControl", "ForceControl, feedforward", "HybridMotionForce"})
 LED = frozenset(
     {"Admittance", "Admittance, drives", "Admittance, joints"}

@@ -18,6 +18,7 @@ import taut
 from taut.base.errors import ModelError, Problem, TautError, missing_extra, unknown_name
 
 ARM = taut.load_arm("planar2")
+LOADED = [getattr(taut.errors, name) for name in taut.errors.__all__]
 LAW = taut.laws.PID(kp=10.0, kd=1.0)
 REF = taut.JointMotion(q=[0.1, 0.2])
 

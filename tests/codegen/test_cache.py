@@ -311,7 +311,7 @@ def test_wrong_memory_is_found_too(folder: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_kernel_that_gives_nan_is_found(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(llvm, "FARTHEST", 0.0)  # every angle is too far
+    monkeypatch.setitem(llvm._OPERATION, Op.SELECT, "select {b} {0}, {t} {2}, {t} {1}")  # every angle is too far
     with refused(taut.errors.TraceError):
         taut.compile(taut.laws.GravityPID(kp=1.0, kd=1.0), taut.load_arm("planar2"))
     assert entries(folder) == []

@@ -20,6 +20,7 @@ from taut.scenarios.scenario import load_scenario
 
 L, TM = taut.laws, taut.math
 CC = shutil.which("cc")
+COMPILERS = {"gcc": ("gcc", "-O1"), "clang": ("clang", "-O0")}  # clang warns alike at any level
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
 compiled = pytest.mark.skipif(CC is None, reason="needs a C compiler: apt-get install gcc")
 
@@ -82,15 +83,28 @@ def pointers(*blocks: np.ndarray) -> list[ctypes.c_void_p]:
 
 
 @compiled
+@pytest.mark.parametrize("compiler", [name for name in COMPILERS if shutil.which(name)])
 @pytest.mark.parametrize("real", ["double", "float"])
 @pytest.mark.parametrize("name", LAWS)
-def test_its_own_test_passes_with_every_warning_an_error(name: str, real: str, tmp_path: Path) -> None:
+def test_its_own_test_passes_with_every_warning_an_error(name: str, real: str, compiler: str, tmp_path: Path) -> None:
     files = taut.export_c(controller(name), tmp_path, prefix="arm_law", real=real)
-    assert all(file.exists() for file in files)
-    flags = f"CFLAGS=-O1 {' '.join(STRICT)}"
-    done = subprocess.run(["make", "-s", "test", flags], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert all("SPDX-License-Identifier: Apache-2.0" in file.read_text(encoding="utf-8") for file in files)
+    cc, level = COMPILERS[compiler]
+    words = ["make", "-s", "test", f"CC={cc}", f"CFLAGS={level} {' '.join(STRICT)}"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.startswith("16 ticks: at most ")
+
+
+@compiled
+@pytest.mark.parametrize("name", ["bare", "sum"])
+def test_it_calls_math_and_nothing_that_allocates(name: str, tmp_path: Path) -> None:
+    taut.export_c(controller(name), tmp_path)
+    subprocess.run([str(CC), "-O1", "-c", "ctrl.c"], cwd=tmp_path, check=True)
+    listed = subprocess.run(["nm", "-u", "ctrl.o"], cwd=tmp_path, check=True, capture_output=True, text=True).stdout
+    called = set(listed.split()) - {"U", "_GLOBAL_OFFSET_TABLE_"}
+    copies = {"memcpy", "memset"}  # of structs, which any C has
+    assert called <= copies | {"acos", "asin", "atan2", "exp", "fabs", "floor", "fma", "log", "sqrt", "tanh"}
 
 
 @compiled
@@ -177,16 +191,23 @@ def test_members_are_the_paths_with_units(tmp_path: Path) -> None:
         "double mass;  /* model.payload.mass [kg] */",
         "double R[3][3];  /* ref.R [rotation: its columns are the tool's axes in the world] */",
         "double command[7];  /* command [N m | N] */",
+        "double tau_applied[7];  /* limits.tau_applied [N m | N] */",
+        "double phase;  /* limits.phase [1] */",
+        'X("law.K", law.K, 6)',
+        'X("model.payload.mass", model.payload.mass, 1)',
     ):
         assert line in header
     assert "panda_joint1 [rad]" in header
 
 
 def test_words_of_c_and_digits_become_identifiers() -> None:
-    struct = Struct(Block.of({"law.default": (), "law.0.kp": (2,), "law.a-b": (3, 3), "law.nothing": (0,)}))
+    words = {"law.default": (), "law.0.kp": (2,), "law.a-b": (3, 3), "law.nothing": (0,), "law.new": ()}
+    struct = Struct(Block.of(words))
     assert struct.place(0) == "law.default_"
     assert struct.place(2) == "law._0.kp[1]"
     assert struct.place(11) == "law.a_b[2][2]"
+    assert struct.place(12) == "law.new_"  # of C++
+    assert list(struct.paths())[:2] == [("law.default", "law.default_", 1), ("law.0.kp", "law._0.kp", 2)]
     text = "\n".join(struct.definition("t", "float", {"law.default": "N m"}))
     assert "float default_;  /* law.default [N m] */" in text
     assert "nothing" not in text

@@ -148,15 +148,17 @@ def test_the_lyapunov_function_falls_at_the_rate_of_the_proof(name: str, links: 
     np.testing.assert_allclose(V + fallen, V[0], rtol=5e-3)
 
 
-@pytest.mark.parametrize(("name", "least"), [("ur5", 0.1), *([("panda", 0.05)] if WHOLE else [])])
-def test_composite_adaptation_is_faster_at_first_and_changes_nothing_without_an_error(
-    name: str, least: float
-) -> None:
-    arm = taut.load_arm(name)
-    laws = (Adaptive(**SAME, gamma=20.0), Adaptive(**SAME, gamma=20.0, composite=1.0))
-    plain, run = (tracked(law, arm, [at(2.0, 2.0, 0.05)], duration=4.0) for law in laws)
-    assert rms(run, 2.0, 4.0) < (1.0 - least) * rms(plain, 2.0, 4.0)
-    assert rms(run, 1.0, 2.0) < 1.1 * rms(plain, 1.0, 2.0)
+@pytest.mark.parametrize(
+    ("name", "most"),
+    [("ur5", [0.2, 9.0, 1.3, 0.9, 20.0]), *([("panda", [0.6, 20.0, 19.0, 3.5, 48.0])] if WHOLE else [])],
+)
+def test_composite_adaptation_is_faster_and_changes_nothing_without_an_error(name: str, most: list[float]) -> None:
+    """A third to a half of the plain law's error at the same gamma, also later on; `most` [mrad] as in `row`."""
+    arm, events = taut.load_arm(name), [at(2.0, 2.0, 0.05)]
+    plain, run = (tracked(Adaptive(**SAME, gamma=20.0, composite=R), arm, events) for R in (None, 10.0))
+    assert (np.array(row(run)) < most).all()
+    assert rms(run, 2.0, 4.0) < 0.7 * rms(plain, 2.0, 4.0)
+    assert rms(run, 10.0, 12.0) < 0.5 * rms(plain, 10.0, 12.0)
     before = run.between(0.0, 1.999).extra["law.estimate"][:, 0, 0]
     np.testing.assert_allclose(before, before[0], rtol=5e-3)
 

@@ -307,6 +307,14 @@ class TestSetPoints:
         assert not found.ok
         assert "joint2" in str(found)
 
+    def test_without_weight_any_stiffness_will_do_but_none(self) -> None:
+        arm = PLANAR2.with_gravity([0.0, 0.0, 0.0])
+        for kp, ok in ((1e-3, True), (0.0, False)):
+            law = taut.laws.MotorSidePD(stiffness=400.0, kp=kp, kd=5.0)
+            assert taut.analysis.set_point_condition(law, arm).ok is ok
+        with refused(taut.errors.ShapeError):
+            taut.analysis.set_point_condition(dataclasses.replace(law, stiffness=[400.0] * 3), arm)
+
 
 class TestClosedLoops:
     @pytest.mark.parametrize("arm", [PLANAR2, UR10, PANDA], ids=lambda arm: arm.name)
@@ -323,6 +331,16 @@ class TestClosedLoops:
             t = w * np.arange(len(errors)) / 10_000.0
             form = 0.02 * (1.0 + t + t**2 / 2.0 + t**3 / 6.0) * np.exp(-t)
             np.testing.assert_allclose(errors, np.outer(form, np.ones(arm.n)), rtol=0.0, atol=0.05 * 0.02)
+
+    @pytest.mark.parametrize(("omega", "stable"), [(600.0, True), (1500.0, False)])
+    def test_linearisation_needs_a_rate_above_the_frequency_of_a_link_on_its_spring(
+        self, omega: float, stable: bool
+    ) -> None:
+        arm = taut.load_arm("xarm7").with_joints(rotor_inertia=0.1).with_friction(FREE)
+        links = arm.with_joints(rotor_inertia=0.0)
+        K = np.minimum(5000.0, omega**2 / np.diag(np.linalg.inv(taut.snapshot(links, arm.home).M)))
+        loop = taut.Loop(taut.compile(linearising(30.0, K), arm), elastic(arm, K, substeps=10), duration=1.0)
+        assert taut.linearise(loop).stable is stable
 
     @pytest.mark.parametrize("arm", [UR10, PANDA], ids=lambda arm: arm.name)
     def test_motor_side_feedforward_is_exact_but_for_the_period(

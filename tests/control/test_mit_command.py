@@ -208,3 +208,37 @@ def test_a_record_keeps_the_five_numbers(tmp_path):
     again = taut.load_run(tmp_path / "run.mcap")
     np.testing.assert_array_equal(again.extra["mit"], run.extra["mit"])
     np.testing.assert_allclose(run.tau, run.command, atol=1e-12)  # of the first step of each tick
+
+
+@pytest.mark.parametrize(("rate", "taps"), [(500.0, 3), (100.0, 1)])
+def test_of_a_pd_in_the_motors_a_delay_of_the_commands_is_cancelled(rate, taps):
+    """The motors' targets are what the torque was computed of: the poles are those without delay, and zeros."""
+    arm, at, law = taut.load_arm("one_joint"), np.array([0.3]), ViaMit(law=taut.laws.PID(kp=60.0, kd=6.0))
+    poles = []
+    for delay in (0, taps):
+        plant = RigidPlant(
+            arm.with_gravity([0.0, 0.0, 0.0]),
+            takes="mit",
+            substeps=20,
+            actuation=inner(20.0 * rate, delay=delay / rate),
+        )
+        loop = taut.Loop(taut.compile(law, plant.arm, rate=rate), plant, taut.JointMotion(q=at), duration=1.0)
+        found = taut.linearise(loop, at=at).poles
+        poles.append(np.sort_complex(found[np.abs(found) > 1e-2]))
+        assert taut.analysis.judge(loop, at=at, gains=["law.kd"]).stable
+    np.testing.assert_allclose(poles[1], poles[0], atol=1e-7)
+
+
+def test_the_largest_gain_in_the_motors_does_not_depend_on_the_delay_of_the_commands():
+    """And that of torques is an inertia over a period, where the state is a period old."""
+    arm, rate = taut.load_arm("one_joint").with_gravity([0.0, 0.0, 0.0]).with_friction(taut.Friction()), 200.0
+    largest = {}
+    for motor, delay in ((True, 0), (True, 1), (False, 1)):
+        pd = taut.laws.PID(kp=10.0, kd=10.0)
+        law = ViaMit(law=pd) if motor else ViaMit(law=pd, kp_motor=0.0, kd_motor=0.0)
+        plant = RigidPlant(arm, takes="mit", substeps=10, actuation=inner(2000.0, delay=delay / rate))
+        loop = taut.Loop(taut.compile(law, arm, rate=rate), plant, duration=1.0)
+        largest[motor, delay] = 10.0 * taut.analysis.judge(loop, gains=["law.kd"]).largest["law.kd"]
+    assert largest[True, 1] == pytest.approx(largest[True, 0], rel=0.02)
+    assert largest[True, 1] == pytest.approx(2.0 * 0.5 * 2000.0, rel=0.02)
+    assert largest[False, 1] == pytest.approx(0.5 * rate, rel=0.02)

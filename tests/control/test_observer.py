@@ -19,7 +19,6 @@ from taut.environments import Environment, Environments, Field
 from taut.linear import judgement
 from taut.linear.period import Period
 from taut.maths.model import model_of
-from taut.maths.regressor import parameters_of
 from taut.sensors import MomentumObserver
 from taut.trajectories import Sine
 
@@ -500,7 +499,7 @@ def test_a_threshold_of_a_wrong_arm_gives_no_false_alarm_on_it(share: Callable[[
 
 def arms_of(ctrl: taut.Controller, arm: taut.Arm, unknown: laws.Uncertainty, ref: Any) -> Callable[..., Float64Array]:
     """Estimates (k, n) of arms of a set, by where each unknown is in its interval, from -1 to 1."""
-    half = np.array([[parameters_of(body) for body in part] for _, part in unknown.unknown(model_of(arm))])
+    half = np.array(unknown.unknown(model_of(arm)))
     plant = taut.RigidPlant(unknown.nominal(arm), friction=None, link_payloads=True)
     loop = taut.Loop(ctrl, plant, ref, duration=2.0)
 

@@ -53,6 +53,7 @@ LAWS: dict[str, tuple[taut.Law, dict[str, Any]]] = {
         {"inner": laws.PID(kp=2.0, kd=2.0)},
     ),
     "VelocityPI": (laws.VelocityPI(kp=1.0), {"kp": 2.0}),
+    "JointPosition": (laws.JointPosition(), {}),
     "ViaJointSpace": (taut.via_joint_space(JOINT), {"inner": laws.PID(kp=2.0, kd=2.0)}),
     "TaskComputedTorque": (TASK, {"kd": (50.0, 20.0)}),
     "TaskVelocity": (laws.TaskVelocity(kp=5.0), {"kp": 6.0}),

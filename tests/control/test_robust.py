@@ -175,10 +175,20 @@ def test_intervals_without_meaning_are_refused(case: str) -> None:
     ],
 )
 def test_intervals_that_do_not_fit_the_arm_are_refused(unknown: dict, kind: type, name: str) -> None:
-    law = taut.laws.Robust(lam=10.0, k=10.0, phi=0.1, uncertainty=taut.laws.Uncertainty(**unknown))
+    arm, ref = taut.load_arm("planar2"), taut.JointMotion(q=[0.0, 0.0])
+    stated = taut.laws.Uncertainty(**unknown)
     with pytest.raises(kind) as caught:
-        taut.compile(law, taut.load_arm("planar2"))
+        taut.compile(taut.laws.Robust(lam=10.0, k=10.0, phi=0.1, uncertainty=stated), arm)
     assert caught.value.name == name
+    with pytest.raises(kind) as caught:
+        taut.analysis.boundary_layer(arm, ref, stated, lam=10.0, k=10.0, duration=1.0)
+    assert caught.value.name == name
+
+
+def test_gains_of_other_joints_are_refused() -> None:
+    arm, law = taut.load_arm("planar2"), taut.laws.Robust(lam=[10.0] * 3, k=10.0, phi=0.1, uncertainty=planar_set())
+    with refused(taut.errors.ShapeError):
+        taut.analysis.certify(law, arm, taut.JointMotion(q=arm.home), duration=1.0)
 
 
 def test_a_lightest_body_that_cannot_be_is_refused() -> None:

@@ -199,7 +199,7 @@ class TestGuarantees:
         )
         springs = AntagonisticSprings(a=40.0 * k, c_min=0.25, c_max=0.75)
         moved = {}
-        for bandwidth in (28.4, 100.0, 200.0, None):
+        for bandwidth in (28.4, 65.0, 100.0, 200.0, None):
             run = taut.run(
                 taut.compile(law(40.0 * k, springs, 160.0 * k), arm),
                 plant(arm, springs, bandwidth=bandwidth, preset=40.0 * k),
@@ -211,6 +211,7 @@ class TestGuarantees:
             assert run.extra["drives.stiffness"][-1, 0] == pytest.approx(120.0 * k, rel=1e-6)
             moved[bandwidth] = 1e3 * float(np.abs(run.q).max())
         assert moved[28.4] == pytest.approx(1.54, rel=0.01)
+        assert moved[65.0] < 0.40  # feedback linearisation of both outputs leaves 0.40
         assert moved[100.0] == pytest.approx(4.0 * moved[200.0], rel=0.1)  # falls with the square
         assert moved[None] < 1e-9
 
@@ -343,6 +344,8 @@ class TestBeyondTheSprings:
         errors = taut.errors
         with refused(errors.RangeError):
             AntagonisticSprings(a=40.0, c_min=0.75, c_max=0.25)
+        with refused(errors.ShapeError):
+            AntagonisticSprings(a=40.0, c_min=[0.1, 0.2], c_max=[0.3, 0.4, 0.5])
         with refused(errors.RangeError):
             law(200.0)
         with refused(errors.RangeError):

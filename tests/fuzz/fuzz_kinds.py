@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import functools
 import json
 import sys
@@ -20,7 +21,9 @@ from numpy.random import Generator
 import taut
 from taut.arm.report import check_model
 from taut.maths.dynamics import mass_matrix
-from taut.maths.model import model_of
+from taut.maths.model import Adds, model_of
+from taut.record.info import ServoInfo
+from taut.record.log.reading import intact_parts
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "arm"))
 from arm_models import DUO, PAIR
@@ -168,10 +171,17 @@ def runs() -> tuple[taut.Run, ...]:
     ]
     panda = taut.load_arm("panda")
     led = taut.compile(taut.laws.Impedance(K=(800.0, 30.0), B=(60.0, 4.0)), panda)
+    kp = np.where(plain.t < 0.1, 100.0, 120.0)[:, None] * np.ones(2)
+    servo = ServoInfo(digest="0" * 128, measures=("v",), limits={"tau": np.full(2, 80.0)}, adds=Adds(gravity=True))
+    columns = {"parameters.law.kp": kp, "loop.tick": np.arange(len(plain.t)) + 5.0}
+    of_robot = dataclasses.replace(
+        plain, extra={**plain.extra, **columns}, info=dataclasses.replace(plain.info, servo=servo, events=())
+    )
     return (
         plain,
         taut.run(task, taut.RigidPlant(arm), duration=0.3),
         taut.run(led, taut.RigidPlant(panda), duration=0.3),
+        of_robot,
     )
 
 
@@ -182,7 +192,7 @@ def logs() -> tuple[bytes, ...]:
 
 
 def read_log(path: Path) -> None:
-    run = taut.load_run(path)
+    run, *_ = intact_parts(path)
     if not f"{run!r} {run.outcome} {run.joint_names} {list(run.terms)}".isprintable():
         raise AssertionError("a log commands a terminal")
     if len(path.read_bytes()) % EXAMINED == 0 and len(run) > 2:

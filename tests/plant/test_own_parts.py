@@ -11,6 +11,7 @@ from refusals import refused
 
 import taut
 import taut.math as tm
+from taut.codegen.noise import Noise, noise_block
 from taut.drives import Field, FrictionLaw, MotorInput, MotorModel, MotorStep
 from taut.environments import Environment
 
@@ -173,7 +174,7 @@ def test_a_sensor_of_ones_own_is_what_the_law_sees(plant: Any, engine: Any) -> N
     ctrl = taut.compile(Sees(), LINK, engine=engine)
     louder = taut.Event(t=0.1, set={"sensors.position.noise": 0.0, "sensors.position.ripple": 0.02})
     run = taut.run(ctrl, made, duration=0.2, q0=[0.7], seed=3, events=[louder])
-    noise = np.random.default_rng([3, *b"q"]).standard_normal((len(run), 1))
+    Noise(noise_block({"q": (1,)}), "float").fill(noise := np.zeros((len(run), 1)), 0, 3)
     first = (run.t < 0.1 - 1e-9)[:, np.newaxis]
     expected = run.q + np.where(first, 0.01, 0.02) * np.sin(2.0 * run.q) + np.where(first, 1e-3, 0.0) * noise
     np.testing.assert_allclose(run.extra["sensed.q"], expected, rtol=0.0, atol=1e-12)

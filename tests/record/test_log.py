@@ -233,6 +233,16 @@ def test_a_flipped_bit_leaves_what_comes_before(noisy_run: taut.Run, tmp_path: P
     assert len(set(lengths)) > 4
 
 
+@pytest.mark.parametrize("place", [-20, 0, 5, 100])
+def test_a_damaged_description_is_read_from_the_end(noisy_run: taut.Run, place: int, tmp_path: Path) -> None:
+    raw = bytearray(noisy_run.save(tmp_path / "run.mcap").read_bytes())
+    raw[raw.index(b"taut.run") + place] ^= 1
+    (tmp_path / "run.mcap").write_bytes(raw)
+    run = taut.load_run(tmp_path / "run.mcap")
+    assert len(run) == len(noisy_run)
+    assert plain(run.info) == plain(noisy_run.info)
+
+
 @pytest.mark.parametrize("damage", ["zeros", "noise", "gap"])
 def test_a_damaged_stretch_ends_the_log(noisy_run: taut.Run, damage: str, tmp_path: Path) -> None:
     whole = noisy_run.save(tmp_path / "run.mcap").read_bytes()

@@ -289,7 +289,8 @@ def test_code_made_anew_for_longer_runs_is_compared_where_the_first_began(monkey
     compared: list[Array] = []
 
     def verified(what: str, function: Any, program: Any, samples: Any, name: str = "kernel") -> Any:
-        compared.append(samples()[0][2].copy())
+        if name != "start":  # which has no memory yet
+            compared.append(samples()[0][2].copy())
         return real(what, function, program, samples, name)
 
     real = codegen_loop.verified

@@ -12,6 +12,8 @@ from refusals import refused
 from runtime_laws import TINY, Array, HandPlant, Seen, TorqueOf, seen
 
 import taut
+from taut.base.paths import subtree
+from taut.codegen.noise import Noise, noise_block
 from taut.loop import check_fit
 
 ARM = taut.load_arm("planar2")
@@ -80,7 +82,9 @@ def test_a_fused_loop_a_hosted_run_and_ones_own_steps_see_the_same(sensing: taut
     out = taut.run(ctrl, plant, SWAY, duration=0.05, seed=5, v0=[0.3, -0.2])
     numbers = dict(taut.Loop(ctrl, plant, SWAY, duration=0.05).parameters)
     # The same noise, drawn by hand from the run's seed.
-    noise = {name: np.random.default_rng([5, *name.encode()]).standard_normal((51, 2)) for name in ("q", "v")}
+    block = noise_block({"q": (2,), "v": (2,)})
+    Noise(block, "float").fill(rows := np.zeros((51, block.size)), 0, 5)
+    noise = subtree(block.views(rows), "noise")
     memory = plant.start(out.q[0], out.v[0], numbers, ctrl.dt)
     for k in range(51):
         drawn = {name: rows[k] for name, rows in noise.items()}

@@ -358,7 +358,8 @@ def test_every_command_that_prints_a_result_takes_json() -> None:
     actions = [action for action in _parser()._actions if isinstance(action.choices, dict)]
     commands = actions[0].choices
     assert set(commands) == {
-        "run", "scenarios", "export", "arms", "laws", "check", "doctor", "design", "compare", "report", "bench", "book",
+        "run", "scenarios", "export", "arms", "laws", "check", "doctor", "design", "compare", "report", "repair",
+        "replay", "bench", "book",
     }  # fmt: skip
     assert all("--json" in command._option_string_actions for command in commands.values())
 

@@ -156,10 +156,12 @@ def test_both_kinds_of_control_move_as_equation_10_48() -> None:
     assert moved == pytest.approx([1e3 * most] * 3, rel=0.02)
 
 
-def test_an_unknown_load_is_felt_and_a_soft_joint_rests() -> None:
+def test_each_law_makes_something_of_an_unknown_load_and_a_soft_joint_rests() -> None:
     text = execute("10_6_other_topics").text
-    errors = numbers(text, r"largest error +# mrad")
-    assert errors == sorted(errors)
-    assert errors[0] < 1.0 < 100.0 < errors[1]
+    computed, *others = numbers(text, r"largest error +# mrad")
+    assert computed > 300.0 > 30.0 > max(others)
+    trials = numbers(text, r"RMS error +# mrad")
+    assert trials[-1] < 0.01 * trials[0]
+    assert numbers(text, r"rests at # rad")[0] == pytest.approx(0.5, abs=1e-5)
     sag = 0.981 * math.cos(0.5) / 2000.0
     assert numbers(text, r"winds the spring up by # mrad")[0] == pytest.approx(1e3 * sag, rel=5e-3)

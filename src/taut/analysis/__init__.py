@@ -78,6 +78,8 @@ if TYPE_CHECKING:
     from taut.record.metrics import METRICS as METRICS
     from taut.record.metrics import Metric as Metric
     from taut.record.metrics.collision import collision_threshold as collision_threshold
+    from taut.runtime.realtime.replay import Replay as Replay
+    from taut.runtime.realtime.replay import replay as replay
     from taut.scenarios.compare import grade as grade
 
 __getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

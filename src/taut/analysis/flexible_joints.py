@@ -31,7 +31,7 @@ FULL_TURN: Final = np.pi  # [rad] either way, of a joint without limits
 DIED_OUT: Final = 1e-5  # [-] of the largest input of an inverse, at both ends of the window in which it is computed
 LONGEST: Final = 2**16  # ticks of that window before and after the motion
 STEADY: Final = 1e-6  # [-] of a step: an error that stays
-AT_REST: Final = 1e-6  # [rad/s | m/s]
+REST_SPEED: Final = 1e-6  # [rad/s | m/s]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,7 +45,7 @@ class SetPointCondition(Result):
     @property
     def margin(self) -> float:
         """Smallest stiffness over alpha [-]: above 1 the set-point is globally asymptotically stable."""
-        return float(self.series.min() / self.alpha) if self.alpha else np.inf
+        return float(self.series.min()) * (1.0 / self.alpha if self.alpha else np.inf)  # no number if both are zero
 
     @property
     def ok(self) -> bool:
@@ -94,6 +94,7 @@ def set_point_condition(law: MotorSidePD, arm: Arm, *, at: ArrayLike | None = No
         Tomei, A simple PD controller for robots with elastic joints, IEEE Trans. Automatic Control 36 (10), 1991.
     """
     instance_of("law", law, MotorSidePD, "a taut.laws.MotorSidePD")
+    law.check_size(arm.joint_names)
     x = snapshot(arm, arm.home if at is None else finite_array("at", at, shape=(arm.n,), joints=arm.joint_names))
     model, payload = model_of(arm), PayloadValues.of(arm.payload)
 
@@ -148,7 +149,7 @@ def stable_inversion(ctrl: Controller, plant: ModelPlant, motion: object, *, lea
         )
     wanted = known_motion(ctrl, motion, math.ceil(float(duration) / dt) + 1)
     speed = float(np.abs(wanted.v[[0, -1]]).max())
-    if speed > AT_REST:
+    if speed > REST_SPEED:
         raise UsageError(f"motion must begin and end at rest; got {speed:.3g} [rad/s | m/s] there", name="motion")
     lin = linearise(Loop(ctrl, plant, duration=dt), at=wanted.q[0])
     if not lin.stable:

@@ -289,7 +289,7 @@ def learn(
     side, n = ctrl.side, ctrl.side.arm.n
     ticks = round(duration_of_ticks(duration, side.dt) / side.dt) + 1
     motion = known_motion(ctrl, ref, ticks)
-    q0, v0 = state_at_start(plant.arm, motion.q[0] if q0 is None else q0, motion.v[0] if v0 is None else v0)
+    q0, v0 = state_at_start(side.arm, motion.q[0] if q0 is None else q0, motion.v[0] if v0 is None else v0)
     models = _models(ctrl, plant, motion.q[[ticks // 2, 0, -1]], arms, ticks)
     by.check_size(side.arm.joint_names, "by.")
     Q, K = by.filtered(models[0].G, side.rate)

@@ -9,12 +9,13 @@ import numpy as np
 
 from taut.analysis.design.design import pose_of
 from taut.arm.description import Arm
-from taut.base.checks import finite_array, instance_of, rate_in_hertz, symmetric_psd
-from taut.base.errors import RangeError, ShapeError, UsageError
+from taut.base.checks import instance_of, rate_in_hertz
+from taut.base.errors import RangeError, UsageError
 from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
 from taut.control.laws.joint import StateFeedback
 from taut.controller.compile import compile
+from taut.linear.joint_loop import joint_matrix
 from taut.linear.linear_system import Complex, LinearSystem, names
 from taut.linear.linearise import linearise
 from taut.loop import Loop
@@ -70,7 +71,7 @@ def lqr(
 
     Args:
         arm: The arm that the law knows.
-        Q: (2 n,) or (2 n, 2 n) weights of positions, then velocities: 1 / (admissible error)^2 is a start.
+        Q: (2 n,), (2 n, 2 n) or one weight, of positions, then velocities: 1 / (admissible error)^2 is a start.
         R: (n,) or (n, n) weights of torques, or a number: 1 / (admissible torque)^2 is a start.
         at: (n,) the pose [rad | m]; home if left out.
         rate: [Hz].
@@ -95,7 +96,7 @@ def lqr(
 
     instance_of("plant", plant, RigidPlant | None, "a taut.RigidPlant")
     q, rate, n = pose_of(arm, at), rate_in_hertz(rate), arm.n
-    weights = _weights("Q", Q, 2 * n), _weights("R", R, n, definite=True)
+    weights = joint_matrix("Q", Q, 2 * n, minimum=0.0), joint_matrix("R", R, n, above=0.0)
     plant = RigidPlant(arm, friction=None, integrator="rk4") if plant is None else plant
     held = np.zeros(n) if Adds.of(plant.adds).gravity else np.asarray(snapshot(arm, q).g)
     free = StateFeedback(K_q=np.zeros((n, n)), K_v=np.zeros((n, n)), tau_0=held)
@@ -123,13 +124,3 @@ def lqr(
         )
     law = StateFeedback(K_q=K[:, :n], K_v=K[:, n:], tau_0=held)
     return Lqr(law=law, K=K, P=P, system=closed, arm=arm.name, q=q)
-
-
-def _weights(name: str, given: ArrayLike, size: int, *, definite: bool = False) -> Float64Array:
-    """(size, size) of a matrix, of its diagonal, or of a number."""
-    array = finite_array(name, given)
-    if array.shape not in ((), (size,), (size, size)):
-        raise ShapeError(f"{name} must have shape ({size},) or ({size}, {size}); got {array.shape}", name=name)
-    matrix = array if array.ndim == 2 else np.eye(size) * array
-    symmetric_psd(name, matrix, definite=definite)
-    return matrix

@@ -91,6 +91,7 @@ class UncertainArm:
 
     def __init__(self, arm: Arm, law: Robust) -> None:
         model, n, unknown = model_of(arm), arm.n, law.uncertainty
+        law.check_size(arm.joint_names)
         unknown.check_arm(model)
         self.law, self.friction = law, unknown.friction(arm.friction)
         self.phi, self.lam = (np.broadcast_to(gain, (n,)) for gain in (law.phi, law.lam))

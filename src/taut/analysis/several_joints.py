@@ -15,6 +15,7 @@ from taut.base.paths import subtree
 from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.codegen.program import over_rows
+from taut.linear.joint_loop import joint_matrix
 from taut.linear.linearise import linearise
 from taut.loop import Loop
 from taut.maths import dynamics as dyn
@@ -212,8 +213,8 @@ def lyapunov(run: Run) -> Lyapunov:
     _check(run, law, values)
     n = run.n
     assert run.arm is not None
-    kp, viscous = _matrix(values.get("law.kp", 0.0), n), np.broadcast_to(values.get(VISCOUS, 0.0), (n,))
-    kd = _matrix(values["law.kd"], n) + np.diag(viscous)
+    kp, viscous = joint_matrix("kp", values.get("law.kp", 0.0), n), np.broadcast_to(values.get(VISCOUS, 0.0), (n,))
+    kd = joint_matrix("kd", values["law.kd"], n) + np.diag(viscous)
     e = np.zeros_like(run.q) if law == "GravityCompensation" else run.error
     assert e is not None
     kinetic, rate = _energies(run, run.arm, viscous, subtree(values, "plant.payload"))
@@ -264,8 +265,3 @@ def _check(run: Run, law: str, values: Mapping[str, Any]) -> None:
             f"from a file; this run is of {run.info.law or '?'}",
             name="run",
         )
-
-
-def _matrix(value: Any, n: int) -> Float64Array:
-    given = np.asarray(value, dtype=np.float64)
-    return given if given.ndim == 2 else np.diag(np.broadcast_to(given, (n,)))

@@ -16,6 +16,7 @@ from taut.base.errors import NumericalError, RangeError, ShapeError, UsageError,
 from taut.base.paths import subtree
 from taut.base.result import Content, Result, Table
 from taut.base.types import ArrayLike, Float64Array
+from taut.codegen.noise import MAX_SEED
 from taut.control.law import Law
 from taut.control.limits import Limits
 from taut.control.trajectories.reference import Trajectory
@@ -199,7 +200,7 @@ def tune(
         limits={} if limits is None else {"tau": limits.tau, "tau_dot": limits.tau_dot},
         chatter=None if chatter is None else positive_scalar("chatter", chatter),
         q0=q0,
-        seeds=[whole_number("seeds", seed) for seed in seeds],
+        seeds=[whole_number("seeds", seed, maximum=MAX_SEED) for seed in seeds],
         evaluations=evaluations,
     ).solved()
 

@@ -112,7 +112,7 @@ class Arm:
 
     @cached_property
     def units(self) -> tuple[str, ...]:
-        """Unit of each entry of q: rad or m."""
+        """Unit, rad or m, of each entry of q."""
         return tuple(joint.unit for joint in self.joints)
 
     lower = _per_joint("lower", "(n,) lower position limits [rad | m]; -inf where there is none.")

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, Final, NoReturn, TextIO, cast
 
 from taut.base.errors import TautError, UsageError, printable
-from taut.cli import analysis, book, models, run
+from taut.cli import analysis, book, models, robots, run, sweep
 from taut.cli.command import FAILED, STATUS, WRONG, Command
 
 NEGATIVE: Final = re.compile(r"-(\d|\.\d|inf|nan)", re.IGNORECASE)  # a value, where argparse expects an option
@@ -29,13 +29,17 @@ NEGATIVE: Final = re.compile(r"-(\d|\.\d|inf|nan)", re.IGNORECASE)  # a value, w
 COMMANDS: Final[tuple[Command, ...]] = (
     run.RUN,
     analysis.COMPARE,
+    sweep.SWEEP,
     run.REPORT,
     run.SCENARIOS,
     run.EXPORT,
+    robots.BRINGUP,
     models.ARMS,
     models.LAWS,
     models.CHECK,
     run.DOCTOR,
+    run.REPAIR,
+    run.REPLAY,
     analysis.DESIGN,
     models.BENCH,
     book.BOOK,

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from taut.base.errors import UsageError
+from taut.base.errors import TautError, UsageError
 from taut.base.result import Table
 from taut.cli.command import DONE, FAILED, GAIN, STATUS, WRONG, Answer, ByName, Command, Say, load_law
 
 if TYPE_CHECKING:
     from taut.record.run import Run
+    from taut.scenarios.scenario import Scenario
 
 
 def _run(arguments: argparse.Namespace, say: Say) -> Answer:
@@ -23,7 +26,13 @@ def _run(arguments: argparse.Namespace, say: Say) -> Answer:
     own = None if arguments.law is None else {arguments.law: load_law(arguments.law, arguments.gain)}
     scenario = load_scenario(arguments.scenario, own, values=arguments.set)
     folder = arguments.out or Path("out") / scenario.name
-    result = run_scenario(scenario, folder, say=say, engine=arguments.engine)
+    with contextlib.ExitStack() as stack:
+        robot = None
+        if arguments.robot is not None:
+            from taut.scenarios.on_robot import robot_of
+
+            robot = stack.enter_context(robot_of(scenario, arguments.robot))
+        result = run_scenario(scenario, folder, say=say, engine=arguments.engine, robot=robot)
     return Answer(text=str(result), data=result.json(), status=DONE if result.ok else FAILED)
 
 
@@ -44,6 +53,10 @@ RUN: Final = Command(
             "help": "a law of your own instead of the scenario's laws, whose pass criteria then do not count",
         },
         "--gain": GAIN,
+        "--robot": {
+            "metavar": "ADDRESS",
+            "help": "on this robot instead of the scenario's plant, once `taut bringup` has passed",
+        },
         "--engine": {
             "choices": ("auto", "native", "float"),
             "default": "auto",
@@ -55,6 +68,7 @@ RUN: Final = Command(
   taut run my_scenario.toml --out results
   taut run one_joint_pid --set laws.PD.kp=5 --set run.duration=2
   taut run one_joint_pid --law my_law.py:Spring --gain k=2.0
+  taut run panda_payload --robot franka://172.16.0.2
 
 The metrics are printed as a table; below it stands each file that was made.
 
@@ -87,21 +101,28 @@ SCENARIOS: Final = Command(
 )
 
 
-def _export(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
-    from taut.controller.export_c import export_c
+def scenario_with_law(arguments: argparse.Namespace, values: Mapping[str, Any] | None = None) -> tuple[Scenario, str]:
+    """A scenario with one of its laws: that of --law, which may be one of the user's own, or its only one."""
     from taut.scenarios.scenario import load_scenario
 
     name = arguments.law
     own = {name: load_law(name, arguments.gain)} if name is not None and ":" in name else None
-    scenario = load_scenario(arguments.scenario, own)
-    laws = scenario.laws
-    if name is None and len(laws) == 1:
-        name = next(iter(laws))
-    if name not in laws:
+    scenario = load_scenario(arguments.scenario, own, values=values)
+    if name is None and len(scenario.laws) == 1:
+        name = next(iter(scenario.laws))
+    if name not in scenario.laws:
         got = "none was named" if name is None else f"got '{name}'"
         raise UsageError(
-            f"scenario '{scenario.name}' has the laws {', '.join(map(repr, laws))}; {got}; give --law NAME"
+            f"scenario '{scenario.name}' has the laws {', '.join(map(repr, scenario.laws))}; {got}; give --law NAME"
         )
+    return scenario, name
+
+
+def _export(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
+    from taut.controller.export_c import export_c
+
+    scenario, name = scenario_with_law(arguments)
+    laws = scenario.laws
     ctrl = scenario.experiment.prepared(laws[name]).controller(laws[name])
     files = [str(file) for file in export_c(ctrl, arguments.out, prefix=arguments.prefix, real=arguments.real)]
     cost = f"{ctrl.operations} operations a tick; to compare it with Python: make -C {arguments.out} test"
@@ -184,4 +205,89 @@ REPORT: Final = Command(
             "help": "(default: report.html)",
         },
     },
+)
+
+
+def _repair(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
+    from taut.record.log.files import checked_target
+    from taut.record.log.reading import intact_parts
+
+    source = Path(arguments.run)
+    target = checked_target("log", arguments.out or source.with_name(f"{source.stem}-repaired.mcap"), (".mcap",))
+    rows = list[dict[str, Any]]()
+    for part in intact_parts(source):
+        if len(part):
+            file = target if not rows else target.with_stem(f"{target.stem}-{len(rows) + 1}")
+            row = {
+                "file": str(part.save(file)),
+                "ticks": len(part),
+                "start": float(part.t[0]),
+                "end": float(part.t[-1]),
+            }
+            rows.append({**row, "outcome": part.outcome.json()})
+    lines = [f"{row['file']}  {row['ticks']} ticks, {row['start']:g} to {row['end']:g} s" for row in rows]
+    remarks = [row["outcome"]["message"] for row in rows]
+    text = "\n".join(lines) or "no whole tick is left in it"
+    return Answer(
+        text=text, data={"run": arguments.run, "files": rows}, status=DONE if rows else FAILED, remarks=remarks
+    )
+
+
+REPAIR: Final = Command(
+    name="repair",
+    help="Write the whole ticks of a damaged or unfinished log as a log that every reader of MCAP takes.",
+    run=_repair,
+    arguments={
+        **DOCTOR.arguments,
+        "--out": {"type": Path, "metavar": "FILE.mcap", "help": "(default: RUN-repaired.mcap)"},
+    },
+    more="""What stands behind a damage becomes a file of its own, RUN-repaired-2.mcap. RUN.mcap stays as it is.
+
+exit status:
+  0  done
+  1  no whole tick is left in it
+  2  the request was wrong: not a log, or one without a whole description
+""",
+)
+
+
+def _replay(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
+    from taut.arm.load import load_arm
+    from taut.controller import compile
+    from taut.record.log.reading import load_run
+    from taut.runtime.realtime.replay import replay, require_servo
+    from taut.scenarios.sections import law_of_text, side_of_text
+
+    run = load_run(arguments.run)
+    servo, info = require_servo(run), run.info
+    arm = run.arms[0] if arguments.arm is None else load_arm(arguments.arm)
+    own = None if arguments.law is None else load_law(arguments.law, arguments.gain)
+    try:
+        law = own or law_of_text(info.law)[1]
+        sides = {"sensing": side_of_text(info.sensing), "limits": side_of_text(f"Limits({info.command_limits})")}
+    except TautError as cause:
+        raise UsageError(
+            "the law cannot be made from its text in the log; give --law FILE.py:CLASS, or in Python its controller "
+            f"to taut.analysis.replay: {cause}",
+            name="law",
+        ) from cause
+    result = replay(run, compile(law, arm, rate=run.rate, adds=servo.adds, **sides))
+    return Answer(text=f"{_of(run)}\n{result}", data=result.json(), status=DONE if result.ok else FAILED)
+
+
+REPLAY: Final = Command(
+    name="replay",
+    help="Compute every tick of a robot's log again, and compare the results to the last bit.",
+    run=_replay,
+    arguments={
+        "run": {"metavar": "RUN.mcap", "help": "a log that taut.connect(..., log=) wrote"},
+        "--law": {"metavar": "FILE.py:CLASS", "help": "the law, where it is one of your own"},
+        "--gain": GAIN,
+        "--arm": {"metavar": "ARM", "help": "name or file of the arm (default: the one in the log)"},
+    },
+    more="""exit status:
+  0  all ticks are bit-identical
+  1  some are not
+  2  the request was wrong: no log of a robot, or another law or arm
+""",
 )

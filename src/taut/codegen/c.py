@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -13,66 +13,55 @@ import numpy as np
 
 from taut.base.errors import UsageError, printable
 from taut.base.types import Float64Array
-from taut.codegen import llvm
+from taut.codegen import functions, llvm
+from taut.codegen.functions import Real
 from taut.codegen.program import Block, Field, Program
 from taut.trace.graph import Op
 
 Place = Callable[[str, int], str]
 """The C expression of a double in a block: `in->q[3]` for ("inputs", 4)."""
-_SINGLE: Final = np.finfo(np.float32)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Precision:
-    """The C type of all numbers, and the constants of sine and cosine in it."""
+    """The C type of all numbers."""
 
-    real: str
+    numbers: Real
     suffix: str  # of functions of math.h
     letter: str  # of constants
-    pi_half: Sequence[float]
-    sin: Sequence[float]
-    cos: Sequence[float]
-    farthest: float
+
+    @property
+    def real(self) -> str:
+        """The type's name."""
+        return self.numbers.name
 
     def number(self, value: float) -> str:
         """A constant, exactly; in single precision the nearest that is neither infinite nor zero."""
-        if self.real == "float":
-            least, most = float(_SINGLE.tiny), float(_SINGLE.max)
-            value = math.copysign(min(max(abs(value), least), most), value) if value else value
-            value = float(np.float32(value))
-        text = value.hex() + self.letter
+        if not math.isfinite(value):
+            name = "NAN" if math.isnan(value) else "INFINITY"
+            return f"({'-' if value < 0.0 else ''}({self.real}){name})"
+        text = self.numbers.rounded(value).hex() + self.letter
         return f"({text})" if value < 0.0 else text
 
 
-DOUBLE: Final = Precision(
-    real="double", suffix="", letter="", pi_half=llvm.PI_HALF, sin=llvm.SIN, cos=llvm.COS, farthest=llvm.FARTHEST
-)
-SINGLE: Final = Precision(  # Cody and Waite in parts of 8 to 11 bits, and the polynomials of Cephes
-    real="float",
-    suffix="f",
-    letter="F",
-    pi_half=(1.5703125, 4.837512969970703125e-4, 7.54978995489188216e-8),
-    sin=(-1.6666654611e-1, 8.3321608736e-3, -1.9515295891e-4),
-    cos=(4.166664568298827e-2, -1.388731625493765e-3, 2.443315711809948e-5),
-    farthest=2.0**21,
-)
+DOUBLE: Final = Precision(numbers=functions.DOUBLE, suffix="", letter="")
+SINGLE: Final = Precision(numbers=functions.SINGLE, suffix="f", letter="F")
 
 _OPERATION: Final = {
     Op.ADD: "{0} + {1}", Op.SUB: "{0} - {1}", Op.MUL: "{0} * {1}", Op.DIV: "{0} / {1}", Op.NEG: "-{0}",
-    Op.SQRT: "sqrt{f}({0})", Op.ABS: "fabs{f}({0})", Op.FLOOR: "floor{f}({0})", Op.ASIN: "asin{f}({0})",
-    Op.ACOS: "acos{f}({0})", Op.ATAN2: "atan2{f}({0}, {1})", Op.EXP: "exp{f}({0})", Op.LOG: "log{f}({0})",
-    Op.TANH: "tanh{f}({0})", Op.LT: "{0} < {1}", Op.LE: "{0} <= {1}", Op.EQ: "{0} == {1}", Op.AND: "{0} && {1}",
-    Op.OR: "{0} || {1}", Op.NOT: "!{0}", Op.SELECT: "{0} ? {1} : {2}",
+    Op.SQRT: "sqrt{f}({0})", Op.ABS: "fabs{f}({0})", Op.FLOOR: "floor{f}({0})", Op.EXPONENT: "logb{f}({0})",
+    Op.SCALE: "ldexp{f}({0}, {1} == {1} ? (int){1} : 0)", Op.LT: "{0} < {1}", Op.LE: "{0} <= {1}",
+    Op.EQ: "{0} == {1}", Op.AND: "{0} && {1}", Op.OR: "{0} || {1}", Op.NOT: "!{0}", Op.SELECT: "{0} ? {1} : {2}",
 }  # fmt: skip
 _TRUTH: Final = {Op.LT, Op.LE, Op.EQ, Op.AND, Op.OR, Op.NOT}
 _FIRST: Final = {Op.MIN: "<", Op.MAX: ">"}
 
 
 def prelude(precision: Precision, *programs: Program) -> str:
-    """What the functions of these programs need: FUSED, and sine and cosine, which are those of machine code."""
-    p = precision
-    turns = any(program.graph.ops[i] in (Op.SIN, Op.COS) for program in programs for i in program.live)
-    return _FUSED.format(letter=p.letter, suffix=p.suffix) + (_sine_cosine(p) if turns else "")
+    """What the functions of these programs need: FUSED, and the elementary functions, those of machine code."""
+    names = functions.needed(precision.numbers, *programs)
+    fused = _FUSED.format(letter=precision.letter, suffix=precision.suffix)
+    return fused + "".join(f"\n{_function(name, precision)}" for name in names)
 
 
 _FUSED: Final = """\
@@ -85,47 +74,31 @@ _FUSED: Final = """\
 """
 
 
-def _sine_cosine(p: Precision) -> str:
-    return f"""
-/* Cody and Waite reduction by pi/2 in three parts, then a polynomial; NaN where the angle is lost. */
-static void sine_cosine({p.real} x, {p.real} *s, {p.real} *c)
-{{
-    const {p.real} k = floor{p.suffix}(FUSED(x, {p.number(0.6366197723675814)}, {p.number(0.5)}));
-    const {p.real} r0 = FUSED(-k, {p.number(p.pi_half[0])}, x);
-    const {p.real} r1 = FUSED(-k, {p.number(p.pi_half[1])}, r0);
-    const {p.real} r2 = FUSED(-k, {p.number(p.pi_half[2])}, r1);
-    const {p.real} r = fabs{p.suffix}(x) < {p.number(p.farthest)} ? r2 : ({p.real})NAN;
-    const {p.real} z = r * r;
-    const {p.real} sr = FUSED(r * z, {_polynomial(p, p.sin)}, r);
-    const {p.real} cr = FUSED(z * z, {_polynomial(p, p.cos)}, FUSED(-z, {p.number(0.5)}, {p.number(1.0)}));
-    const {p.real} half = k * {p.number(0.5)};
-    const {p.real} whole = floor{p.suffix}(half);
-    const {p.real} quarter = whole * {p.number(0.5)};
-    const int odd = half > whole;
-    const int lower = quarter > floor{p.suffix}(quarter);
-    const {p.real} sa = odd ? cr : sr;
-    const {p.real} ca = odd ? sr : cr;
-    *s = lower ? -sa : sa;
-    *c = (odd != lower) ? -ca : ca;
-}}
-"""
+def _function(name: str, precision: Precision) -> str:
+    """An elementary function; of two results each has a pointer."""
+    program, real = functions.function(name, precision.numbers), precision.real
+    ends = program.output_nodes
+    arguments = [f"{real} x{i}" for i in range(program.inputs.size)]
+    arguments += [f"{real} *y{i}" for i in range(len(ends))] if len(ends) > 1 else []
+    lines = list(_lines(program, precision, lambda _, offset: f"x{offset}"))
+    values = [_value(program, precision, i) for i in ends]
+    lines += [f"*y{i} = {v};" for i, v in enumerate(values)] if len(ends) > 1 else [f"return {values[0]};"]
+    head = f"static {'void' if len(ends) > 1 else real} {name}({', '.join(arguments)})"
+    return "\n".join([head, "{", *(f"    {line}" for line in lines), "}", ""])
 
 
-def _polynomial(precision: Precision, coefficients: Sequence[float]) -> str:
-    text = precision.number(coefficients[-1])
-    for x in reversed(coefficients[:-1]):
-        text = f"FUSED(z, {text}, {precision.number(x)})"
-    return text
+def _value(program: Program, precision: Precision, i: int) -> str:
+    x = program.graph.value[i]
+    return f"v{i}" if x is None else precision.number(x)
 
 
-def body(program: Program, precision: Precision, place: Place) -> Iterator[str]:
-    """The lines of a function that reads inputs, parameters and memory, and writes "new" memory and outputs last."""
+def _lines(program: Program, precision: Precision, place: Place) -> Iterator[str]:
+    """The lines that compute all nodes."""
     graph, p, within, paired = program.graph, precision, llvm.products_in_sums(program), set[int]()
     products, real = set(within.values()), precision.real
 
     def value(i: int) -> str:
-        x = graph.value[i]
-        return f"v{i}" if x is None else p.number(x)
+        return _value(program, p, i)
 
     for i in program.live:
         op = Op(graph.ops[i])
@@ -143,8 +116,10 @@ def body(program: Program, precision: Precision, place: Place) -> Iterator[str]:
             if a not in paired:
                 paired.add(a)
                 yield f"{real} s{a}, c{a};"
-                yield f"sine_cosine({value(a)}, &s{a}, &c{a});"
+                yield f"{functions.NAMES[op]}({value(a)}, &s{a}, &c{a});"
             text = f"{'s' if op == Op.SIN else 'c'}{a}"
+        elif op in functions.NAMES:
+            text = f"{functions.NAMES[op]}({', '.join(value(x) for x in graph.operands(i))})"
         elif op in _FIRST:
             a, b = graph.operands(i)
             a, b = (b, a) if graph.value[b] is not None else (a, b)
@@ -154,9 +129,14 @@ def body(program: Program, precision: Precision, place: Place) -> Iterator[str]:
         else:
             text = _OPERATION[op].format(*(value(x) for x in graph.operands(i)), f=p.suffix)
         yield f"const {'int' if op in _TRUTH else real} v{i} = {text};"
+
+
+def body(program: Program, precision: Precision, place: Place) -> Iterator[str]:
+    """The lines of a function that reads inputs, parameters and memory, and writes "new" memory and outputs last."""
+    yield from _lines(program, precision, place)
     for block, nodes in (("new", program.memory_nodes), ("outputs", program.output_nodes)):
         for offset, i in enumerate(nodes):
-            yield f"{place(block, offset)} = {value(i)};"
+            yield f"{place(block, offset)} = {_value(program, precision, i)};"
 
 
 KEYWORDS: Final = frozenset(
@@ -164,6 +144,13 @@ KEYWORDS: Final = frozenset(
         "auto", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum", "extern",
         "float", "for", "goto", "if", "inline", "int", "long", "register", "restrict", "return", "short", "signed",
         "sizeof", "static", "struct", "switch", "typedef", "union", "unsigned", "void", "volatile", "while",
+        # of C++, which reads the header
+        "alignas", "alignof", "and", "and_eq", "asm", "bitand", "bitor", "bool", "catch", "char16_t", "char32_t",
+        "char8_t", "class", "co_await", "co_return", "co_yield", "compl", "concept", "const_cast", "consteval",
+        "constexpr", "constinit", "decltype", "delete", "dynamic_cast", "explicit", "export", "false", "friend",
+        "mutable", "namespace", "new", "noexcept", "not", "not_eq", "nullptr", "operator", "or", "or_eq", "private",
+        "protected", "public", "reinterpret_cast", "requires", "static_assert", "static_cast", "template", "this",
+        "thread_local", "throw", "true", "try", "typeid", "typename", "using", "virtual", "wchar_t", "xor", "xor_eq",
     }
 )  # fmt: skip
 
@@ -206,13 +193,18 @@ class Struct:
             for member, node in tree.items():
                 if isinstance(node, Field):
                     shape = "".join(f"[{size}]" for size in node.shape)
-                    note = f"  /* {comment(node.path)} [{notes[node.path]}] */" if node.path in notes else ""
-                    yield f"{indent}{real} {member}{shape};{note}"
+                    unit = f" [{notes[node.path]}]" if node.path in notes else ""
+                    yield f"{indent}{real} {member}{shape};  /* {comment(node.path)}{unit} */"
                 else:
                     yield from (f"{indent}struct {{", *members(node, indent + "    "), f"{indent}}} {member};")
 
         inside = list(members(self._tree(), "    ")) or [f"    {real} none;  /* this law has nothing here */"]
         return ["typedef struct {", *inside, f"}} {name};"]
+
+    def paths(self) -> Iterator[tuple[str, str, int]]:
+        """Each path, its member, and how many numbers it has."""
+        for field in self._fields:
+            yield comment(field.path), ".".join(self._members[field.path]), field.size
 
     def initial(self, flat: Float64Array, precision: Precision) -> str:
         """The initialiser of a struct with these numbers."""

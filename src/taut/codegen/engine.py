@@ -24,6 +24,7 @@ VERIFY_TOLERANCE = 1e-9  # relative to the largest number of the result; far abo
 ULPS = 4.0  # by which inputs are moved to see how large rounding becomes where a state makes it large
 TRIALS, LARGER = 3, 100.0  # times what they show is rounding too
 
+EMPTY: Final = Block()
 Flat: TypeAlias = tuple[Float64Array, Float64Array, Float64Array]
 """Inputs, parameters and memory."""
 Bools: TypeAlias = NDArray[np.bool_]
@@ -41,6 +42,8 @@ class Steps:
     memory: Block
     substep: Function | None = None  # `repeats` times after the step; its outputs do not count
     repeats: int = 0
+    start: Function | None = None  # (inputs with "start.*", parameters, none) -> (the memory in the first tick, none)
+    start_inputs: Block = EMPTY
 
 
 def best_engine() -> Engine:

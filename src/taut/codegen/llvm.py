@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import itertools
-import math
 import struct
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Final
 
+from taut.codegen.functions import DOUBLE, FUNCTIONS, NAMES, Real, function
 from taut.codegen.program import Program
 from taut.trace.graph import BOOLEAN_OPS, LARGEST, NONE, Op
 
@@ -21,66 +22,26 @@ _DECIDING: Final = frozenset(
     {Op.SQRT, Op.LOG, Op.ASIN, Op.ACOS, Op.ATAN2, Op.FLOOR, Op.LT, Op.LE, Op.EQ},
 )
 BLOCK_LINES: Final = 200  # LLVM's quick level takes a time that grows with the square of a block's length
-LIBM: Final = ("asin", "acos", "atan2", "log", "tanh")
+CACHE_LINE: Final = 64  # bytes: as wide as the widest numbers in lanes
 
-_OPERATION: Final = {
-    Op.ADD: "fadd double {0}, {1}",
-    Op.SUB: "fsub double {0}, {1}",
-    Op.MUL: "fmul double {0}, {1}",
-    Op.DIV: "fdiv double {0}, {1}",
-    Op.NEG: "fneg double {0}",
-    Op.SQRT: "call double @llvm.sqrt.f64(double {0})",
-    Op.ABS: "call double @llvm.fabs.f64(double {0})",
-    Op.FLOOR: "call double @llvm.floor.f64(double {0})",
-    Op.ASIN: "call double @asin(double {0})",
-    Op.ACOS: "call double @acos(double {0})",
-    Op.ATAN2: "call double @atan2(double {0}, double {1})",
-    Op.EXP: "call double @expo(double {0})",
-    Op.LOG: "call double @log(double {0})",
-    Op.TANH: "call double @tanh(double {0})",
-    Op.LT: "fcmp olt double {0}, {1}",
-    Op.LE: "fcmp ole double {0}, {1}",
-    Op.EQ: "fcmp oeq double {0}, {1}",
-    Op.AND: "and i1 {0}, {1}",
-    Op.OR: "or i1 {0}, {1}",
-    Op.NOT: "xor i1 {0}, true",
-    Op.SELECT: "select i1 {0}, double {1}, double {2}",
+_OPERATION: Final = {  # of numbers {t}, called {s}, and truth values {b}
+    Op.ADD: "fadd {t} {0}, {1}",
+    Op.SUB: "fsub {t} {0}, {1}",
+    Op.MUL: "fmul {t} {0}, {1}",
+    Op.DIV: "fdiv {t} {0}, {1}",
+    Op.NEG: "fneg {t} {0}",
+    Op.SQRT: "call {t} @llvm.sqrt.{s}({t} {0})",
+    Op.ABS: "call {t} @llvm.fabs.{s}({t} {0})",
+    Op.FLOOR: "call {t} @llvm.floor.{s}({t} {0})",
+    Op.LT: "fcmp olt {t} {0}, {1}",
+    Op.LE: "fcmp ole {t} {0}, {1}",
+    Op.EQ: "fcmp oeq {t} {0}, {1}",
+    Op.AND: "and {b} {0}, {1}",
+    Op.OR: "or {b} {0}, {1}",
+    Op.NOT: "xor {b} {0}, {true}",
+    Op.SELECT: "select {b} {0}, {t} {1}, {t} {2}",
 }
 _FIRST: Final = {Op.MIN: "olt", Op.MAX: "ogt"}
-
-# Sine and cosine from + - * floor: Cody and Waite reduction by pi/2 in three parts, then fdlibm's kernels.
-# 1 ulp of the result for |x| < 1e6, 1 ulp of x beyond, NaN beyond 2^50, where a double has lost the angle. Faster
-# than libm, the same everywhere, and in lanes.
-FARTHEST: Final = 2.0**50
-PI_HALF: Final = (1.57079632673412561417, 6.07710050630396597660e-11, 2.02226624879595063154e-21)
-SIN: Final = (
-    -1.66666666666666324348e-01,
-    8.33333333332248946124e-03,
-    -1.98412698298579493134e-04,
-    2.75573137070700676789e-06,
-    -2.50507602534068634195e-08,
-    1.58969099521155010221e-10,
-)
-COS: Final = (
-    4.16666666666666019037e-02,
-    -1.38888888888741095749e-03,
-    2.48015872894767294178e-05,
-    -2.75573143513906633035e-07,
-    2.08757232129817482790e-09,
-    -1.13596475577881948265e-11,
-)
-
-# The exponential: 2^k times fdlibm's rational approximation on |r| <= ln(2) / 2. Within 1 ulp; a call of libm costs
-# twice the time, and has every register saved around it.
-_LN2: Final = (6.93147180369123816490e-01, 1.90821492927058770002e-10)
-_EXP: Final = (
-    1.66666666666666019037e-01,
-    -2.77777777770155933842e-03,
-    6.61375632143793436117e-05,
-    -1.65339022054652515390e-06,
-    4.13813679705723846039e-08,
-)
-_EXP_ENDS: Final = (-746.0, 710.0)  # beyond them it is 0, and infinite
 
 
 def number(value: float) -> str:
@@ -88,132 +49,103 @@ def number(value: float) -> str:
     return "0x" + struct.pack(">d", value).hex().upper()
 
 
-def _multiplied(name: str, a: str, b: str, c: str, *, less: bool = False, minus: bool = False) -> list[str]:
-    """Lines that compute a b + c; c - a b where that is to be `less`, a b - c with `minus`."""
-    lines = []
-    if less:
-        lines, a = [f" {name}.n = fneg double {a}"], f"{name}.n"
-    if minus:
-        lines, c = [f" {name}.n = fneg double {c}"], f"{name}.n"
-    return [*lines, f" {name} = call double @llvm.fmuladd.f64(double {a}, double {b}, double {c})"]
+@dataclass(frozen=True)
+class Lanes:
+    """What one instruction computes with: a number, or several side by side; blocks have their numbers so too."""
+
+    count: int = 1
+    real: Real = DOUBLE
+
+    def of(self, kind: str) -> str:
+        """A type of LLVM in all lanes."""
+        return kind if self.count == 1 else f"<{self.count} x {kind}>"
+
+    def same(self, kind: str, value: str) -> str:
+        """A constant that is the same in all lanes."""
+        return value if self.count == 1 else f"splat ({kind} {value})"
+
+    @property
+    def type(self) -> str:
+        """The type of numbers."""
+        return self.of(self.real.name)
+
+    @property
+    def align(self) -> int:
+        """Bytes of one number, at multiples of which all stand."""
+        return self.real.dtype().itemsize
+
+    @property
+    def name(self) -> str:
+        """The type of numbers in the names of LLVM's functions."""
+        return f"{f'v{self.count}' if self.count > 1 else ''}f{8 * self.align}"
+
+    def number(self, value: float) -> str:
+        """A constant."""
+        return self.same(self.real.name, number(self.real.rounded(value)))
+
+    @property
+    def attributes(self) -> str:
+        """Of a function: LLVM would let the widest numbers lie across two cache lines on the stack."""
+        wide = self.count * self.align >= CACHE_LINE
+        return f'nounwind alignstack({CACHE_LINE}) "stackrealign"' if wide else "nounwind"
 
 
-def declarations() -> str:
+ONE: Final = Lanes()
+
+
+def spread(name: str, value: str, kind: str, lanes: Lanes) -> list[str]:
+    """Lines that give one value to all lanes."""
+    if lanes.count == 1:
+        return [f" {name} = bitcast {kind} {value} to {kind}"]
+    wide = lanes.of(kind)
+    return [
+        f" {name}.i = insertelement {wide} poison, {kind} {value}, i64 0",
+        f" {name} = shufflevector {wide} {name}.i, {wide} poison, <{lanes.count} x i32> zeroinitializer",
+    ]
+
+
+def declarations(lanes: Lanes = ONE) -> str:
     """Declarations and definitions of the functions that kernels call."""
-    one = [f"declare double @llvm.{name}.f64(double)" for name in ("sqrt", "fabs", "floor")]
-    libm = [f"declare double @{name}(double{', double' if name == 'atan2' else ''}) #0" for name in LIBM]
-    whole = "declare i64 @llvm.fptosi.sat.i64.f64(double)\ndeclare double @llvm.fmuladd.f64(double, double, double)"
-    return "\n".join([*one, whole, *libm, _sincos(), _exp(), "attributes #0 = { nounwind willreturn memory(none) }"])
+    t, s = lanes.type, lanes.name
+    lines = [f"declare {t} @llvm.{name}.{s}({t})" for name in ("sqrt", "fabs", "floor")]
+    lines.append(f"declare {t} @llvm.fmuladd.{s}({t}, {t}, {t})")
+    return "\n".join([*lines, *(function_text(name, function(name, lanes.real), lanes) for name in FUNCTIONS)])
 
 
-def _sincos() -> str:
-    """A function {sin, cos} of one double, inlined where it is used."""
-    lines = [
-        "define internal { double, double } @sincos(double %x) alwaysinline {",
-        *_multiplied("%shifted", "%x", number(0.6366197723675814), number(0.5)),
-        " %k = call double @llvm.floor.f64(double %shifted)",
-    ]
-    before = "%x"
-    for i, part in enumerate(PI_HALF):
-        lines += _multiplied(f"%r{i}", "%k", number(part), before, less=True)
-        before = f"%r{i}"
-    lines += [
-        " %far = call double @llvm.fabs.f64(double %x)",
-        f" %near = fcmp olt double %far, {number(FARTHEST)}",
-        f" %r = select i1 %near, double %r2, double {number(math.nan)}",
-        " %z = fmul double %r, %r",
-    ]
-    for name, table in (("s", SIN), ("c", COS)):
-        lines += _polynomial(f"%{name}a", "%z", table)
-    lines += [
-        " %rz = fmul double %r, %z",
-        *_multiplied("%sr", "%rz", "%sa0", "%r"),
-        " %zz = fmul double %z, %z",
-        *_multiplied("%one", "%z", number(0.5), number(1.0), less=True),
-        *_multiplied("%cr", "%zz", "%ca0", "%one"),
-        # Quadrant k mod 4: odd quadrants swap sine and cosine, then signs follow.
-        f" %half = fmul double %k, {number(0.5)}",
-        " %halffloor = call double @llvm.floor.f64(double %half)",
-        " %odd = fcmp one double %half, %halffloor",
-        f" %quarter = fmul double %halffloor, {number(0.5)}",
-        " %quarterfloor = call double @llvm.floor.f64(double %quarter)",
-        " %lower = fcmp one double %quarter, %quarterfloor",
-        " %sabs = select i1 %odd, double %cr, double %sr",
-        " %cabs = select i1 %odd, double %sr, double %cr",
-        " %cneg = xor i1 %odd, %lower",
-        " %sminus = fneg double %sabs",
-        " %cminus = fneg double %cabs",
-        " %sin = select i1 %lower, double %sminus, double %sabs",
-        " %cos = select i1 %cneg, double %cminus, double %cabs",
-        " %first = insertvalue { double, double } undef, double %sin, 0",
-        " %both = insertvalue { double, double } %first, double %cos, 1",
-        " ret { double, double } %both",
-        "}",
-    ]
-    return "\n".join(lines)
+def function_text(name: str, program: Program, lanes: Lanes = ONE, fused: Mapping[int, int] | None = None) -> str:
+    """A program of numbers as a function that is inlined where it is used; several results are a structure."""
+    inputs = {program.graph.a[i]: i for i in program.live if program.graph.ops[i] == Op.INPUT}
+    body = _Body(program, lanes, products_in_sums(program) if fused is None else fused)
+    body.given |= set(inputs.values())
+    arguments = ", ".join(f"{lanes.type} %v{inputs[k]}" for k in range(program.inputs.size))
+    results = [f"{lanes.type} {body.value(i)}" for i in program.output_nodes]
+    lines, kind = body.lines(), result_type(lanes, len(results))
+    if len(results) == 1:
+        lines.append(f" ret {results[0]}")
+    else:
+        for k, result in enumerate(results):
+            lines.append(f" %r{k} = insertvalue {kind} {f'%r{k - 1}' if k else 'undef'}, {result}, {k}")
+        lines.append(f" ret {kind} %r{len(results) - 1}")
+    return "\n".join([f"define internal {kind} @{name}({arguments}) alwaysinline {{", *lines, "}"])
 
 
-def _polynomial(name: str, x: str, coefficients: Sequence[float]) -> list[str]:
-    """Lines that compute {name}0, a polynomial of x by Horner's rule; its constant is the first coefficient."""
-    lines, value = [], number(coefficients[-1])
-    for i in range(len(coefficients) - 2, -1, -1):
-        lines += _multiplied(f"{name}{i}", x, value, number(coefficients[i]))
-        value = f"{name}{i}"
-    return lines
+def result_type(lanes: Lanes, count: int) -> str:
+    """The type of so many results of a function."""
+    return lanes.type if count == 1 else f"{{ {', '.join([lanes.type] * count)} }}"
 
 
-def _exp() -> str:
-    """A function of one double, inlined where it is used."""
-    low, high = (number(end) for end in _EXP_ENDS)
-    lines = [
-        "define internal double @expo(double %x) alwaysinline {",
-        f" %below = fcmp olt double %x, {low}",
-        f" %raised = select i1 %below, double {low}, double %x",
-        f" %above = fcmp ogt double %raised, {high}",
-        f" %in = select i1 %above, double {high}, double %raised",  # NaN goes through
-        f" %scaled = fmul double %in, {number(1.4426950408889634)}",
-        f" %shifted = fadd double %scaled, {number(0.5)}",
-        " %k = call double @llvm.floor.f64(double %shifted)",
-        *_multiplied("%hi", "%k", number(_LN2[0]), "%in", less=True),
-        f" %lo = fmul double %k, {number(_LN2[1])}",
-        " %r = fsub double %hi, %lo",
-        " %t = fmul double %r, %r",
-        *_polynomial("%a", "%t", _EXP),
-        *_multiplied("%c", "%t", "%a0", "%r", less=True),
-        " %rc = fmul double %r, %c",
-        f" %rest = fsub double {number(2.0)}, %c",
-        " %part = fdiv double %rc, %rest",
-        " %less = fsub double %lo, %part",
-        " %minus = fsub double %less, %hi",
-        f" %y = fsub double {number(1.0)}, %minus",
-        # 2^k in two factors, so that neither leaves the range of doubles.
-        " %whole = call i64 @llvm.fptosi.sat.i64.f64(double %k)",
-        " %half = ashr i64 %whole, 1",
-        " %other = sub i64 %whole, %half",
-        " %biased1 = add i64 %half, 1023",
-        " %biased2 = add i64 %other, 1023",
-        " %bits1 = shl i64 %biased1, 52",
-        " %bits2 = shl i64 %biased2, 52",
-        " %factor1 = bitcast i64 %bits1 to double",
-        " %factor2 = bitcast i64 %bits2 to double",
-        " %once = fmul double %y, %factor1",
-        " %twice = fmul double %once, %factor2",
-        " ret double %twice",
-        "}",
-    ]
-    return "\n".join(lines)
+def kernel(program: Program, name: str, lanes: Lanes = ONE, fused: Mapping[int, int] | None = None) -> str:
+    """`void name(inputs, parameters, memory, new memory, outputs)`, five pointers to numbers in lanes.
 
-
-def kernel(program: Program, name: str, linkage: str = "") -> str:
-    """`void name(inputs, parameters, memory, new memory, outputs)`, five pointers to doubles.
-
-    All inputs are read before anything is written, so the new memory may be the old one.
+    All inputs are read before anything is written, so the new memory may be the old one. `fused` are sums with the
+    product that is rounded with each, those of the program if left out: a part of a program is given those of all of
+    it, so that it gives the same bits.
     """
-    lines = _Body(program).lines()
+    lines = _Body(program, lanes, products_in_sums(program) if fused is None else fused).kernel_lines()
     parts = [lines[k : k + BLOCK_LINES] for k in range(0, len(lines), BLOCK_LINES)]
     blocks = ([f" br label %part{k}", f"part{k}:", *part] for k, part in enumerate(parts))
     pointers = ", ".join(f"ptr %{block}" for block in ("inputs", "parameters", "memory", "new", "outputs"))
-    head = f"define {linkage} void @{name}({pointers}) nounwind {{"
+    head = f"define void @{name}({pointers}) {lanes.attributes} {{"
     return "\n".join([head, *itertools.chain.from_iterable(blocks), " ret void", "}"])
 
 
@@ -267,82 +199,155 @@ def products_in_sums(program: Program) -> dict[int, int]:
 class _Body:
     """The straight-line code of one program."""
 
-    def __init__(self, program: Program) -> None:
-        self._program = program
-        self._graph = program.graph
+    def __init__(self, program: Program, lanes: Lanes, fused: Mapping[int, int]) -> None:
+        self._program, self._graph, self._lanes = program, program.graph, lanes
+        live = set(program.live)
+        self._within = {i: product for i, product in fused.items() if i in live}
         self._out: list[str] = []
         self._paired: set[int] = set()  # arguments whose sine and cosine stand already
-        self._within = products_in_sums(program)
+        self.given: set[int] = set()  # nodes that are there already
+        self._common = {
+            "t": lanes.type, "s": lanes.name, "b": lanes.of("i1"), "true": lanes.same("i1", "true"),
+        }  # fmt: skip
 
-    def lines(self) -> list[str]:
-        products = set(self._within.values())
-        for i in self._program.live:
-            op = self._graph.ops[i]
-            if i in self._within:
-                self._sum_with_product(i, self._within[i])
-            elif op == Op.INPUT:
-                self._input(i)
-            elif op in (Op.SIN, Op.COS):
-                self._sine_or_cosine(i)
-            elif op in _FIRST:
-                self._extremum(i)
-            elif op != Op.CONST and i not in products:
-                operands = (self._value(x) for x in self._graph.operands(i))
-                self._out.append(f" %v{i} = {_OPERATION[Op(op)].format(*operands)}")
+    def kernel_lines(self) -> list[str]:
+        """The lines of a kernel."""
+        self.lines()
         self._stores("new", self._program.memory_nodes)
         self._stores("outputs", self._program.output_nodes)
         return self._out
 
-    def _value(self, i: int) -> str:
+    def lines(self) -> list[str]:
+        """The lines that compute all nodes."""
+        graph, alone = self._graph, self._needed_alone()
+        for i in self._program.live:
+            op = Op(graph.ops[i])
+            if i in self.given or op == Op.CONST or i not in alone:
+                continue
+            if i in self._within:
+                self._sum_with_product(i, self._within[i])
+            elif op == Op.INPUT:
+                self._input(i)
+            elif op in NAMES:
+                self._function(i, op)
+            elif op in _FIRST:
+                self._extremum(i)
+            elif op == Op.SCALE:
+                self._scaled(i)
+            elif op == Op.EXPONENT:
+                self._exponent(i)
+            else:
+                operands = (self.value(x) for x in graph.operands(i))
+                self._put(i, _OPERATION[op].format(*operands, **self._common))
+        return self._out
+
+    def _needed_alone(self) -> set[int]:
+        """The nodes that something needs besides the sums in which they are the product."""
+        needed = {*self._program.output_nodes, *self._program.memory_nodes}
+        for i in self._program.live:
+            operands = list(self._graph.operands(i))
+            if i in self._within:
+                operands.remove(self._within[i])
+                operands += self._graph.operands(self._within[i])
+            needed.update(operands)
+        return needed
+
+    def value(self, i: int) -> str:
+        """A node as an operand."""
         value = self._graph.value[i]
-        return f"%v{i}" if value is None else number(value)
+        return f"%v{i}" if value is None else self._lanes.number(value)
+
+    def _put(self, i: int, text: str) -> None:
+        self._out.append(f" %v{i} = {text}")
 
     def _input(self, i: int) -> None:
         block, offset = self._program.place_of_input(self._graph.a[i])
-        self._out += [
-            f" %p{i} = getelementptr double, ptr %{block}, i64 {offset}",
-            f" %v{i} = load double, ptr %p{i}",
-        ]
+        self._out.append(f" %p{i} = getelementptr {self._lanes.type}, ptr %{block}, i64 {offset}")
+        self._put(i, f"load {self._lanes.type}, ptr %p{i}, align {self._lanes.align}")
 
     def _sum_with_product(self, i: int, product: int) -> None:
-        graph = self._graph
-        a, b, less = graph.a[i], graph.b[i], graph.ops[i] == Op.SUB
-        other = b if product == a else a
-        x, y, c = (self._value(k) for k in (graph.a[product], graph.b[product], other))
-        self._out += _multiplied(f"%v{i}", x, y, c, less=less and product == b, minus=less and product == a)
+        """a b + c; c - a b where the product is taken away, a b - c where the other is."""
+        graph, t = self._graph, self._lanes.type
+        less = graph.ops[i] == Op.SUB
+        x, y = graph.operands(product)
+        other = graph.b[i] if product == graph.a[i] else graph.a[i]
+        a, b, c = self.value(x), self.value(y), self.value(other)
+        if less:
+            self._out.append(f" %v{i}.n = fneg {t} {a if product == graph.b[i] else c}")
+            a, c = (f"%v{i}.n", c) if product == graph.b[i] else (a, f"%v{i}.n")
+        self._put(i, f"call {t} @llvm.fmuladd.{self._lanes.name}({t} {a}, {t} {b}, {t} {c})")
 
     def _extremum(self, i: int) -> None:
         """The smaller or larger of two, NaN if one is: LLVM's own function takes twice the time to order zeros."""
         a, b = self._graph.operands(i)
         a, b = (b, a) if self._graph.value[b] is not None else (a, b)
-        x, y, name = self._value(a), self._value(b), f"%v{i}"
-        known = self._graph.value[a] is not None  # a constant is never NaN
-        better = name if known else f"{name}.m"
+        x, y, t, truth = self.value(a), self.value(b), self._lanes.type, self._lanes.of("i1")
+        self._out.append(f" %v{i}.f = fcmp {_FIRST[Op(self._graph.ops[i])]} {t} {x}, {y}")
+        if self._graph.value[a] is not None:  # a constant is never NaN
+            self._put(i, f"select {truth} %v{i}.f, {t} {x}, {t} {y}")
+            return
         self._out += [
-            f" {name}.f = fcmp {_FIRST[Op(self._graph.ops[i])]} double {x}, {y}",
-            f" {better} = select i1 {name}.f, double {x}, double {y}",
+            f" %v{i}.m = select {truth} %v{i}.f, {t} {x}, {t} {y}",
+            f" %v{i}.n = fcmp uno {t} {x}, {x}",
         ]
-        if not known:
-            self._out += [
-                f" {name}.n = fcmp uno double {x}, {x}",
-                f" {name} = select i1 {name}.n, double {x}, double {better}",
-            ]
+        self._put(i, f"select {truth} %v{i}.n, {t} {x}, {t} %v{i}.m")
 
-    def _sine_or_cosine(self, i: int) -> None:
+    def _function(self, i: int, op: Op) -> None:
+        t, name = self._lanes.type, NAMES[op]
+        arguments = ", ".join(f"{t} {self.value(x)}" for x in self._graph.operands(i))
+        kind = result_type(self._lanes, function(name, self._lanes.real).outputs.size)
+        if kind == t:
+            self._put(i, f"call {t} @{name}({arguments})")
+            return
         a = self._graph.a[i]
         if a not in self._paired:
             self._paired.add(a)
-            self._out += [f" %t{a} = call {{ double, double }} @sincos(double {self._value(a)})"]
-        part = 0 if self._graph.ops[i] == Op.SIN else 1
-        self._out.append(f" %v{i} = extractvalue {{ double, double }} %t{a}, {part}")
+            self._out.append(f" %t{a} = call {kind} @{name}({arguments})")
+        self._put(i, f"extractvalue {kind} %t{a}, {0 if op == Op.SIN else 1}")
+
+    def _scaled(self, i: int) -> None:
+        """x 2^k in two factors, so that neither leaves the range of numbers, made in the bits of the exponent."""
+        lanes, real, v = self._lanes, self._lanes.real, f"%v{i}"
+        bits = f"i{8 * lanes.align}"
+        t, whole, shift = lanes.type, lanes.of(bits), lanes.same(bits, str(real.digits - 1))
+        x, k = (self.value(a) for a in self._graph.operands(i))
+        self._out += [
+            f" {v}.q = fmul {t} {k}, {lanes.number(0.5)}",
+            f" {v}.0 = call {t} @llvm.floor.{lanes.name}({t} {v}.q)",
+            f" {v}.1 = fsub {t} {k}, {v}.0",
+        ]
+        for part in range(2):
+            value = x if part == 0 else f"{v}.p0"
+            self._out += [  # the sum has the whole number in its last bits
+                f" {v}.s{part} = fadd {t} {v}.{part}, {lanes.number(1.5 * 2.0 ** (real.digits - 1) + real.bias)}",
+                f" {v}.b{part} = bitcast {t} {v}.s{part} to {whole}",
+                f" {v}.e{part} = shl {whole} {v}.b{part}, {shift}",
+                f" {v}.f{part} = bitcast {whole} {v}.e{part} to {t}",
+                f" {v}{'.p0' if part == 0 else ''} = fmul {t} {value}, {v}.f{part}",
+            ]
+
+    def _exponent(self, i: int) -> None:
+        """The bits of the exponent as the last bits of a number."""
+        lanes, real, v = self._lanes, self._lanes.real, f"%v{i}"
+        bits = f"i{8 * lanes.align}"
+        t, whole, base = lanes.type, lanes.of(bits), 2.0 ** (real.digits - 1)
+        pattern = int.from_bytes(real.dtype(base).tobytes(), "little")
+        self._out += [
+            f" {v}.b = bitcast {t} {self.value(self._graph.a[i])} to {whole}",
+            f" {v}.e = lshr {whole} {v}.b, {lanes.same(bits, str(real.digits - 1))}",
+            f" {v}.o = or {whole} {v}.e, {lanes.same(bits, str(pattern))}",
+            f" {v}.f = bitcast {whole} {v}.o to {t}",
+        ]
+        self._put(i, f"fsub {t} {v}.f, {lanes.number(base + real.bias)}")
 
     def _stores(self, block: str, nodes: tuple[int, ...]) -> None:
+        t = self._lanes.type
         for offset, i in enumerate(nodes):
             assert i != NONE
             assert self._graph.ops[i] not in BOOLEAN_OPS
             self._out += [
-                f" %{block}{offset} = getelementptr double, ptr %{block}, i64 {offset}",
-                f" store double {self._value(i)}, ptr %{block}{offset}",
+                f" %{block}{offset} = getelementptr {t}, ptr %{block}, i64 {offset}",
+                f" store {t} {self.value(i)}, ptr %{block}{offset}, align {self._lanes.align}",
             ]
 
 
@@ -402,18 +407,18 @@ class Writer:
             value = self.put(f"load {kind}, ptr {place}, align 8")
             differences[width].append(self.put(f"fsub {kind} {value}, {value}"))
         if differences[4]:
-            total = self._sum("<4 x double>", differences[4])
+            total = self.sum("<4 x double>", differences[4])
             differences[1] += [self.put(f"extractelement <4 x double> {total}, i64 {i}") for i in range(4)]
         if not differences[1]:
             return None
-        return self.put(f"fcmp une double {self._sum('double', differences[1])}, 0.0")
+        return self.put(f"fcmp une double {self.sum('double', differences[1])}, 0.0")
 
-    def _sum(self, kind: str, values: list[str]) -> str:
+    def sum(self, kind: str, values: list[str]) -> str:
         """The sum of some values, by halves, so that no addition waits for all before it."""
         if len(values) == 1:
             return values[0]
         half = len(values) // 2
-        return self.put(f"fadd {kind} {self._sum(kind, values[:half])}, {self._sum(kind, values[half:])}")
+        return self.put(f"fadd {kind} {self.sum(kind, values[:half])}, {self.sum(kind, values[half:])}")
 
 
 def _pieces(size: int) -> list[tuple[int, int]]:

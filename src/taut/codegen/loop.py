@@ -11,11 +11,12 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from taut.base.errors import TautError
 from taut.base.types import Float64Array
-from taut.codegen.engine import Engine, Flat, Steps, plain, verified
+from taut.codegen.engine import Engine, Flat, Steps, machine_code, plain, verified
 from taut.codegen.llvm import Writer, declarations, kernel
 from taut.codegen.native import NativeModule, compiled, level_for
-from taut.codegen.program import Block, Field, Program, trace
+from taut.codegen.program import Block, Field, Program, Values, trace
 from taut.loop import Loop
 
 BLOCKS: Final = ("input", "parameter", "memory", "output")
@@ -34,6 +35,7 @@ class TracedSteps:
         if steps.repeats and steps.substep is not None:
             self.inner = trace(steps.substep, *blocks)
         self.repeats = steps.repeats
+        self.start = _traced_start(steps)
         inner = 0 if self.inner is None else self.inner.operations
         self.operations = self.step.operations + inner * self.repeats  # of a period
 
@@ -41,14 +43,27 @@ class TracedSteps:
     def content(self) -> bytes:
         """A digest of its code."""
         inner = b"" if self.inner is None else self.inner.content + self.repeats.to_bytes(8, "little")
-        return self.step.content + inner
+        start = b"" if self.start is None else self.start.content
+        return self.step.content + inner + start
 
     def text(self) -> str:
-        """LLVM text of `kernel`, and of `substep` where there are some."""
+        """LLVM text of `kernel`, and of `substep` and `start` where there are some."""
         parts = [declarations(), kernel(self.step, "kernel")]
         if self.inner is not None:
             parts.append(kernel(self.inner, "substep"))
+        if self.start is not None:
+            parts.append(kernel(self.start, "start"))
         return "\n".join(parts)
+
+
+def _traced_start(steps: Steps) -> Program | None:
+    """The start of a loop; None of one that is for numbers alone, such as that of a user's own plant."""
+    if steps.start is None:
+        return None
+    try:
+        return trace(steps.start, steps.start_inputs, steps.parameters, Block())
+    except TautError:
+        return None
 
 
 class StepLoop:
@@ -58,10 +73,22 @@ class StepLoop:
     be singular. For few ticks it is compiled quickly; `expect` more and it is compiled again, to run fast.
     """
 
-    def __init__(self, steps: Steps, example: Flat, *, engine: Engine, ticks: int | None = None) -> None:
-        self.engine = engine
+    def __init__(
+        self,
+        steps: Steps,
+        example: Flat,
+        *,
+        engine: Engine,
+        ticks: int | None = None,
+        begin: Float64Array | None = None,  # inputs of `start`, at which it is compared too
+    ) -> None:
+        self.engine, self._begin = engine, begin
         self.raised: Exception | None = None  # by plain Python in the last run; compiled code raises nothing
         self.operations = 0  # of a period, where it is traced
+        self.starts = False  # whether `start` is machine code
+        self.memory = steps.memory
+        self.begun = b""  # the last start that was checked
+        self.size = 0  # of a block of ticks that takes as long as its run wants; 0 until one has run
         self._steps = steps
         self._run: Run = self._plain_run
         self._level, self._ticks = -1, 0  # at which it is compiled, and for how many ticks
@@ -87,6 +114,20 @@ class StepLoop:
             assert array.flags.c_contiguous
         assert inputs.ndim == outputs.ndim == 2
         return self._run(inputs, parameters, memory, outputs)
+
+    def start(self, inputs: Float64Array, parameters: Float64Array) -> Float64Array:
+        """The memory in the first tick. Machine code, where there is some, checks nothing."""
+        steps, memory = self._steps, self._steps.memory.zeros()
+        assert steps.start is not None
+        nothing = np.zeros(0)
+        if self.starts:
+            machine_code(self.module["start"])(inputs, parameters, nothing, nothing, memory)
+        else:
+            evaluate = plain(
+                steps.start, steps.start_inputs, steps.parameters, Block(), new=Block(), outputs=steps.memory
+            )
+            evaluate(inputs, parameters, nothing, nothing, memory)
+        return memory
 
     def expect(self, ticks: int | None) -> None:
         """Get ready for so many ticks more, or for any number."""
@@ -115,7 +156,12 @@ class StepLoop:
             for check in checks:
                 check(module)
 
-        names = ("loop", "kernel", *(("substep",) if traced.inner is not None else ()))
+        self.starts = traced.start is not None
+        if traced.start is not None and steps.start is not None:
+            begin = [] if self._begin is None else [(self._begin.copy(), parameters, np.zeros(0))]
+            checks.append(verified("the start of the loop", steps.start, traced.start, lambda: begin, "start"))
+        more = {"substep": traced.inner, "start": traced.start}
+        names = ("loop", "kernel", *(name for name, program in more.items() if program is not None))
         command = next((field for field in self.outputs.fields if field.path == COMMAND), None)
 
         def text() -> str:
@@ -150,16 +196,35 @@ class StepLoop:
 _COMPILED: Final[WeakKeyDictionary[Loop, StepLoop]] = WeakKeyDictionary()
 
 
-def compiled_loop(loop: Loop, blocks: tuple[Block, Block, Block], example: Flat) -> StepLoop:
-    """The code of a loop for its engine, made once."""
-    made = _COMPILED.get(loop)
+def compiled_loop(
+    loop: Loop, blocks: tuple[Block, Block, Block], example: Flat, q: Float64Array, v: Float64Array
+) -> StepLoop:
+    """The code of a loop for its engine, made once; compared with plain Python at an example, which began at q, v."""
+    made = known_loop(loop)
     if made is not None:
         made.expect(loop.ticks)
         return made
-    twin = copy.copy(loop)
-    steps = Steps(twin.step, *blocks, twin.substep, loop.plant.substeps - 1)
-    _COMPILED[loop] = made = StepLoop(steps, example, engine=loop.engine, ticks=loop.ticks)
+    begin = np.concatenate([example[0], q, v])
+    _COMPILED[loop] = made = StepLoop(
+        steps_of(loop, *blocks), example, engine=loop.engine, ticks=loop.ticks, begin=begin
+    )
     return made
+
+
+def known_loop(loop: Loop) -> StepLoop | None:
+    """The code of a loop, where it is made."""
+    return _COMPILED.get(loop)
+
+
+def steps_of(loop: Loop, inputs: Block, parameters: Block, memory: Block) -> Steps:
+    """Start, step and substep of a loop, as it is now."""
+    twin, n = copy.copy(loop), loop.plant.arm.n
+
+    def start(inputs: Values, parameters: Values, _: Values) -> tuple[Values, Values]:
+        return twin.start(inputs["start.q"], inputs["start.v"], inputs, parameters), {}
+
+    more = Block.of({**inputs.shapes, "start.q": (n,), "start.v": (n,)})
+    return Steps(twin.step, inputs, parameters, memory, twin.substep, loop.plant.substeps - 1, start, more)
 
 
 def native_loop(address: int) -> Run:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import functools
 import hashlib
 import importlib.util
@@ -22,7 +21,7 @@ from typing import Any, Final
 
 from taut.base import __version__
 from taut.base.errors import TautError, warn
-from taut.codegen.llvm import LIBM
+from taut.codegen.functions import Real
 from taut.trace import graph
 
 LEVEL: Final = 2  # of LLVM's code generator; 3 gives nothing, 1 is no faster to compile
@@ -65,6 +64,16 @@ def _together() -> bool:
     return sys.platform == "linux" and platform.machine() == "x86_64"
 
 
+@functools.cache
+def host_lanes(real: Real) -> int:
+    """Numbers of a type that one instruction of this processor computes with."""
+    import llvmlite.binding as llvm
+
+    features = llvm.get_host_cpu_features()
+    bits = 512 if features.get("avx512f") and features.get("avx512dq") else 256 if features.get("avx") else 128
+    return bits // (8 * real.dtype().itemsize)
+
+
 def _new_machine(level: int) -> Any:
     import llvmlite.binding as llvm
 
@@ -93,12 +102,6 @@ def _jit(number: int) -> Any:  # noqa: ARG001
     import llvmlite.binding as llvm
 
     return llvm.create_lljit_compiler(_new_machine(LEVEL), use_jit_link=_together())
-
-
-@functools.cache
-def _libm_addresses() -> dict[str, int]:
-    library = ctypes.cdll.msvcrt if sys.platform == "win32" else ctypes.CDLL(None)
-    return {name: ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0 for name in LIBM}
 
 
 _LIBRARY_NUMBERS: Final = itertools.count()
@@ -188,6 +191,7 @@ def _generated(text: str, level: int) -> bytes:
     machine = _machine(level)
     try:
         module = llvm.parse_assembly(text)
+        module.verify()
     except RuntimeError as cause:  # a fault of ours, never of the caller
         raise TautError(f"LLVM refuses generated code; please report this: {cause}") from cause
     # The graph is already folded and shared: of LLVM's passes only inlining is worth its time.
@@ -203,7 +207,7 @@ def _linked(
     import llvmlite.binding as llvm
 
     builder = llvm.JITLibraryBuilder().add_object_img(code)
-    for name, address in {**_libm_addresses(), **(symbols or {})}.items():
+    for name, address in (symbols or {}).items():
         builder.import_symbol(name, address)
     for name in names:
         builder.export_symbol(name)

@@ -21,7 +21,7 @@ from taut.base.checks import instance_of
 from taut.base.errors import TautError, TraceError, missing_extra, raised_location
 from taut.base.types import Float64Array
 from taut.trace.array import traced_array
-from taut.trace.graph import NONE, Graph, Op
+from taut.trace.graph import NONE, Graph, Op, exponent, scaled
 from taut.trace.scalar import Condition, Scalar, to_node, tracing
 
 Values: TypeAlias = Mapping[str, Any]
@@ -37,7 +37,7 @@ _FUNCTIONS: Final[Mapping[int, Callable[..., Any]]] = {
     int(Op.LOG): np.log, int(Op.TANH): np.tanh, int(Op.ABS): np.abs, int(Op.FLOOR): np.floor,
     int(Op.MIN): np.minimum, int(Op.MAX): np.maximum, int(Op.LT): np.less,
     int(Op.LE): np.less_equal, int(Op.EQ): np.equal, int(Op.AND): np.logical_and, int(Op.OR): np.logical_or,
-    int(Op.NOT): np.logical_not,
+    int(Op.NOT): np.logical_not, int(Op.SCALE): scaled, int(Op.EXPONENT): exponent,
 }  # fmt: skip
 
 

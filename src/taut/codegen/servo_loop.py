@@ -8,21 +8,27 @@ from __future__ import annotations
 
 import ctypes
 import functools
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from taut.codegen.llvm import Writer
 from taut.codegen.native import NativeModule, compiled
 
-SYMBOLS: Final = ("clock_gettime", "clock_nanosleep", "kill")
-PARTNER: Final = 62  # code of `control.faults`: the other robot stopped
+SYMBOLS: Final = ("clock_gettime", "clock_nanosleep", "getppid", "kill")
 NAMES: Final = ("loop", "watch", "plant_read", "plant_write")
+FUNCTIONS: Final = ("kernel", "start")  # of a set
+PLANT_FUNCTIONS: Final = ("step", "substep", "measure")
+PARTNER, UNWATCHED = 62, 63  # codes of `control.faults` that the loop finds itself
+WATCH_EVERY: Final = 4_000_000  # [ns] between two looks of the watchdog
+UNSEEN: Final = 500_000_000  # [ns] without a look after which the loop stops: nobody would stop it if it hung
 
 
-def _numbered(*names: str) -> dict[str, int]:
+def numbered(*names: str) -> dict[str, int]:
+    """Places of words by name."""
     return {name: i for i, name in enumerate(names)}
 
 
-STATUS: Final = _numbered(
+STATUS: Final = numbered(
     "heartbeat",  # [ns] of the last tick
     "ticks",  # in total
     "where",  # the loop is in: 1 the read, 2 the tick, 3 the write; 0 outside
@@ -31,7 +37,6 @@ STATUS: Final = _numbered(
     "quit",  # ends the loop after a tick
     "hold",  # asks for the controlled stop
     "recover",  # counts the requests to recover
-    "external",  # code of what the loop's process saw: a fault of the next tick
     "lost",  # periods missed in total
     "overruns",  # ticks whose computing took longer than a period
     "slowest",  # [ns] longest computing of a tick
@@ -39,38 +44,49 @@ STATUS: Final = _numbered(
     "dead",  # ends the watchdog
     "control",  # whether commands go out
     "latched",  # code that the ticks latched
+    "watched",  # [ns] of the watchdog's last look
+    "patience",  # [ns] without a tick after which it acts
 )
 """Words of the shared status."""
 STATUS_WORDS: Final = 64
 
-LOOP: Final = _numbered(
+LOOP: Final = numbered(
     "status", "set", "next", "read", "write", "user", "measured", "period", "host_paced", "deadline", "last",
     "recovered",
-    "partner",  # status of the robot that stops together with this one, or null
+    "group",  # a word that robots share which stop together: when [ns] one of them stopped
+    "known",  # the value of that word that was seen
 )  # fmt: skip
-SET: Final = _numbered(
+SET: Final = numbered(
     "kernel", "start", "inputs", "parameters", "memory", "new", "outputs",  # functions and blocks
     "memory_size", "safe_size", "input_size", "output_size", "parameter_size", "reference_size", "measured_size",
     "t_at", "measured_at", "reference_at", "signals_at", "command_at", "fault_at",  # offsets in doubles
     "next_at", "ticks_at",  # of a task's phase in memory, or -1
     "ring", "rows", "capacity", "row_size",
-    "controls", "reference", "new_parameters", "tables", "table_count", "table_rows",  # what the parent writes
+    "controls", "new_parameters", "tables", "table_count", "table_rows",  # what the parent writes
     "scratch", "count", "number", "begins", "sends", "seen", "valid", "received", "dt",
 )  # fmt: skip
-CONTROLS: Final = _numbered("sample", "received", "parameters", "hold_after", "stop_after", "over")
-"""Words before the reference in what the parent writes: two sequence locks, and numbers."""
-CONTROL_WORDS: Final = 16
-TABLE: Final = _numbered("first", "length", "arrived", "dynamic")
-"""Words of a table of samples: its first row and length (-1: the stream), the tick with which it began."""
-ROW_HEAD: Final = ("tick", "time", "late", "compute", "driver", "lost")
-"""Columns before inputs and outputs in a row of the ring; times in seconds."""
-PLANT: Final = _numbered(
-    "step", "substep", "repeats", "measure", "inputs", "parameters", "memory", "new", "outputs", "command_size",
-    "memory_size", "count", "dt",
+CONTROLS: Final = numbered("parameters", "hold_after", "stop_after", "over")
+"""Words at the beginning of what the parent writes: a sequence lock, and numbers."""
+TABLE: Final = numbered(
+    "lock",  # odd while the parent writes the next six
+    "version", "first", "length",  # how often it was written; its rows
+    "arrived",  # tick of the phase that the first row is for; -1: that in which the loop sees it
+    "received",  # [ns]
+    "stream",  # whether it grows stale
+    "fixed",  # whether it is known before its phase begins
+    "ticks", "voided", "seen", "began",  # of the loop: ticks of the phase; versions; tick of the first row
 )  # fmt: skip
+"""Words of a table of samples, one for each phase."""
+ROW_HEAD: Final = ("tick", "time", "late", "compute", "driver", "lost", "sent")
+"""Columns before inputs, parameters, memory and outputs in a row of the ring; times in seconds."""
+PLANT: Final = numbered(
+    "step", "substep", "repeats", "measure", "inputs", "parameters", "memory", "new", "outputs", "command_size",
+    "memory_size", "count", "dt", "period", "wrote",
+)  # fmt: skip
+MAX_CATCH_UP: Final = 1000  # periods that a model plant moves on at once
 
 
-class _Code(Writer):
+class WordCode(Writer):
     """Lines with words by name."""
 
     def at(self, base: str, index: int | str) -> str:
@@ -100,6 +116,9 @@ class _Code(Writer):
     def test(self, how: str, a: str, b: str | int) -> str:
         return self.put(f"icmp {how} i64 {a}, {b}")
 
+    def even(self, whole: str) -> str:
+        return self.test("eq", self.put(f"and i64 {whole}, 1"), 0)
+
     def both(self, a: str, b: str) -> str:
         return self.put(f"and i1 {a}, {b}")
 
@@ -122,9 +141,10 @@ class _Code(Writer):
         self.line(f" br i1 {condition}, label %{yes}, label %{no}")
 
 
-_HELPERS: Final = """
+HELPERS: Final = """
 declare i32 @clock_gettime(i32, ptr)
 declare i32 @clock_nanosleep(i32, i32, ptr, ptr)
+declare i32 @getppid()
 declare i32 @kill(i32, i32)
 define internal i64 @now() {
  %t = alloca [2 x i64]
@@ -171,8 +191,12 @@ end:
 
 
 def _tick() -> str:
-    """`void tick(loop, now, lost)`: take what the parent wrote, run the kernel, keep its memory."""
-    w = _Code()
+    """`ptr tick(loop, now, lost)`: take what the parent wrote, run the kernel, keep its memory; the row in the ring.
+
+    All that the kernel reads stands in the row: from any row its outputs, and the memory of the next one, can be
+    computed again.
+    """
+    w = WordCode()
     w.line("entry:")
     status, old, new = (w.load("%loop", LOOP[name], "ptr") for name in ("status", "set", "next"))
     w.branch(w.put(f"icmp ne ptr {new}, null"), "swap", "going")
@@ -193,11 +217,7 @@ def _tick() -> str:
     # Parameters, under a sequence lock: what is being written is taken in the next tick.
     size = w.load("%set", SET["parameter_size"])
     sequence = w.acquire(controls, CONTROLS["parameters"])
-    differs, whole = (
-        w.test("ne", sequence, w.load("%set", SET["seen"])),
-        w.test("eq", w.put(f"and i64 {sequence}, 1"), 0),
-    )
-    w.branch(w.both(differs, whole), "take", "parameters")
+    w.branch(w.both(w.test("ne", sequence, w.load("%set", SET["seen"])), w.even(sequence)), "take", "parameters")
     w.line("take:")
     w.copy_blocks(w.load("%set", SET["new_parameters"], "ptr"), scratch, size)
     w.line(" fence acquire")
@@ -208,11 +228,9 @@ def _tick() -> str:
     w.line(" br label %parameters", "parameters:")
     w.line(" %changed = phi double [0.0, %going], [0.0, %take], [1.0, %keep]")
 
-    # The sample: of a table, or of a stream; otherwise the tick holds.
+    # The sample, under the table's sequence lock: what is being written is taken in the next tick.
     reference = w.doubles(inputs, w.load("%set", SET["reference_at"]))
     width, tables = w.load("%set", SET["reference_size"]), w.load("%set", SET["table_count"])
-    w.branch(w.test("sgt", tables, 0), "table", "stream")
-    w.line("table:")
     next_at = w.load("%set", SET["next_at"])
     w.branch(w.test("sge", next_at, 0), "of_task", "lookup")
     w.line("of_task:")
@@ -220,51 +238,48 @@ def _tick() -> str:
     since = w.put(f"load double, ptr {w.doubles(memory, w.load('%set', SET['ticks_at']))}")
     phase, ticks = w.put(f"fptosi double {number} to i64"), w.put(f"fptosi double {since} to i64")
     w.line(" br label %lookup", "lookup:")
-    w.line(
-        f" %phase = phi i64 [0, %table], [{phase}, %of_task]",
-        f" %ticks = phi i64 [{count}, %table], [{ticks}, %of_task]",
-    )
+    w.line(f" %phase = phi i64 [0, %parameters], [{phase}, %of_task]")
+    w.line(f" %ticks = phi i64 [{count}, %parameters], [{ticks}, %of_task]")
     w.branch(w.test("ult", "%phase", tables), "entries", "none")
-    w.line("entries:")
+    w.line("none:")
+    w.store("%set", SET["valid"], "0")
+    w.line(" br label %sampled", "entries:")
     entry = w.at(w.load("%set", SET["tables"], "ptr"), w.put(f"mul i64 %phase, {len(TABLE)}"))
-    starts = w.test("eq", "%ticks", 0)
-    w.branch(w.both(starts, w.test("ne", w.load(entry, TABLE["dynamic"]), 0)), "void_it", "known")
+    w.release(entry, TABLE["ticks"], "%ticks")
+    w.branch(w.test("eq", "%ticks", 0), "void_it", "known")
     w.line("void_it:")
-    w.release(entry, TABLE["length"], "0")
-    w.store(entry, TABLE["arrived"], "-1")
+    fixed = w.test("ne", w.load(entry, TABLE["fixed"]), 0)
+    void = w.choose(fixed, "0", w.acquire(entry, TABLE["version"]))
+    for name in ("seen", "voided"):
+        w.release(entry, TABLE[name], void)
+    w.store("%set", SET["valid"], "0")
     w.line(" br label %known", "known:")
-    length = w.acquire(entry, TABLE["length"])
-    w.branch(w.test("slt", length, 0), "stream", "given")
-    w.line("given:")
-    w.branch(w.test("eq", length, 0), "none", "row")
+    lock = w.acquire(entry, TABLE["lock"])
+    version = w.load(entry, TABLE["version"])
+    w.branch(w.both(w.even(lock), w.test("ne", version, w.load(entry, TABLE["voided"]))), "row", "old")
     w.line("row:")
-    arrived = w.load(entry, TABLE["arrived"])
-    begun = w.choose(starts, "0", w.choose(w.test("slt", arrived, 0), "%ticks", arrived))
-    w.store(entry, TABLE["arrived"], begun)
-    k, last = w.put(f"sub i64 %ticks, {begun}"), w.add(length, -1)
+    arrived, received = w.load(entry, TABLE["arrived"]), w.load(entry, TABLE["received"])
+    came = w.choose(w.test("sge", arrived, 0), arrived, "%ticks")
+    began = w.choose(w.test("ne", version, w.load(entry, TABLE["seen"])), came, w.load(entry, TABLE["began"]))
+    k, last = w.put(f"sub i64 %ticks, {began}"), w.add(w.load(entry, TABLE["length"]), -1)
     k = w.choose(w.test("slt", k, last), k, last)
+    k = w.choose(w.test("sgt", k, 0), k, "0")
     row = w.put(f"mul i64 {w.add(w.load(entry, TABLE['first']), k)}, {width}")
-    w.copy_blocks(w.doubles(w.load("%set", SET["table_rows"], "ptr"), row), reference, width)
-    w.line(" br label %sampled", "stream:")
-    sequence = w.acquire(controls, CONTROLS["sample"])
-    odd = w.test("ne", w.put(f"and i64 {sequence}, 1"), 0)
-    w.branch(w.put(f"or i1 {odd}, {w.test('eq', sequence, 0)}"), "old", "newer")
-    w.line("newer:")
-    w.copy_blocks(w.load("%set", SET["reference"], "ptr"), scratch, width)
-    received = w.load(controls, CONTROLS["received"])
+    w.copy_blocks(w.doubles(w.load("%set", SET["table_rows"], "ptr"), row), scratch, width)
     w.line(" fence acquire")
-    w.branch(w.test("eq", w.acquire(controls, CONTROLS["sample"]), sequence), "fresh", "old")
+    w.branch(w.test("eq", w.acquire(entry, TABLE["lock"]), lock), "fresh", "old")
     w.line("fresh:")
     w.copy_blocks(scratch, reference, width)
+    w.store(entry, TABLE["began"], began)
+    w.store(entry, TABLE["seen"], version)
     w.store("%set", SET["received"], received)
     w.store("%set", SET["valid"], "1")
     w.line(" br label %old", "old:")
     age = w.seconds(w.put(f"sub i64 %now, {w.load('%set', SET['received'])}"))
-    age = w.choose(w.put(f"fcmp olt double {age}, 0.0"), "0.0", age, "double")
-    known = w.number(w.load("%set", SET["valid"]))
-    w.line(" br label %sampled", "none:", " br label %sampled", "sampled:")
-    w.line(f" %valid = phi double [1.0, %row], [{known}, %old], [0.0, %none]")
-    w.line(f" %age = phi double [0.0, %row], [{age}, %old], [0.0, %none]")
+    grows = w.both(w.test("ne", w.load(entry, TABLE["stream"]), 0), w.put(f"fcmp ogt double {age}, 0.0"))
+    age = w.choose(grows, age, "0.0", "double")
+    w.line(" br label %sampled", "sampled:", f" %age = phi double [0.0, %none], [{age}, %old]")
+    valid = w.number(w.load("%set", SET["valid"]))
 
     # Signals, in the order of `control.safety.SIGNALS`, and the time.
     first = w.test("eq", count, 0)
@@ -273,19 +288,20 @@ def _tick() -> str:
     recovers = w.test("ne", asked, recovered)
     w.store("%loop", LOOP["recovered"], asked)
     given = {name: w.load(controls, CONTROLS[name], "double") for name in ("hold_after", "stop_after", "over")}
+    # Another robot of the group stopped, or the watchdog does not look: only where commands go out.
+    control = w.test("ne", w.acquire(status, STATUS["control"]), 0)
+    group = w.load("%loop", LOOP["group"], "ptr")
+    stopped, known = w.acquire(group, 0), w.load("%loop", LOOP["known"])
+    w.store("%loop", LOOP["known"], w.choose(control, known, stopped))
+    alone = w.test("sgt", w.put(f"sub i64 %now, {w.acquire(status, STATUS['watched'])}"), UNSEEN)
+    alone = w.both(alone, w.test("ne", w.acquire(status, STATUS["armed"]), 0))
+    outside = w.choose(w.both(control, w.test("ne", stopped, known)), str(PARTNER), "0")
+    outside = w.choose(alone, str(UNWATCHED), outside)
+    holds = w.truth(w.test("ne", w.acquire(status, STATUS["hold"]), 0))
     signals = [
-        "%valid",
-        "%age",
-        given["hold_after"],
-        given["stop_after"],
-        w.truth(w.test("ne", w.acquire(status, STATUS["hold"]), 0)),
-        w.truth(recovers),
-        w.truth(begins),
-        given["over"],
-        "%changed",
-        w.number(w.acquire(status, STATUS["external"])),
-        w.number("%lost"),
-    ]
+        valid, "%age", given["hold_after"], given["stop_after"], holds, w.truth(recovers), w.truth(begins),
+        given["over"], "%changed", w.number(outside), w.number("%lost"), w.truth(control),
+    ]  # fmt: skip
     at = w.load("%set", SET["signals_at"])
     for i, value in enumerate(signals):
         w.set_double(inputs, w.add(at, i), value)
@@ -300,17 +316,25 @@ def _tick() -> str:
     w.line(f" call void {starter}({fixed}, ptr {blocks['new']}, ptr {scratch})")
     w.copy_blocks(scratch, memory, size)
     w.line(" br label %step", "step:")
+    ring, rows = w.load("%set", SET["ring"], "ptr"), w.load("%set", SET["rows"], "ptr")
+    place = w.put(f"urem i64 {w.load(ring, 0)}, {w.load('%set', SET['capacity'])}")
+    row = w.doubles(rows, w.put(f"mul i64 {place}, {w.load('%set', SET['row_size'])}"))
+    target = w.doubles(row, str(len(ROW_HEAD)))
+    for name in ("input", "parameter", "memory"):
+        size = w.load("%set", SET[f"{name}_size"])
+        w.copy_blocks(blocks[name if name == "memory" else f"{name}s"], target, size)
+        target = w.doubles(target, size)
     kernel = w.load("%set", SET["kernel"], "ptr")
     w.line(f" call void {kernel}({fixed}, ptr {blocks['new']}, ptr {blocks['outputs']})")
     w.copy_blocks(blocks["new"], memory, w.load("%set", SET["memory_size"]))
     w.store("%set", SET["count"], w.add(count, 1))
-    w.line(" ret void")
-    return w.function("internal void @tick(ptr %loop, i64 %now, i64 %lost) nounwind")
+    w.line(f" ret ptr {row}")
+    return w.function("internal ptr @tick(ptr %loop, i64 %now, i64 %lost) nounwind")
 
 
 def _loop() -> str:
     """`i64 loop(loop)`: until it is asked to quit (0), or the read (1) or the write (2) fails."""
-    w = _Code()
+    w = WordCode()
     w.line("entry:")
     status, buffer, user = (w.load("%loop", LOOP[name], "ptr") for name in ("status", "measured", "user"))
     read, write = w.load("%loop", LOOP["read"], "ptr"), w.load("%loop", LOOP["write"], "ptr")
@@ -343,7 +367,7 @@ def _loop() -> str:
     behind = w.choose(host, "%behind", w.put(f"sub i64 {since}, {period}"))
     w.store("%loop", LOOP["last"], began)
     w.release(status, STATUS["lost"], w.add(w.load(status, STATUS["lost"]), lost))
-    w.line(f" call void @tick(ptr %loop, i64 {began}, i64 {lost})")
+    row = w.put(f"call ptr @tick(ptr %loop, i64 {began}, i64 {lost})")
     ended = w.put("call i64 @now()")
     set_ = w.load("%loop", LOOP["set"], "ptr")
     outputs = w.load(set_, SET["outputs"], "ptr")
@@ -354,7 +378,7 @@ def _loop() -> str:
     command = w.doubles(outputs, w.load(set_, SET["command_at"]))
     refused = w.put(f"call i64 {write}(ptr {user}, ptr {command})")
     w.branch(w.test("ne", refused, 0), "unwritten", "sent")
-    w.line("sent:")
+    w.line("sent:", " %went = phi double [0.0, %got], [1.0, %send]")
     over = w.put("call i64 @now()")
     w.release(status, STATUS["where"], "0")
 
@@ -365,69 +389,86 @@ def _loop() -> str:
     slow = w.truth(w.test("sgt", computing, period), "i64")
     w.store(status, STATUS["overruns"], w.add(w.load(status, STATUS["overruns"]), slow))
     ticks = w.load(status, STATUS["ticks"])
-    ring, rows = w.load(set_, SET["ring"], "ptr"), w.load(set_, SET["rows"], "ptr")
-    head = w.load(ring, 0)
-    place = w.put(f"urem i64 {head}, {w.load(set_, SET['capacity'])}")
-    row = w.doubles(rows, w.put(f"mul i64 {place}, {w.load(set_, SET['row_size'])}"))
     times = (w.seconds(part) for part in (began, behind, computing, driving))
-    values = [w.number(ticks), *times, w.number(lost)]
+    values = [w.number(ticks), *times, w.number(lost), "%went"]
     for i, value in enumerate(values):
         w.set_double(row, str(i), value)
-    size = w.load(set_, SET["input_size"])
-    after = w.doubles(row, str(len(ROW_HEAD)))
-    w.copy_blocks(w.load(set_, SET["inputs"], "ptr"), after, size)
-    w.copy_blocks(outputs, w.doubles(after, size), w.load(set_, SET["output_size"]))
-    w.release(ring, 0, w.add(head, 1))
+    size = w.load(set_, SET["output_size"])
+    last = w.put(f"sub i64 {w.load(set_, SET['row_size'])}, {size}")
+    w.copy_blocks(outputs, w.doubles(row, last), size)
+    ring = w.load(set_, SET["ring"], "ptr")
+    w.release(ring, 0, w.add(w.load(ring, 0), 1))
     w.release(status, STATUS["ticks"], w.add(ticks, 1))
     w.release(status, STATUS["heartbeat"], over)
     latched = w.put(f"load double, ptr {w.doubles(outputs, w.load(set_, SET['fault_at']))}")
     code = w.put(f"fptosi double {latched} to i64")
+    before = w.load(status, STATUS["latched"])
     w.release(status, STATUS["latched"], code)
-    partner = w.load("%loop", LOOP["partner"], "ptr")
-    together = w.both(w.put(f"icmp ne ptr {partner}, null"), w.test("ne", code, 0))
-    w.branch(together, "tell", "told")
+    stops = w.both(w.test("eq", before, 0), w.both(w.test("ne", code, 0), w.test("ne", code, PARTNER)))
+    w.branch(w.both(stops, w.test("ne", w.acquire(status, STATUS["control"]), 0)), "tell", "going")
     w.line("tell:")
-    w.release(partner, STATUS["external"], str(PARTNER))
-    w.line(" br label %told", "told:")
+    w.release(w.load("%loop", LOOP["group"], "ptr"), 0, over)
+    w.store("%loop", LOOP["known"], over)
+    w.line(" br label %going", "going:")
     w.branch(w.test("ne", w.acquire(status, STATUS["quit"]), 0), "end", "again")
     w.line("end:", " ret i64 0", "unread:", " ret i64 1", "unwritten:", " ret i64 2")
     return w.function("i64 @loop(ptr %loop) nounwind")
 
 
 def _watch() -> str:
-    """`i64 watch(status, pid, timeout, silent, hung)`: end a process whose loop does not tick; the code latched."""
-    w = _Code()
+    """`i64 watch(status, group, pid, silent, hung)`: end the parent where its loop does not tick."""
+    w = WordCode()
     w.line("entry:", " br label %again", "again:")
-    w.line(f" call void @wait(i64 {w.add(w.put('call i64 @now()'), 4_000_000)})")
-    w.branch(w.test("ne", w.acquire("%status", STATUS["dead"]), 0), "end", "look")
+    w.release("%status", STATUS["watched"], w.put("call i64 @now()"))
+    w.line(f" call void @wait(i64 {w.add(w.put('call i64 @now()'), WATCH_EVERY)})")
+    parent = w.put(f"sext i32 {w.put('call i32 @getppid()')} to i64")
+    over = w.put(f"or i1 {w.test('ne', w.acquire('%status', STATUS['dead']), 0)}, {w.test('ne', parent, '%pid')}")
+    w.branch(over, "end", "look")
     w.line("look:")
-    w.branch(w.test("eq", w.acquire("%status", STATUS["armed"]), 0), "again", "compare")
-    w.line("compare:")
     beat = w.acquire("%status", STATUS["heartbeat"])
-    age = w.put(f"sub i64 {w.put('call i64 @now()')}, {beat}")
-    w.branch(w.test("sgt", age, "%timeout"), "late", "again")
+    now = w.put("call i64 @now()")
+    late = w.test("sgt", w.put(f"sub i64 {now}, {beat}"), w.acquire("%status", STATUS["patience"]))
+    w.branch(w.both(late, w.test("ne", w.acquire("%status", STATUS["armed"]), 0)), "late", "again")
     w.line("late:")
     code = w.choose(w.test("eq", w.acquire("%status", STATUS["where"]), 1), "%silent", "%hung")
     w.release("%status", STATUS["fault"], code)
-    w.release("%status", STATUS["armed"], "0")
     process = w.put("trunc i64 %pid to i32")
-    w.line(f" {w.name()} = call i32 @kill(i32 {process}, i32 9)", f" ret i64 {code}")
-    w.line("end:", " ret i64 0")
-    return w.function("i64 @watch(ptr %status, i64 %pid, i64 %timeout, i64 %silent, i64 %hung) nounwind")
+    w.line(f" {w.name()} = call i32 @kill(i32 {process}, i32 9)")
+    w.release("%group", 0, now)
+    w.line(f" ret i64 {code}", "end:", " ret i64 0")
+    return w.function("i64 @watch(ptr %status, ptr %group, i64 %pid, i64 %silent, i64 %hung) nounwind")
 
 
 def _plant() -> str:
-    """A model plant as a robot: its read and its write, which advances it by one period."""
-    w = _Code()
+    """A model plant as a robot: its read and its write, which advances it by one period.
+
+    A read that comes late finds it moved on by the periods that were missed, under the last command.
+    """
+    w = WordCode()
     parts = ("inputs", "parameters", "memory", "new")
     w.line("entry:")
+    wrote, period = w.load("%plant", PLANT["wrote"]), w.load("%plant", PLANT["period"])
+    since = w.put(f"sub i64 {w.put('call i64 @now()')}, {wrote}")
+    most = w.put(f"sdiv i64 {w.put(f'mul i64 {period}, 3')}, 4")
+    missed = w.put(f"sdiv i64 {w.put(f'sub i64 {since}, {most}')}, {period}")
+    missed = w.choose(w.test("slt", missed, MAX_CATCH_UP), missed, str(MAX_CATCH_UP))
+    missed = w.choose(w.test("ne", wrote, 0), missed, "0")
+    w.store("%plant", PLANT["wrote"], "0")
+    w.line(" br label %again", "again:", " %i = phi i64 [0, %entry], [%next, %late]")
+    w.branch(w.test("slt", "%i", missed), "late", "measure")
+    w.line("late:", " %next = add i64 %i, 1", " call void @advance(ptr %plant)", " br label %again", "measure:")
     fixed = ", ".join(f"ptr {w.load('%plant', PLANT[name], 'ptr')}" for name in parts)
     w.line(f" call void {w.load('%plant', PLANT['measure'], 'ptr')}({fixed}, ptr %measured)", " ret i64 0")
     reading = w.function("i64 @plant_read(ptr %plant, ptr %measured) nounwind")
     w.line("entry:")
+    w.copy_blocks("%command", w.load("%plant", PLANT["inputs"], "ptr"), w.load("%plant", PLANT["command_size"]))
+    w.line(" call void @advance(ptr %plant)")
+    w.store("%plant", PLANT["wrote"], w.put("call i64 @now()"))
+    w.line(" ret i64 0")
+    writing = w.function("i64 @plant_write(ptr %plant, ptr %command) nounwind")
+    w.line("entry:")
     inputs, parameters, memory, new = (w.load("%plant", PLANT[name], "ptr") for name in parts)
     size, count = w.load("%plant", PLANT["command_size"]), w.load("%plant", PLANT["count"])
-    w.copy_blocks("%command", inputs, size)
     now = w.put(f"fmul double {w.number(count)}, {w.load('%plant', PLANT['dt'], 'double')}")
     w.set_double(inputs, size, now)
     w.store("%plant", PLANT["count"], w.add(count, 1))
@@ -441,24 +482,29 @@ def _plant() -> str:
     w.line("inner:", " %next = add i64 %i, 1")
     w.line(f" call void {w.load('%plant', PLANT['substep'], 'ptr')}({fixed})")
     w.copy_blocks(new, memory, w.load("%plant", PLANT["memory_size"]))
-    w.line(" br label %again", "end:", " ret i64 0")
-    return "\n".join([reading, w.function("i64 @plant_write(ptr %plant, ptr %command) nounwind")])
+    w.line(" br label %again", "end:", " ret void")
+    return "\n".join([w.function("internal void @advance(ptr %plant) nounwind"), reading, writing])
 
 
 def _text() -> str:
-    return "\n".join([_HELPERS, _tick(), _loop(), _watch(), _plant()])
+    return "\n".join([HELPERS, _tick(), _loop(), _watch(), _plant()])
 
 
-@functools.cache
-def _symbols() -> dict[str, int]:
+def symbols_of(names: Sequence[str]) -> dict[str, int]:
+    """Addresses of functions of the C library, for code that calls them."""
     library = ctypes.CDLL(None)
-    return {name: ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0 for name in SYMBOLS}
+    return {name: ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0 for name in names}
 
 
 @functools.cache
 def servo_code() -> NativeModule:
     """The loop, the watchdog and a model plant's read and write, linked into this process."""
-    return compiled(b"servo loop", _text, NAMES, symbols=_symbols())
+    return servo_module(symbols_of(SYMBOLS))
+
+
+def servo_module(symbols: Mapping[str, int]) -> NativeModule:
+    """The same with other functions in place of the system's, such as a clock of one's own."""
+    return compiled(b"servo loop", _text, NAMES, symbols=symbols)
 
 
 def struct_of(names: dict[str, int], values: dict[str, int | float]) -> Any:

@@ -8,58 +8,55 @@ from typing import Final
 from taut.base.errors import UsageError
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class FaultKind:
     """A kind of fault; the code is what the loop latches."""
 
     code: int
     name: str
-    text: str  # {who}, {value}, {unit} and {limit} are filled in
+    text: str  # {who}, {value} and {unit} are filled in
     remedy: str
     unit: str = ""
-    blind: bool = False  # whether positions cannot be trusted any more
 
 
 def _kinds() -> dict[int, FaultKind]:
     rows = (
-        (10, "sensor_not_finite", "{who} read {value}", "check the sensor and its cable", "", True),
-        (11, "sensor_jump", "{who} jumped by {value} {unit} within a period", "check the encoder", "{u}", True),
+        (10, "sensor_not_finite", "{who} read {value}", "check the sensor and its cable", ""),
+        (11, "sensor_jump", "{who} jumped by {value} {unit} within a period", "check the encoder", "{u}"),
         (12, "sensor_inconsistent", "{who}: position and velocity contradict each other by {value} {unit}",
-         "check sign and cable of the encoder, and that its values change", "{u}/s", True),
-        (20, "law_not_finite", "the law gave {value} for {who}", "see the terms of the last ticks", "", False),
+         "check sign and cable of the encoder, and that its values change", "{u}/s"),
+        (20, "law_not_finite", "the law gave a number that is not finite for {who}", "see its last ticks", ""),
         (30, "position", "{who} could not be braked before its limit any more: {value} {unit} left",
-         "move it back by hand, or slowly with move_to", "{u}", False),
+         "move it back by hand, or slowly with move_to", "{u}"),
         (31, "speed", "{who} was faster than its limit by {value} {unit}",
-         "lower the gains or the reference's speed", "{u}/s", False),
+         "lower the gains or the reference's speed", "{u}/s"),
         (32, "tool_speed", "the tool was faster than its limit by {value} {unit}",
-         "lower the reference's speed", "m/s", False),
+         "lower the reference's speed", "m/s"),
         (33, "workspace", "the tool was {value} {unit} outside the workspace box",
-         "move it back by hand", "m", False),
+         "move it back by hand", "m"),
         (34, "power", "the drives' power was above its limit by {value} {unit}",
-         "lower the gains or the speed", "W", False),
+         "lower the gains or the speed", "W"),
         (35, "force", "the force at the tool was above its limit by {value} {unit}",
-         "free the tool", "N", False),
+         "free the tool", "N"),
         (36, "contact", "{who} met an external torque above its threshold by {value} {unit}",
-         "free the arm", "{t}", False),
+         "free the arm", "{t}"),
         (40, "stream_stopped", "no sample of the stream arrived for {value} {unit}",
-         "send again after recover(), or declare a longer period", "s", False),
+         "send again after recover(), or declare a longer period", "s"),
         (41, "deadline", "{value} periods in a row were missed",
-         "see the record's timing; lower the rate or free the processor", "", False),
-        (50, "disconnected", "the robot is not connected any more", "connect again", "", False),
-        (51, "silent", "the robot sent nothing", "check cable and robot", "", False),
-        (52, "robot_error", "the robot stopped by itself", "clear its error: recover()", "", False),
-        (53, "rejected", "the robot refused a command", "see the message", "", False),
-        (54, "busy", "another client has the robot", "close it first", "", False),
-        (55, "driver", "the driver failed", "see the message", "", False),
-        (60, "watchdog", "the loop hung, and its process was ended from outside", "connect again", "", False),
-        (61, "process_died", "the loop's process died", "connect again", "", False),
+         "see the record's timing; lower the rate or free the processor", ""),
+        (50, "disconnected", "the robot is not connected any more", "connect again", ""),
+        (51, "silent", "the robot sent nothing", "check cable and robot", ""),
+        (52, "robot_error", "the robot stopped by itself", "clear its error: recover()", ""),
+        (53, "rejected", "the robot refused a command", "", ""),
+        (54, "busy", "another client has the robot", "close it first", ""),
+        (55, "driver", "the driver failed", "", ""),
+        (60, "watchdog", "the loop hung, and its process was ended from outside", "connect again", ""),
+        (61, "process_died", "the loop's process died", "connect again", ""),
         (62, "partner", "the robot that was started together with this one stopped",
-         "see the other robot", "", False),
+         "see the other robot", ""),
+        (63, "unwatched", "the watchdog does not look any more", "connect again", ""),
     )  # fmt: skip
-    return {
-        code: FaultKind(code=code, name=name, text=text, remedy=remedy, unit=unit, blind=blind)
-        for code, name, text, remedy, unit, blind in rows
-    }
+    return {row[0]: FaultKind(*row) for row in rows}
 
 
 FAULTS: Final = _kinds()
@@ -97,6 +94,5 @@ def fault_of(
         raise UsageError(f"there is no fault with the code {code}", name="code")
     unit = kind.unit.format(u=units[0], t=units[1])
     text = detail or kind.text.format(who=who or "the arm", value=f"{value:.4g}", unit=unit).replace("  ", " ")
-    return Fault(
-        code=code, name=kind.name, message=f"{text}; {kind.remedy}", tick=tick, joint=joint, value=float(value)
-    )
+    message = "; ".join(filter(None, (text, kind.remedy)))
+    return Fault(code=code, name=kind.name, message=message, tick=tick, joint=joint, value=float(value))

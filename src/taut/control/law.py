@@ -21,6 +21,7 @@ from taut.control.trajectories.reference import JointMotion, Reference, Sample
 from taut.maths.snapshot import Snapshot
 
 if TYPE_CHECKING:
+    from taut.arm.description import Arm
     from taut.control.closed_loop import ApparentImpedance, ClosedLoop
     from taut.control.tasks.task import Task
 
@@ -38,7 +39,7 @@ class Law(Remembers):
     * `reference`, the kind of sample it follows (by default JointMotion), and `ignores_reference`;
     * `needs_contact`, whether a `taut.Phase` with it never starts without contact (by default False);
     * optionally `closed_loop(self, x)`, its error dynamics as matrices, by which `taut.design` finds its gains;
-    * hooks with a default that does nothing: `start`, `check_rate`, `check_state`, `check_reference`.
+    * hooks with a default that does nothing: `start`, `check_rate`, `check_state`, `check_reference`, `check_plant`.
 
     Laws add: `FeedForward() + PID(kp=..., kd=...)`. A law must not inherit from another one: it has it as a field, or
     is a `Wrapper` around it. A law in a field `inner: taut.Law` starts with it, and is called as
@@ -79,6 +80,9 @@ class Law(Remembers):
 
     def check_reference(self, x: Snapshot, ref: Reference, rate: float) -> None:
         """Refuse a reference that cannot be followed from x."""
+
+    def check_plant(self, path: str, arm: Arm, plant: str, parameters: Mapping[str, Any]) -> None:
+        """Refuse a plant by its parameters: this law at its path, its controller's arm, the plant's name."""
 
     @classmethod
     def declaration_of(cls, name: str, annotation: str, default: Any) -> Declaration[Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from typing import Any, Final
 
@@ -15,7 +15,7 @@ from taut.base.errors import RangeError, UsageError
 from taut.base.fields import Declared, Field
 from taut.base.paths import subtree
 from taut.base.types import Float64Array, Vector
-from taut.control.faults import CODES, FAULTS
+from taut.control.faults import CODES
 from taut.control.lawside import HELD, KNOWN, LawSide, Tick
 from taut.control.limits import RATE_PER_EFFORT, left
 from taut.maths.model import PayloadValues
@@ -24,35 +24,28 @@ from taut.trace import math as tm
 from taut.trace.graph import LARGEST
 
 BRAKE_PER_SPEED: Final = 5.0  # [1/s] default deceleration over the speed limit: at rest within 0.2 s
-STOP_BANDWIDTH: Final = 60.0  # [rad/s] of the position loop of a controlled stop, at most
-STOP_BANDWIDTH_PER_RATE: Final = 0.06  # [-] likewise, of the rate
-STOP_STIFFNESS_PER_EFFORT: Final = 5.0  # [1/rad] likewise: the effort limit at 0.2 rad
+STOP_BANDWIDTH: Final = (20.0, 0.05)  # [rad/s], [-] of a controlled stop: at most this, and this part of the rate
+EASE: Final = 0.05  # [s] in which its deceleration rises; at the end the speed falls by 1/e in that time
 SOFT_GAIN: Final = 10.0  # [1/s] admissible speed towards a limit in its soft zone, over the distance
-SOFT_DAMPING: Final = 50.0  # [1/s] deceleration over the speed above that
+SOFT_DAMPING: Final = (50.0, 0.25)  # [1/s], [-] deceleration over the speed above that, and of the rate
 CONSISTENCY_TIME: Final = 0.02  # [s] over which positions and velocities are compared
 CONSISTENCY: Final = (0.1, 0.3)  # [-] allowed difference: of the speed limit, and of the speed
 JUMP: Final = (2.0, 0.005)  # [-], [rad | m] allowed step of a position: of the speed limit in a period, and besides
-OUTWARD: Final = 1e-3  # [rad/s | m/s] slower is at rest: an arm beyond a limit may be moved back
-NEVER: Final = 1e9  # [s] time-out of a reference that does not go stale
+PLAUSIBLE: Final = 1e6  # [any unit] a measurement beyond is as good as none
+SUDDEN: Final = 10.0  # [-] times the deceleration: change of a speed beyond is none from which a stop begins
+FOLLOWS: Final = 1.1  # [-] of the speed limit, which commands of speed and position keep, that a joint may reach
+OUTWARD: Final = 5e-3  # [rad/s | m/s] slower is at rest: an arm beyond a limit may be moved back
+NO_TIME_OUT: Final = 1e9  # [s] time-out of a reference that does not go stale
 SIGNALS: Final = (
-    "valid",
-    "age",
-    "hold_after",
-    "stop_after",
-    "hold",
-    "recover",
-    "begin",
-    "over",
-    "changed",
-    "fault",
-    "lost",
-)
+    "valid", "age", "hold_after", "stop_after", "hold", "recover", "begin", "over", "changed", "fault", "lost",
+    "control",
+)  # fmt: skip
 """Numbers that the loop gives to each tick.
 
 valid: 1 where there is a sample; age [s] of a stream's sample; hold_after, stop_after [s] its time-outs; hold,
 recover: 1 where it is asked for; begin: 1 in the first tick of a law; over [s]: time in which its command, or that
 of changed parameters, comes in; changed: 1 where parameters have; fault: code of what the loop itself saw, or 0;
-lost: periods missed before this tick.
+lost: periods missed before this tick; control: 1 where commands go out.
 """
 
 
@@ -71,7 +64,7 @@ class SafetyLimits(Declared):
         soft: Zone before these in which the speed towards them is damped to 10/s times the distance [rad | m].
         deceleration: Of the controlled stop [rad/s^2 | m/s^2].
         tool_speed: Largest speed of the tool [m/s].
-        tool_force: Largest force of the environment at the tool [N]; of a measured or observed F_ext.
+        tool_force: Largest force of the environment at the tool [N], of a measured F_ext.
         contact: Largest external torque of each joint [N m | N]; of an observer, `taut.Sensing(observer=...)`.
         power: Largest mechanical power of all drives together [W].
         box: Workspace of the tool's origin in the world: (2, 3) lower and upper corner [m].
@@ -110,23 +103,45 @@ class SafetyLimits(Declared):
         Further limits by name stand in their places.
         """
         instance_of("arm", arm, Arm, "an Arm from taut.load_arm")
-        finite = np.isfinite(arm.velocity)
+        v, room = (np.where(np.isfinite(x), x, 1.0) for x in (arm.velocity, 0.25 * (arm.upper - arm.lower)))
         own: dict[str, Any] = {"tau": arm.effort, "tau_dot": RATE_PER_EFFORT * arm.effort, "v": arm.velocity}
-        own |= {"lower": arm.lower, "upper": arm.upper}
-        own["deceleration"] = np.where(finite, BRAKE_PER_SPEED * np.where(finite, arm.velocity, 1.0), BRAKE_PER_SPEED)
-        room = 0.25 * (arm.upper - arm.lower)
-        own["soft"] = np.minimum(0.1, np.where(np.isfinite(room), room, 0.1))
-        return cls(**{**own, **limits})
+        own |= {"lower": arm.lower, "upper": arm.upper, "soft": np.minimum(0.1, room)}
+        return cls(**{**own, "deceleration": BRAKE_PER_SPEED * v, **limits})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Finding:
     """One check in a tick."""
 
-    code: int
+    code: Any
     holds: Any  # whether it is violated
-    index: Any  # of the joint, or of the measurement
+    index: Any  # of the joint, or of the measurement; -1 where it is of none
     value: Any
+
+    @classmethod
+    def of(cls, name: str, conditions: Any, values: Any) -> Finding:
+        """The first of several conditions that holds, with its index and value."""
+        holds: Any = np.bool_(False)
+        index: Any = -1.0
+        value: Any = 0.0
+        for i in reversed(range(len(conditions))):
+            holds = holds | conditions[i]
+            index, value = tm.where(conditions[i], float(i), index), tm.where(conditions[i], values[i], value)
+        return cls(code=CODES[name], holds=holds, index=index, value=value)
+
+    def only(self, where: Any) -> Finding:
+        """The same, found nowhere else."""
+        return replace(self, holds=self.holds & where)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Seen:
+    """Measurements of a tick that can be used, by name."""
+
+    measured: dict[str, Any]
+    lost: Any  # (n,) joints that are not measured any more
+    residual: Any  # (n,) filtered difference of the speeds by position and by velocity [rad/s | m/s]
+    findings: list[Finding]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -139,6 +154,7 @@ class SafeSide:
     side: LawSide
     limits: SafetyLimits
     measures: tuple[str, ...]  # by the robot, besides positions
+    at_rest: float = 0.0  # [rad/s | m/s] what measured velocities show at rest
 
     @cached_property
     def measured(self) -> dict[str, tuple[int, ...]]:
@@ -162,6 +178,20 @@ class SafeSide:
                 name="contact",
             )
 
+    def check_pose(self, q: Float64Array) -> None:
+        """RangeError where the torque limits do not carry the arm at rest at q (n,)."""
+        if self.limits.tau is None or not self._torques:
+            return
+        g = np.abs(np.asarray(Snapshot(self.side.model, q=q, v=np.zeros(len(q)), adds=self.side.adds).g))
+        most = np.broadcast_to(self.limits.tau, g.shape)
+        i = int(np.argmax(g - most))
+        if g[i] > most[i]:
+            joint = self.side.arm.joint_names[i]
+            raise RangeError(
+                f"limits.tau of joint '{joint}' is {most[i]:.4g}, and gravity takes {g[i]:.4g} here; raise it, or "
+                "start where less is needed", name="tau", joint=joint, value=float(most[i]),
+            )  # fmt: skip
+
     @property
     def memory_shapes(self) -> dict[str, tuple[int, ...]]:
         """Shapes of the memory by path; those of `safe` come first."""
@@ -176,10 +206,10 @@ class SafeSide:
         self, inputs: Mapping[str, Any], parameters: Mapping[str, Any], memory: Mapping[str, Any]
     ) -> dict[str, Any]:
         """Memory in the first tick of a law: it starts from what is measured and from the torque that is sent."""
-        measured, _ = self._good(inputs, subtree(memory, "safe"), subtree(inputs, "signal"), self.side.dt)
-        rest = self._at_rest(measured)
+        seen = self._seen(inputs, subtree(memory, "safe"), subtree(inputs, "signal"), self.side.dt)
+        rest = self._at_rest(seen.measured)
         held = {KNOWN: 1.0, HELD: memory["safe.tau"]}
-        law = self.side.start({**measured, "t": inputs["t"], **held}, rest, parameters)
+        law = self.side.start({**seen.measured, "t": inputs["t"], **held}, rest, parameters)
         out = {path: memory[path] for path in memory if path.startswith("safe.")}
         out |= {f"held.{name}": getattr(rest, name) for name in self.side.law.reference.fields(self.side.arm.n)}
         return {**out, **law}
@@ -189,16 +219,15 @@ class SafeSide:
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """One tick: (outputs, new memory). It is finite whatever is measured, and whatever the law gives."""
         side, safe, signal = self.side, subtree(memory, "safe"), subtree(inputs, "signal")
-        n = side.arm.n
-        measured, sensors = self._good(inputs, safe, signal, dt)
-        residual = measured.pop("residual")
+        recovers, control = signal["recover"] > 0.5, signal["control"] > 0.5
+        seen = self._seen(inputs, safe, signal, dt)
+        measured = seen.measured
         x = Snapshot(side.model, q=measured["q"], v=measured["v"], payload=self._payload(parameters), adds=side.adds)
-        bad_sensor = reduce(lambda a, b: a | b, [one.holds for one in sensors])
 
         fresh = (signal["valid"] > 0.5) & (signal["age"] <= signal["hold_after"])
         begins = np.bool_(False) if side.task is None else memory["law.ticks"] < 0.5
         rest, kind = self._at_rest(measured), side.law.reference
-        fields = kind.fields(n)
+        fields = kind.fields(side.arm.n)
         keeps = fresh | begins
         held = {name: tm.where(keeps, getattr(rest, name), memory[f"held.{name}"]) for name in fields}
         sample = kind.of({name: tm.where(fresh, inputs[f"ref.{name}"], held[name]) for name in fields})
@@ -216,35 +245,38 @@ class SafeSide:
         phase = tm.where(started | changed, 0.0, tm.minimum(safe["phase"] + dt / signal["over"], 1.0))
         wanted = command + bump * left(phase)
 
-        # Checks, in the order in which the first one found is the one that is latched.
-        found = [*sensors, culprit, *self._checks(x, measured, safe, tick), *self._of_loop(signal)]
-        code, index, value = _first(found)
-        recovers = signal["recover"] > 0.5
+        # Checks, in the order in which the first one found is the one that is latched. A law is checked while it is
+        # to act, limits of motion and the loop while commands go out.
         latched = tm.where(recovers, 0.0, safe["fault"])
+        acts = (tm.where(started, 1.0, safe["mode"]) > 0.5) & (latched < 0.5)
+        of_motion = [*self._checks(x, safe, tick), *self._of_loop(signal)]
+        found = [*seen.findings, culprit.only(acts), *(one.only(control) for one in of_motion)]
+        code, index, value = _first(found)
         new_fault = (latched < 0.5) & (code > 0.5)
         fault = tm.where(new_fault, code, latched)
-        asked = tm.where(started, 1.0, safe["mode"])
-        runs = (asked > 0.5) & (fault < 0.5) & (signal["hold"] < 0.5)
-        blind = tm.where(recovers, 0.0, tm.maximum(safe["blind"], tm.where(bad_sensor & (fault > 0.5), 1.0, 0.0)))
+        runs = acts & (fault < 0.5) & (signal["hold"] < 0.5)
 
-        stop, stopping = self._stop(x, safe, (safe["mode"] > 0.5) | recovers, blind, dt)
+        enters = (safe["mode"] > 0.5) | recovers | ~control | (safe["started"] < 0.5)
+        stop, stopping = self._stop(x, safe, seen.lost, enters, dt)
         chosen = tm.where(runs, wanted, stop)
-        chosen = chosen + self._soft(x, blind) if self._torques else chosen
-        sent = self._limited(chosen, safe["tau"], dt)
-        sent = tm.where(tm.abs(sent) <= LARGEST, sent, safe["tau"])
+        chosen = chosen + self._soft(x, seen.lost) if self._torques else chosen
+        chosen = tm.where(tm.abs(chosen) <= LARGEST, chosen, safe["tau"])
+        sent = self._limited(chosen, tm.where(control, safe["tau"], chosen), dt)
+        # Without control the robot holds itself, and the next command begins from what that takes.
+        sends = tm.where(control, sent, self._resting(x))
 
         law_memory = {path: tm.where(good_law, tick.memory[path], own[path]) for path in own}
         if "limits.tau_applied" in law_memory:  # what really goes out, for anti-windup and observers
-            law_memory["limits.tau_applied"] = sent
+            law_memory["limits.tau_applied"] = sends
         new = {
-            "q": measured["q"], "v": measured["v"], "tau": sent, "law": command, "bump": bump, "phase": phase,
-            "mode": tm.where(runs, 1.0, 0.0), "fault": fault, "blind": blind, "residual": residual,
-            "index": tm.where(new_fault, index, safe["index"]), "value": tm.where(new_fault, value, safe["value"]),
-            "started": 1.0, **stopping,
+            "q": measured["q"], "v": measured["v"], "tau": sends, "law": command, "bump": bump, "phase": phase,
+            "mode": tm.where(runs, 1.0, 0.0), "fault": fault, "blind": tm.where(seen.lost, 1.0, 0.0 * command),
+            "residual": seen.residual, "index": tm.where(new_fault, index, safe["index"]),
+            "value": tm.where(new_fault, value, safe["value"]), "started": 1.0, **stopping,
         }  # fmt: skip
         out = {"command": sent}
         if tick.mit is not None:
-            zero = tm.zeros(n)
+            zero = tm.zeros(x.n)
             stiff = tm.stack([*tick.mit[:4], tick.mit[4] + (sent - tick.command)])
             out = {"mit": tm.where(runs, stiff, tm.stack([x.q, zero, zero, zero, sent]))} | out
         out |= {f"safe.{name}": new[name] for name in ("mode", "fault", "index", "value")}
@@ -254,6 +286,8 @@ class SafeSide:
         }
         out["terms.safety"] = sent - tm.where(runs & good_law, command, 0.0 * command)
         out |= {column: law_memory[path] for column, path in side.recorded.items()}
+        out |= {f"reference.{name}": getattr(sample, name) for name in fields}
+        out |= {} if "v" in self.measures else {"v": measured["v"]}
         return out, {f"safe.{k}": v for k, v in new.items()} | {f"held.{k}": v for k, v in held.items()} | law_memory
 
     @property
@@ -267,45 +301,48 @@ class SafeSide:
         side = self.side
         return side.law.at_rest(Snapshot(side.model, q=measured["q"], v=np.zeros(side.arm.n)))
 
-    def _good(
-        self, inputs: Mapping[str, Any], safe: Mapping[str, Any], signal: Mapping[str, Any], dt: Any
-    ) -> tuple[dict[str, Any], list[Finding]]:
+    def _resting(self, x: Snapshot) -> Any:
+        """(n,) command that keeps the arm where it is: gravity torque, zero speed, or the position."""
+        return tm.array(x.g) if self._torques else x.q if self.side.probe.kind == "position" else tm.zeros(x.n)
+
+    def _seen(self, inputs: Mapping[str, Any], safe: Mapping[str, Any], signal: Mapping[str, Any], dt: Any) -> Seen:
         """Measurements that can be used, and what was wrong with them.
 
-        NaN and infinity are replaced, by the last good value of q and v; where a position jumped, and as long as
-        positions cannot be trusted, all of them are the last good ones.
+        A joint whose position or velocity is not plausible, jumps, or contradicts the other one is lost: from that
+        tick on, until `recover`, it is taken to move as the controlled stop asks it to. That begins with what was
+        measured last; where position and velocity contradict each other, with the speed by position, as far as it is
+        not above the measured one, so that no fault makes a joint faster.
         """
-        out: dict[str, Any] = {}
-        conditions: list[Any] = []
+        out, bad = dict[str, Any](), dict[str, Any]()
         for name, shape in self.measured.items():
-            fine = tm.abs(inputs[name]) <= LARGEST
-            out[name] = tm.where(fine, inputs[name], safe[name] if name in ("q", "v") else np.zeros(shape))
-            conditions += [~x for x in fine]
-        values = [x for name in self.measured for x in inputs[name]]
-        wrong, index, value = _among(conditions, values)
-        value = tm.where(tm.abs(value) <= LARGEST, value, LARGEST)  # a latched value is finite
-        found = [Finding(code=CODES["sensor_not_finite"], holds=wrong, index=index, value=value)]
+            fine = tm.abs(inputs[name]) <= PLAUSIBLE
+            out[name], bad[name] = tm.where(fine, inputs[name], np.zeros(shape)), ~fine
+        values = [tm.where(tm.abs(x) <= LARGEST, x, LARGEST) for name in bad for x in inputs[name]]
+        findings = [Finding.of("sensor_not_finite", [x for name in bad for x in bad[name]], values)]
+        recovers, ran = signal["recover"] > 0.5, safe["mode"] > 0.5
+        known = (safe["started"] > 0.5) & ~recovers
         moved, periods = self.side.arm.difference(out["q"], safe["q"]), dt * (1.0 + signal["lost"])
-        recovers, blind = signal["recover"] > 0.5, safe["blind"] > 0.5
-        known = (safe["started"] > 0.5) & ~blind & ~recovers
-        frozen = blind & ~recovers
-        if self._v_max is not None:
-            excess = tm.abs(moved) - JUMP[0] * self._v_max * periods - JUMP[1]
-            jumped, index, value = _among([(x > 0.0) & known for x in excess], list(tm.abs(moved)))
-            found.append(Finding(code=CODES["sensor_jump"], holds=jumped, index=index, value=value))
-            frozen = frozen | jumped
-        out["q"] = tm.where(frozen, safe["q"], out["q"])
-        moved = tm.where(frozen, 0.0, moved)
+        by_position = moved / periods
         if "v" not in self.measures:
-            out["v"] = moved / periods
-        gain = tm.minimum(periods / CONSISTENCY_TIME, 1.0)
-        residual = (1.0 - gain) * safe["residual"] + gain * (moved / periods - 0.5 * (out["v"] + safe["v"]))
-        out["residual"] = residual = tm.where(known & ~frozen, residual, 0.0 * residual)
+            out["v"] = by_position
+        speed = tm.abs(out["v"])
+        lost = ((safe["blind"] > 0.5) & ~recovers) | bad["q"] | bad.get("v", bad["q"])
+        residual, contrary = 0.0 * moved, np.zeros(self.side.arm.n) > 0.0
+        if self._v_max is not None:
+            jumped = (tm.abs(moved) > JUMP[0] * self._v_max * periods + JUMP[1]) & known & ~lost
+            findings.append(Finding.of("sensor_jump", jumped, tm.abs(moved)))
+            lost = lost | jumped
         if self._v_max is not None and "v" in self.measures:
-            excess = tm.abs(residual) - CONSISTENCY[0] * self._v_max - CONSISTENCY[1] * tm.abs(out["v"])
-            wrong, index, value = _among([x > 0.0 for x in excess], list(tm.abs(residual)))
-            found.append(Finding(code=CODES["sensor_inconsistent"], holds=wrong, index=index, value=value))
-        return out, found
+            gain = tm.minimum(periods / CONSISTENCY_TIME, 1.0)
+            residual = (1.0 - gain) * safe["residual"] + gain * (by_position - 0.5 * (out["v"] + safe["v"]))
+            residual = tm.where(known & ~lost, residual, 0.0)
+            contrary = tm.abs(residual) > CONSISTENCY[0] * self._v_max + CONSISTENCY[1] * speed
+            findings.append(Finding.of("sensor_inconsistent", contrary, tm.abs(residual)))
+        lost = lost | contrary
+        out["q"] = tm.where(lost, tm.where(ran, safe["q"], safe["q_stop"]), out["q"])
+        begun = tm.where(contrary, tm.clip(by_position, -speed, speed), safe["v"])
+        out["v"] = tm.where(lost, tm.where(ran, begun, safe["v_stop"]), out["v"])
+        return Seen(measured=out, lost=lost, residual=residual, findings=findings)
 
     @cached_property
     def _v_max(self) -> Float64Array | None:
@@ -316,35 +353,28 @@ class SafeSide:
 
     def _finite(self, tick: Tick, own: Mapping[str, Any]) -> tuple[Vector, Any, Finding]:
         """The law's command, or zero where it or its memory is not finite."""
-        conditions = [~(tm.abs(x) <= LARGEST) for x in tick.command]
-        wrong, index, _ = _among(conditions, list(tick.command))
+        fine = tm.abs(tick.command) <= LARGEST
+        found = Finding.of("law_not_finite", ~fine, [LARGEST] * len(fine))
         memory = [x for path in own for x in np.ravel(tm.array(tick.memory[path]))]
-        wild = reduce(lambda a, b: a | b, [~(tm.abs(x) <= LARGEST) for x in memory], wrong)
-        command = tm.where(tm.abs(tick.command) <= LARGEST, tick.command, 0.0)
-        return command, ~wild, Finding(code=CODES["law_not_finite"], holds=wild, index=index, value=LARGEST)
+        wild = reduce(lambda a, b: a | b, [~(tm.abs(x) <= LARGEST) for x in memory], found.holds)
+        return tm.where(fine, tick.command, 0.0), ~wild, replace(found, holds=wild)
 
-    def _checks(self, x: Snapshot, measured: Mapping[str, Any], safe: Mapping[str, Any], tick: Tick) -> list[Finding]:
+    def _checks(self, x: Snapshot, safe: Mapping[str, Any], tick: Tick) -> list[Finding]:
         """Limits of motion and force. Each is checked where it is stated."""
-        limits, n, out = self.limits, self.side.arm.n, list[Finding]()
+        limits, out = self.limits, list[Finding]()
 
-        def of_joints(name: str, excess: Any, value: Any = None) -> None:
-            holds, index, found = _among([y > 0.0 for y in excess], list(excess if value is None else value))
-            out.append(Finding(code=CODES[name], holds=holds, index=index, value=found))
+        def of_joints(name: str, excess: Any) -> None:
+            out.append(Finding.of(name, excess > 0.0, excess))
 
         def single(name: str, excess: Any) -> None:
             out.append(Finding(code=CODES[name], holds=excess > 0.0, index=-1.0, value=excess))
 
-        brake = self.deceleration
-        for limit, sign in ((limits.upper, 1.0), (limits.lower, -1.0)):
-            if limit is None or not np.isfinite(limit).any():
-                continue
-            limit = np.broadcast_to(np.where(np.isfinite(limit), limit, sign * LARGEST), (n,))
-            outward = sign * x.v
-            room = sign * (limit - x.q)
-            remaining = room - 0.5 * outward * outward / brake
-            of_joints("position", tm.where(outward > OUTWARD, -remaining, -1.0 + 0.0 * room), room)
+        for limit, sign in self._ends:
+            outward, room = sign * x.v, sign * (limit - x.q)
+            hardly = (outward > max(OUTWARD, self.at_rest)) & (room < self._stopping_distance(outward))
+            out.append(Finding.of("position", hardly, room))
         if self._v_max is not None:
-            of_joints("speed", tm.abs(x.v) - self._v_max)
+            of_joints("speed", tm.abs(x.v) - (1.0 if self._torques else FOLLOWS) * self._v_max)
         if limits.tool_speed is not None:
             single("tool_speed", tm.norm(x.twist()[:3]) - float(limits.tool_speed))
         if limits.box is not None:
@@ -354,30 +384,30 @@ class SafeSide:
         if limits.power is not None and self._torques:
             single("power", safe["tau"] @ x.v - float(limits.power))
         if limits.tool_force is not None:
-            single("force", tm.norm(measured["F_ext"][:3]) - float(limits.tool_force))
+            single("force", tm.norm(tick.seen["F_ext"][:3]) - float(limits.tool_force))
         if limits.contact is not None:
             estimate = tick.memory["sensing.observer.tau_ext"]
             of_joints("contact", tm.abs(estimate) - limits.contact)
         return out
 
     def _of_loop(self, signal: Mapping[str, Any]) -> list[Finding]:
-        """What the loop saw itself: a stream that stopped, missed periods, a robot that failed."""
+        """What the loop saw itself: a stream that stopped, missed periods, another robot or watchdog that failed."""
         stale = (signal["valid"] > 0.5) & (signal["age"] > signal["stop_after"])
+        lost, fault = signal["lost"], signal["fault"]
         return [
             Finding(code=CODES["stream_stopped"], holds=stale, index=-1.0, value=signal["age"]),
-            Finding(
-                code=CODES["deadline"], holds=signal["lost"] > self.limits.missed, index=-1.0, value=signal["lost"]
-            ),
-            *(
-                Finding(
-                    code=code,
-                    holds=(signal["fault"] > code - 0.5) & (signal["fault"] < code + 0.5),
-                    index=-1.0,
-                    value=0.0,
-                )
-                for code in FAULTS
-                if code >= CODES["disconnected"]
-            ),
+            Finding(code=CODES["deadline"], holds=lost > self.limits.missed, index=-1.0, value=lost),
+            Finding(code=fault, holds=fault > 0.5, index=-1.0, value=0.0),
+        ]
+
+    @cached_property
+    def _ends(self) -> list[tuple[Float64Array, float]]:
+        """Position limits (n,) that are stated, huge for joints without one, with the sign of their direction."""
+        shape = (self.side.arm.n,)
+        return [
+            (np.broadcast_to(np.where(np.isfinite(limit), limit, sign * LARGEST), shape), sign)
+            for limit, sign in ((self.limits.upper, 1.0), (self.limits.lower, -1.0))
+            if limit is not None and np.isfinite(limit).any()
         ]
 
     @cached_property
@@ -386,52 +416,53 @@ class SafeSide:
         given = self.limits.deceleration
         return np.broadcast_to(BRAKE_PER_SPEED if given is None else given, (self.side.arm.n,))
 
+    def _stopping_distance(self, v: Any) -> Any:
+        """(n,) in which the controlled stop brings a joint to rest."""
+        brake = self.deceleration
+        evenly = 0.5 * v * v / brake + 0.5 * brake * EASE**2
+        return 0.5 * EASE * v + tm.where(v > brake * EASE, evenly, EASE * v)
+
     def _stop(
-        self, x: Snapshot, safe: Mapping[str, Any], enters: Any, blind: Any, dt: Any
+        self, x: Snapshot, safe: Mapping[str, Any], lost: Any, enters: Any, dt: Any
     ) -> tuple[Any, dict[str, Any]]:
         """The command of the controlled stop, and its reference.
 
-        Law:          tau = M a_ref + K (q_ref - q) + D (v_ref - v) + h; v_ref goes to zero with `deceleration`
-        Closed loop:  M e'' + D e' + K e = 0 for each joint by itself, as far as M is diagonal; K is at most
-                      (60 rad/s)^2 M_ii, D = 2 sqrt(K M_ii)
+        Law:          tau = M (a_ref + 2 omega (v_ref - v) + omega^2 (q_ref - q)) + h; q_ref follows v_ref, which goes
+                      to zero with `deceleration`, or a part of it in the first and the last 0.05 s
+        Closed loop:  e'' + 2 omega e' + omega^2 e = 0, with omega 20 rad/s or a twentieth of the rate
 
-        Where positions cannot be trusted, it is the gravity torque at the last good ones, with damping.
+        It begins with the speed that is measured, as far as that can have come about since the tick before. A joint
+        that is lost has no feedback. Where commands are velocities or positions, these are v_ref and q_ref, which
+        begin with the last command.
         """
-        n, brake = x.n, self.deceleration
-        q_from, v_from = tm.where(enters, x.q, safe["q_stop"]), tm.where(enters, x.v, safe["v_stop"])
-        first = safe["started"] < 0.5
-        q_from, v_from = tm.where(first, x.q, q_from), tm.where(first, x.v, v_from)
-        change = tm.clip(v_from, -brake * dt, brake * dt)
+        brake, kind, v_now = self.deceleration, self.side.probe.kind, tm.array(x.v)
+        q_now = safe["tau"] if kind == "position" else x.q
+        if kind == "velocity":
+            v_now = safe["tau"]
+        else:
+            most = SUDDEN * brake * dt
+            v_now = tm.where(lost, v_now, tm.clip(v_now, safe["v"] - most, safe["v"] + most))
+        q_from, v_from = tm.where(enters, q_now, safe["q_stop"]), tm.where(enters, v_now, safe["v_stop"])
+        ease = tm.minimum(tm.where(enters, 0.0, safe["ease"]) + dt / EASE, 1.0)
+        change = tm.clip(min(1.0, self.side.dt / EASE) * v_from, -ease * brake * dt, ease * brake * dt)
         v_ref = v_from - change
         q_ref = q_from + 0.5 * dt * (v_from + v_ref)
-        stopping = {"q_stop": q_ref, "v_stop": v_ref}
-        kind = self.side.probe.kind
-        if kind == "velocity":
-            return tm.where(blind > 0.5, 0.0 * v_ref, v_ref), stopping
-        if kind == "position":
-            return tm.where(blind > 0.5, safe["tau"], q_ref), stopping
-        inertia = tm.array([x.M[i, i] for i in range(n)])
-        bandwidth = min(STOP_BANDWIDTH, STOP_BANDWIDTH_PER_RATE * self.side.rate)
-        stiffness = bandwidth**2 * inertia
-        effort = self.side.arm.effort if self.limits.tau is None else np.broadcast_to(self.limits.tau, (n,))
-        if np.isfinite(effort).all():
-            stiffness = tm.minimum(stiffness, tm.array(STOP_STIFFNESS_PER_EFFORT * np.asarray(effort)))
-        damping = 2.0 * tm.sqrt(stiffness * inertia)
-        servo = x.M @ (-change / dt) + stiffness * (q_ref - x.q) + damping * (v_ref - x.v)
-        return x.h + tm.where(blind > 0.5, -damping * x.v, servo), stopping
+        stopping = {"q_stop": q_ref, "v_stop": v_ref, "ease": ease}
+        if kind != "torque":
+            return (v_ref if kind == "velocity" else q_ref), stopping
+        omega = min(STOP_BANDWIDTH[0], STOP_BANDWIDTH[1] * self.side.rate)
+        feedback = omega**2 * x.difference(q_ref) + 2.0 * omega * (v_ref - x.v)
+        return x.M @ (tm.where(lost, 0.0, feedback) - change / dt) + x.h, stopping
 
-    def _soft(self, x: Snapshot, blind: Any) -> Any:
+    def _soft(self, x: Snapshot, lost: Any) -> Any:
         """(n,) torque that damps the motion towards a position limit in the zone before it."""
-        limits, n, a = self.limits, x.n, 0.0 * x.q
-        inertia = tm.array([x.M[i, i] for i in range(n)])
-        for limit, sign in ((limits.upper, 1.0), (limits.lower, -1.0)):
-            if limit is None or not np.isfinite(limit).any():
-                continue
-            limit = np.broadcast_to(np.where(np.isfinite(limit), limit, sign * LARGEST), (n,))
+        a = 0.0 * x.q
+        for limit, sign in self._ends:
             room = sign * (limit - x.q)
             too_fast = tm.maximum(sign * x.v - SOFT_GAIN * tm.maximum(room, 0.0), 0.0)
-            a = a - sign * tm.where((room < limits.soft) & (blind < 0.5), SOFT_DAMPING * too_fast, 0.0)
-        return inertia * a
+            a = a - sign * tm.where((room < self.limits.soft) & ~lost, too_fast, 0.0)
+        damping = min(SOFT_DAMPING[0], SOFT_DAMPING[1] * self.side.rate)
+        return damping * tm.array([x.M[i, i] for i in range(x.n)]) * a
 
     def _limited(self, command: Vector, before: Vector, dt: Any) -> Vector:
         """The command within its rate, and then within its magnitude, which wins."""
@@ -458,28 +489,9 @@ class SafeSide:
 
 def safe_shapes(n: int) -> dict[str, tuple[int, ...]]:
     """Shapes of the memory below "safe", which goes on from law to law."""
-    joints = ("q", "v", "tau", "law", "bump", "residual", "q_stop", "v_stop")
-    numbers = ("phase", "mode", "fault", "index", "value", "blind", "started")
+    joints = ("q", "v", "tau", "law", "bump", "residual", "q_stop", "v_stop", "blind")
+    numbers = ("phase", "mode", "fault", "index", "value", "started", "ease")
     return dict.fromkeys(joints, (n,)) | dict.fromkeys(numbers, ())
-
-
-def _among(conditions: list[Any], values: list[Any]) -> tuple[Any, Any, Any]:
-    """Whether one of them holds, the index of the first one, and its value."""
-    holds: Any = np.bool_(False)
-    index: Any = -1.0
-    value: Any = 0.0
-    for i in reversed(range(len(conditions))):
-        holds = holds | conditions[i]
-        index, value = tm.where(conditions[i], float(i), index), tm.where(conditions[i], values[i], value)
-    return holds, index, value
-
-
-def _pick(index: Any, values: Any) -> Any:
-    """The entry of an index that is not known beforehand."""
-    out: Any = 0.0
-    for i in range(len(values)):
-        out = tm.where((index > i - 0.5) & (index < i + 0.5), values[i], out)
-    return out
 
 
 def _first(found: list[Finding]) -> tuple[Any, Any, Any]:
@@ -488,6 +500,6 @@ def _first(found: list[Finding]) -> tuple[Any, Any, Any]:
     index: Any = -1.0
     value: Any = 0.0
     for one in reversed(found):
-        code = tm.where(one.holds, float(one.code), code)
+        code = tm.where(one.holds, 1.0 * one.code, code)
         index, value = tm.where(one.holds, one.index, index), tm.where(one.holds, one.value, value)
     return code, index, value

@@ -15,6 +15,7 @@ from taut.base.errors import FileError, UsageError
 from taut.base.types import Float64Array
 from taut.codegen.c import DOUBLE, SINGLE, Precision, Struct, body, comment, member, prelude
 from taut.codegen.program import Block, Program, trace
+from taut.control.law import Law
 from taut.control.lawside import HELD, KNOWN
 from taut.controller.controller import Controller
 from taut.controller.kernel import DT, SideFunctions
@@ -154,7 +155,12 @@ class Firmware:
         p, real, side = self.prefix, self.precision.real, self.ctrl.side
         notes = {path: _unit(path) for path in (*self.tick.inputs.shapes, DT)}
         notes |= {path: unit for path, unit in side.units.items() if unit}
-        notes |= {"mit": "rows q, v, kp, kd, tau", "command": UNITS[COMMANDS.get(side.gives, "tau_meas")]}
+        commanded = UNITS[COMMANDS.get(side.gives, "tau_meas")]
+        notes |= {"mit": "rows q, v, kp, kd, tau", "command": commanded}
+        assert isinstance(side.law, Law)  # export_c refuses tasks
+        notes |= {f"law.{path}": memory.unit for path, memory in side.law.every_memory().items() if memory.unit}
+        limited = {path: shape for path, shape in self.tick.memory.shapes.items() if path.startswith("limits.")}
+        notes |= {path: commanded if shape else "1" for path, shape in limited.items()}
         joints = (
             f"{comment(name)} [{unit}]" for name, unit in zip(side.arm.joint_names, side.arm.units, strict=True)
         )
@@ -179,9 +185,14 @@ class Firmware:
         for name, struct in self.structs.items():
             lines += ["", *struct.definition(f"{p}_{name}", real, notes)]
         common = f"const {p}_inputs *inputs, const {p}_parameters *parameters"
+        rows = (f' \\\n    X("{path}", {name}, {count})' for path, name, count in self.structs["parameters"].paths())
         lines += [
             "",
+            "/* Of a step; BAD_INPUT: an input is not finite, NOT_FINITE: the command or the memory is not. */",
             f"enum {{ {p}_OK = 0, {p}_BAD_INPUT = 1, {p}_NOT_FINITE = 2 }};",
+            "",
+            "/* X(path, member, count) for each parameter, for tables that find one by its path. */",
+            f"#define {p}_PARAMETERS(X)" + "".join(rows),
             "",
             f"extern const {p}_inputs {p}_zero;             /* all zero, but rotations of the reference: identity */",
             f"extern const {p}_parameters {p}_defaults;     /* as they were in Python */",
@@ -365,6 +376,7 @@ class Firmware:
         """Targets: the object, and the self-test."""
         p = self.prefix
         return f"""# {MARK} {__version__}: make test compiles the controller and compares it with Python
+# SPDX-License-Identifier: Apache-2.0
 CFLAGS ?= -O2
 CFLAGS += -std=c99 -Wall -Wextra -Wpedantic -Wconversion
 
@@ -384,6 +396,7 @@ test: {p}_test
         """A library, and the self-test for ctest."""
         p = self.prefix
         return f"""# {MARK} {__version__}
+# SPDX-License-Identifier: Apache-2.0
 cmake_minimum_required(VERSION 3.13)
 project({p} C)
 set(CMAKE_C_STANDARD 99)

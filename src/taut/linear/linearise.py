@@ -224,6 +224,10 @@ def equilibrium(map_: PeriodMap, start: Point, within: float = WITHIN, steps: in
     joints = coordinates.places["plant.q"]
     step = np.full(len(coordinates), np.inf)
     found = finite_derivative(map_, start)
+    line = map_.memory.shapes.get("plant.delay", ())
+    for _ in range(line[0] if len(line) == 3 else 0):  # the motors' gains that are on their way multiply the rest
+        memory = np.where(_expanded(map_, acting_states(found, map_.tolerance)), memory, found.memory)
+        found = finite_derivative(map_, dataclasses.replace(start, memory=memory))
     for _ in range(steps):
         solved = acting_states(found, map_.tolerance)
         scale = 1.0 + np.abs(coordinates.numbers(memory))

@@ -98,7 +98,7 @@ class Period:
         self._columns = np.arange(len(self.state_coordinates))
         self._clock = [self.memory.field(CLOCK).offset] if CLOCK in self.memory.shapes else []
         example = (self.start.inputs, self.start.parameters, self.start.memory)
-        self._run = compiled_loop(loop, (self.inputs, self.parameters, self.memory), example)
+        self._run = compiled_loop(loop, (self.inputs, self.parameters, self.memory), example, q, np.zeros_like(q))
         outputs = [self._run.outputs.field(path) for path in ("q", "v", "command")]
         self._shown = np.concatenate([np.arange(field.offset, field.offset + field.size) for field in outputs])
 

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from taut.base.errors import RangeError
+from taut.base.errors import RangeError, ShapeError
 from taut.base.fields import Declared, Field
 from taut.trace import math as tm
 
@@ -49,13 +49,13 @@ class AntagonisticSprings(Declared):
 
     def check(self) -> None:
         """A range has its limits in order."""
-        for least, most in zip(*_entries(self.c_min, self.c_max), strict=True):
+        for _, least, most in _entries(self.a, self.c_min, self.c_max):
             if most < least:
                 self.refuse("c_max", f"must be >= c_min, {least:g} [rad | m]; got {most:g}; swap them", RangeError)
 
     def require_reached(self, owner: Declared, field: str, stiffness: Any) -> None:
         """RangeError about an owner's field for a stiffness (n,) that these springs do not give."""
-        for i, (k, low, high) in enumerate(zip(*_entries(stiffness, *self.stiffness_range), strict=True)):
+        for i, (k, low, high) in enumerate(_entries(stiffness, *self.stiffness_range)):
             if not low * (1.0 - ROUNDING) <= k <= high * (1.0 + ROUNDING):
                 where = f" for joint {i}" if np.ndim(stiffness) else ""
                 owner.refuse(
@@ -95,7 +95,14 @@ class AntagonisticSprings(Declared):
 
 
 def _entries(*values: Any) -> Any:
-    return np.broadcast_arrays(*(np.atleast_1d(value) for value in values))
+    """(n, k) rows of k numbers, or of k with one for each joint."""
+    try:
+        return np.stack(np.broadcast_arrays(*(np.atleast_1d(value) for value in values)), axis=1)
+    except ValueError as cause:
+        sizes = ", ".join(str(np.size(value)) for value in values)
+        raise ShapeError(
+            f"springs and stiffness must each be one number or one per joint; got {sizes} numbers"
+        ) from cause
 
 
 def _stretched(c: Any, phi: Any) -> tuple[Any, Any]:

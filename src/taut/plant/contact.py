@@ -23,6 +23,7 @@ from taut.maths.constraints.rows import Piece
 from taut.maths.model import model_of
 from taut.maths.snapshot import Snapshot, snapshot
 from taut.plant.actuation import Actuation
+from taut.trace.scalar import active_graph
 
 Values = Mapping[str, Any]
 CLOSED: Final = 1e-6  # [m | rad] within which a run may start in contact; the first step takes it away
@@ -228,6 +229,8 @@ class Contacts(Declared):
 
     def check_start(self, q: Vector, v: Vector) -> None:
         """RangeError for a start off a two-sided row, against it, or behind a one-sided one; or dependent rows."""
+        if active_graph() is not None:  # it is for numbers
+            return
         x = self._snapshot(q, v)
         for place in self.places:
             rows = place.piece.at(x)

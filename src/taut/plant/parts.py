@@ -25,6 +25,7 @@ from taut.plant.drivetrain import Drivetrain, FrictionLaw, require_rotors
 from taut.plant.environments.environment import Environment, require_environment
 from taut.plant.sensors import Sensors
 from taut.trace import math as tm
+from taut.trace.scalar import active_graph
 
 Values = Mapping[str, Any]
 
@@ -114,13 +115,9 @@ class PlantParts(Declared):
         names = self.arm.joint_names
         self.actuation.check_size(names, "actuation.")
         if self.actuation.motor is not None:
+            others = {"inner_rate": self.actuation.inner_rate, "adds": self.adds.names, "rk4": self.smooth}
             there = [name for name in self.actuation.for_torque_only if name != "motor"]
-            for name, value in {
-                "inner_rate": self.actuation.inner_rate,
-                "adds": self.adds.names,
-                "rk4": self.smooth,
-            }.items():
-                there += [name] if value else []
+            there += [name for name, value in others.items() if value]
             self.actuation.motor.check_with(self.arm, self.takes, there)
         self.sensors.check_arm(self.arm, touched=self.touched)
         if isinstance(self.friction, FrictionLaw):
@@ -277,6 +274,8 @@ class PlantParts(Declared):
 
     def require_short_steps(self, parameters: Values, steps: Steps) -> None:
         """RangeError for steps too long for a motor, an inner loop or a transmission, with the arm at home."""
+        if active_graph() is not None:  # it is for numbers
+            return
         train, actuation = self.drivetrain, self.actuation
         _require_whole_inner_steps(actuation, steps)
         if actuation.motor is None and actuation.torque_loop is None and not train.compliant:
@@ -335,6 +334,8 @@ class PlantParts(Declared):
         Euler while omega^2 dt^2 + 2 delta dt < 4. Half of that is let through, since the tool's inertia changes.
         """
         assert self.environment is not None
+        if active_graph() is not None:  # it is for numbers
+            return
         stiff = self.stiff and not self.scene  # drives that nothing moves
         mobility = np.zeros((6, 6)) if stiff else self._mobility(q, parameters)
         omega, damping = self.environment.rates(mobility, subtree(parameters, "environment"))

@@ -6,7 +6,7 @@ import functools
 import math
 import platform
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import metadata
 from typing import Any, Final, Literal, TypeAlias
 
@@ -15,9 +15,11 @@ import numpy as np
 from taut.arm.description import BASE, Arm
 from taut.arm.rules import indefinite
 from taut.base.errors import printable
+from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.control.closed_loop import ApparentImpedance
-from taut.maths.model import Chain
+from taut.maths.model import Adds, Chain
+from taut.maths.snapshot import measurement_shapes
 
 POSES: Final = "scene.poses"  # column of a run: (m, 7) position [m] and quaternion wxyz of each thing that moves
 PACKAGES: Final = ("numpy", "llvmlite", "mujoco")
@@ -152,6 +154,16 @@ class ScenarioInfo:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class ServoInfo:
+    """The compiled tick of a robot's loop, with which each row of its record can be computed again."""
+
+    digest: str  # of its program
+    measures: tuple[str, ...]  # by the robot, besides q
+    limits: Mapping[str, Float64Array]  # fields of its `taut.SafetyLimits`
+    adds: Adds  # by the robot, to its commands
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class RunInfo:
     """What a run was made with; what is left out is not known, as of a run that `taut.run` did not make."""
 
@@ -176,6 +188,17 @@ class RunInfo:
     versions: Mapping[str, str] = field(default_factory=dict)  # of the programs that made the run
     controller_arm: Arm | None = None  # without what is only drawn, as the plant's
     plant_arm: Arm | None = None
+    servo: ServoInfo | None = None  # of a robot
+
+
+def with_parameters(info: RunInfo, columns: Mapping[str, Float64Array], t: Float64Array) -> RunInfo:
+    """The info of a record with the parameters tick by tick, in columns parameters.*: their values and changes."""
+    values, found = {p: x for p, x in subtree(columns, "parameters").items() if len(x)}, dict[int, Any]()
+    for path, x in values.items():
+        for k in np.flatnonzero((np.diff(x.reshape(len(x), -1), axis=0) != 0.0).any(axis=1)) + 1:
+            found.setdefault(int(k), {})[path] = x[k]
+    changes = tuple(Change(t=float(t[k]), set=found[k]) for k in sorted(found))
+    return replace(info, parameters={path: x[0] for path, x in values.items()} or info.parameters, events=changes)
 
 
 def check_info(info: RunInfo, joints: Sequence[str]) -> None:
@@ -200,6 +223,7 @@ def _rules(info: RunInfo, joints: Sequence[str]) -> Iterator[tuple[str, bool]]:
     yield "events", all(_payload_fits(event.set) for event in info.events)
     yield "controller_arm", _is_possible(info.controller_arm, n)
     yield "plant_arm", _is_possible(info.plant_arm, n)
+    yield "servo", info.servo is None or set(info.servo.measures) <= set(measurement_shapes(n))
 
 
 def _reaches(chain: Chain, n: int) -> bool:

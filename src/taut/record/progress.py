@@ -43,11 +43,14 @@ class Progress:
         if self._bar is None:
             from rich.console import Console
             from rich.progress import Progress as Bar
+            from rich.progress import TextColumn
 
-            self._bar = Bar(console=Console(stderr=True), transient=True)
+            speed = TextColumn("{task.fields[rate]}")
+            self._bar = Bar(*Bar.get_default_columns(), speed, console=Console(stderr=True), transient=True)
             self._bar.start()
-            self._task = self._bar.add_task(self._what, total=self._total)
-        self._bar.update(self._task, completed=self._done)
+            self._task = self._bar.add_task(self._what, total=self._total, rate="")
+        rate = self._done / max(time.monotonic() - self._since, 1e-9)
+        self._bar.update(self._task, completed=self._done, rate=f"{rate:,.3g} a second")
 
     def over(self, items: Iterable[T]) -> Iterator[T]:
         """The items; each is a step that is done when the next one is asked for."""

@@ -12,7 +12,8 @@ import numpy as np
 from taut.base.errors import NumericalError, RangeError, ShapeError, TautError
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
-from taut.codegen.loop import compiled_loop
+from taut.codegen.loop import StepLoop, compiled_loop, known_loop
+from taut.codegen.noise import Noise
 from taut.codegen.program import Block
 from taut.control.limits import take_up
 from taut.control.tasks.feed import ReferenceFeed, TaskFeed, feed_of
@@ -107,39 +108,55 @@ class FusedRun(OngoingRun):
         self._values = self._parameters.pack({**loop.parameters, DT: loop.dt})
         self._numbers = self._parameters.views(self._values)  # by path
         self._apply(0)
-        # One generator per measurement, by its name: neither how the run is cut into blocks nor what else is noisy
-        # changes the numbers.
-        self._noise = {name: np.random.default_rng([seed, *name.encode()]) for name in loop.plant.noise}
+        self._noise, self._seed = Noise(self._inputs, loop.engine), seed
         side.check_start(q, self._numbers, loop.ref)
         check_force_feedback(side, loop.plant, q, self._numbers)
         block, packed = self._parameters, self._values  # the feed holds these, and not the run, which holds the feed
         self._feed = feed_of(side, loop.ref, q, lambda: block.views(packed))
         self._drawn = 1  # the noise of row 0 is drawn at the start
-        self._ticks, self._size = loop.ticks, FIRST_BLOCK  # of the run, and of the next block
+        self._ticks = loop.ticks
         first = np.zeros((1, self._inputs.size))
-        memory = self._started(q, v, first)
-        self._memory = Block.of({path: np.shape(value) for path, value in memory.items()})
-        self._state = self._memory.pack(memory)
-        blocks, example = (self._inputs, self._parameters, self._memory), (first[0], self._values, self._state)
-        self._run = compiled_loop(loop, blocks, example)
+        self._fill_first(q, v, first)
+        self._run = self._compiled(q, v, first[0])
+        self._size = self._run.size or FIRST_BLOCK  # of the next block: that of the last run, or how long it takes
+        self._memory = self._run.memory
+        self._state = self._run.start(np.concatenate([first[0], q, v]), self._values)
         self.tape = Tape(side, loop.plant, loop.ticks, self._inputs, self._run.outputs)
         self.tape.input_rows[0] = first[0]
 
-    def _started(self, q: Float64Array, v: Float64Array, first: Float64Array) -> dict[str, Any]:
-        """Memory in the first tick, whose reference and noise (1, ...) are filled in here, before there is a tape."""
+    @property
+    def blocks(self) -> tuple[Block, Block, Block]:
+        """Inputs, parameters and memory of the loop."""
+        return self._inputs, self._parameters, self._memory
+
+    def _fill_first(self, q: Float64Array, v: Float64Array, first: Float64Array) -> None:
+        """Reference and noise of the first tick, in a row (1, ...), before there is a tape."""
         views, parameters = self._inputs.views(first), self._numbers
-        self._draw(views)
-        row, plant = self._inputs.views(first[0]), self._loop.plant_at_start(q, v, parameters)
+        self._noise.fill(first, 0, self._seed)
+        row, loop = self._inputs.views(first[0]), self._loop
         reference = subtree(views, "ref")
         try:
-            self._feed.fill(reference, 0, lambda: self._seen(plant, None, row))
+            self._feed.fill(reference, 0, lambda: self._seen(loop.plant_at_start(q, v, parameters), None, row))
         except TautError:
             raise
         except Exception:  # of a function of the user's, which ends the run when the first tick asks it again
             rest = self._loop.side.at_rest(q)
             for name, view in reference.items():
                 view[...] = getattr(rest, name)
-        return self._loop.start(q, v, row, parameters)
+
+    def _compiled(self, q: Float64Array, v: Float64Array, row: Float64Array) -> StepLoop:
+        """The code of the loop. A start that is not the last one of it is tried on numbers, which are checked."""
+        begin = b"".join(part.tobytes() for part in (row, q, v, self._values))
+        made = known_loop(self._loop)
+        if made is not None and made.begun == begin:
+            made.expect(self._loop.ticks)
+        else:
+            memory = self._loop.start(q, v, self._inputs.views(row), self._numbers)
+            block = Block.of({path: np.shape(value) for path, value in memory.items()})
+            blocks, example = (self._inputs, self._parameters, block), (row, self._values, block.pack(memory))
+            made = compiled_loop(self._loop, blocks, example, q, v)
+            made.begun = begin
+        return made
 
     def _apply(self, tick: int) -> Float64Array | None:
         """Events that act at a tick; if a blend takes up the change, the parameters without what it is to take up."""
@@ -160,10 +177,6 @@ class FusedRun(OngoingRun):
             asked.append(self._memory.views(state)["limits.asked"])
         take_up(self._memory.views(self._state), *asked)
 
-    def _draw(self, views: dict[str, Float64Array]) -> None:
-        for name, column in subtree(views, "noise").items():
-            column[...] = self._noise[name].standard_normal(column.shape)
-
     def _before(self) -> tuple[Float64Array, Mapping[str, Float64Array]]:
         return self._memory.views(self._state)["plant.q"].copy(), self._numbers
 
@@ -174,7 +187,7 @@ class FusedRun(OngoingRun):
         if done < end - k:
             return end, self._diverged(k + done)
         growth = min(16.0, 0.5 * LOG_PERIOD / max(monotonic() - began, 1e-9))
-        self._size = max(1, int((end - k) * growth))
+        self._size = self._run.size = max(1, int((end - k) * growth))
         return end, None
 
     def _block(self, k: int, end: int) -> tuple[int, int]:
@@ -229,7 +242,7 @@ class FusedRun(OngoingRun):
     def _draw_up_to(self, end: int) -> None:
         """The noise of the ticks before `end`, as far as it was not drawn for a block that was taken back."""
         if self._drawn < end:
-            self._draw({path: column[self._drawn : end] for path, column in self.tape.inputs.items()})
+            self._noise.fill(self.tape.input_rows[self._drawn : end], self._drawn, self._seed)
             self._drawn = end
 
     def _seen(

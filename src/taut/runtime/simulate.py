@@ -14,6 +14,7 @@ from taut.base.checks import whole_number
 from taut.base.errors import RangeError, StabilityWarning, UsageError, warn
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
+from taut.codegen.noise import MAX_SEED
 from taut.control.combine import SideBySide
 from taut.control.law import Law
 from taut.control.lawside import LawSide
@@ -66,7 +67,7 @@ def run(
         duration: [s].
         q0: (n,) true positions at the start [rad | m]; the plant arm's home by default.
         v0: (n,) true velocities at the start [rad/s | m/s]; zero by default.
-        seed: Seed of every random number in the run.
+        seed: Seed of every random number in the run, below 2^64.
         events: Parameters that change at stated times: taut.Event(t=, set=).
         log: File (.mcap) that is written while the run goes on, at most 0.2 s behind. Where writing fails, such as on
             a full disk, the run goes on without it, and the outcome counts the missing ticks.
@@ -91,15 +92,36 @@ def run(
         >>> out.outcome.ok, bool(abs(out.q[-1, 0] - 0.5) < 1e-3)
         (True, True)
     """
-    seed = whole_number("seed", seed)
-    made, target, reference, length = _what_to_run(ctrl, plant, ref, duration)
+    made, target, reference, length = what_to_run(ctrl, plant, ref, duration)
+    return simulated(
+        made, target, reference, length, q0=q0, v0=v0, seed=seed, events=events, log=log, progress=progress
+    )  # fmt: skip
+
+
+def simulated(
+    made: Controller | Loop,
+    target: Plant,
+    reference: Reference,
+    length: float,  # [s]
+    *,
+    q0: ArrayLike | None,
+    v0: ArrayLike | None,
+    seed: int,
+    events: Iterable[Event] | None = None,
+    log: str | os.PathLike[str] | None = None,
+    progress: bool | None = None,
+    judged: bool = True,
+) -> Run:
+    """The run of what `what_to_run` gives; a sweep leaves out the judgement of its start."""
+    seed = whole_number("seed", seed, maximum=MAX_SEED)
     side, ticks = made.side, round(length * made.side.rate) + 1
     changes = listed(events or ())
     q, v = state_at_start(target.arm, q0, v0)
     law = side.law.bound(subtree(made.parameters, "law"))  # with the gains of this run
     parameters = _arrays({**target.parameters, **made.parameters})
     schedule = Schedule(side, target, parameters, changes, ticks)
-    stability = _judged(judge_start(made, target, q, schedule.at(0)), target)
+    verdict = judge_start(made, target, q, schedule.at(0)) if judged else "not judged: a sample of a sweep"
+    stability = _judged(verdict, target)
     going: FusedRun | HostedRun
     if isinstance(made, Loop):
         going = FusedRun(made, q, v, seed, schedule)
@@ -107,28 +129,38 @@ def run(
         assert isinstance(target, PlantBase)
         going = HostedRun(made, target, reference, ticks, q, v, seed, schedule)
     going.tape.unstable = stability.message if stability.stable is False else ""
-    going.tape.info = RunInfo(
-        rate=side.rate,
+    going.tape.info = info_of(
+        side, law, target.name, target.arm, q, made.parameters,
         duration=length,
         seed=seed,
-        law=repr(law),
-        arm=side.arm.name,
-        controller_arm=_undrawn(side.arm),
-        plant_arm=_undrawn(target.arm),
-        plant=target.name,
         events=tuple(
             Change(t=event.t, set=_arrays(event.set)) for event in sorted(changes, key=lambda event: event.t)
         ),
-        sensing=str(side.sensing),
-        command_limits="none" if side.limits is None else str(side.limits),
         parameters=parameters,
         stability=stability,
-        versions=versions(),
         around=around_info(target, q, length),
-        limits=_limits(side.arm),
-        **_of_tool(law, side, q, made.parameters),
-    )
+    )  # fmt: skip
     return _recorded(going, log, progress)
+
+
+def info_of(
+    side: LawSide, law: Law | Task, plant: str, arm: Arm, q: Float64Array, gains: Mapping[str, Any], **more: Any
+) -> RunInfo:
+    """What is known of a run of a law on a plant of that name with this arm, which starts at q; and more by name."""
+    return RunInfo(
+        rate=side.rate,
+        law=repr(law),
+        arm=side.arm.name,
+        controller_arm=_undrawn(side.arm),
+        plant_arm=_undrawn(arm),
+        plant=plant,
+        sensing=str(side.sensing),
+        command_limits="none" if side.limits is None else str(side.limits),
+        versions=versions(),
+        limits=_limits(side.arm),
+        **_of_tool(law, side, q, gains),
+        **more,
+    )
 
 
 def _arrays(values: Mapping[str, ArrayLike]) -> dict[str, Float64Array]:
@@ -203,9 +235,10 @@ def _recorded(going: FusedRun | HostedRun, log: str | os.PathLike[str] | None, p
     return tape.piece(0, kept, outcome)
 
 
-def _what_to_run(
+def what_to_run(
     ctrl: Controller | Loop | Sequence[Phase], plant: Plant | None, ref: object, duration: float | None
 ) -> tuple[Controller | Loop, Plant, Reference, float]:
+    """Controller or loop, plant, reference and duration [s] of what `run` is given; UsageError for anything else."""
     if isinstance(ctrl, Loop):
         if plant is not None or ref is not None or duration is not None:
             raise UsageError("a Loop has its plant, reference and duration already; pass run(loop) alone")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Final, Protocol
+from typing import Any, Final, TypeAlias
 
 from taut.analysis import NormOptimal, PDLearning, excitation, identify, learn, stable_inversion
 from taut.analysis.comparison import Experiment
@@ -28,13 +28,6 @@ MAX_PREPARED_TICKS: Final = 100_000  # of a motion, whose responses or regressor
 @reads(LearningLaw)
 def _learning_law(table: Table, key: str) -> LearningLaw:
     return of_kind(LEARNING_LAWS, table.table(key))  # type: ignore[no-any-return]
-
-
-class Change(Protocol):
-    """What a preparation does: the experiment of a controller, changed."""
-
-    def length(self, experiment: Experiment) -> float: ...  # of the motion that it needs [s]
-    def __call__(self, experiment: Experiment, ctrl: Controller) -> Experiment: ...
 
 
 class Learning(Declared):
@@ -97,6 +90,10 @@ class Identification:
         if not done.outcome.ok:
             raise UsageError(f"the excitation ended early: {done.outcome.message}", name="kind")
         return replace(experiment, arm=identify(done, experiment.arm, **self.what).arm)
+
+
+Change: TypeAlias = Learning | Inversion | Identification
+"""What a preparation does: the experiment of a controller, changed; its length is that of the motion it needs [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)

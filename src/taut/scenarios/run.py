@@ -29,6 +29,8 @@ from taut.record.info import ScenarioInfo
 from taut.record.log.files import checked_target, written_aside
 from taut.record.metrics import METRICS, Metrics
 from taut.record.run import Run
+from taut.runtime.realtime.robot import Robot
+from taut.scenarios.on_robot import run_on_robot
 from taut.scenarios.scenario import FILES, PassFigure, Scenario, Trial
 
 SECTIONS: Final = {"duration": "run", "ref": "reference"}  # which an error of a run is about, by its name
@@ -200,9 +202,16 @@ def _shortfall(figure: PassFigure, one: Run) -> str:
 
 
 def run_scenario(
-    scenario: Scenario, folder: Path, *, say: Callable[[str], None], engine: EngineChoice = "auto"
+    scenario: Scenario,
+    folder: Path,
+    *,
+    say: Callable[[str], None],
+    engine: EngineChoice = "auto",
+    robot: Robot | None = None,
 ) -> ScenarioResult:
     """Run every law of a scenario and write its files to a folder; the result lists files that could not be made.
+
+    On a robot, if one is given, in place of the scenario's plant.
 
     Raises ScenarioError, and FileError before the first run where something stands in the way of a file. `say` takes
     lines of progress.
@@ -214,6 +223,12 @@ def run_scenario(
         say(f"running {trial.label} ...")
         with _blamed(one, trial), warnings.catch_warnings():
             warnings.simplefilter("ignore", StabilityWarning)  # the outcome has its sentence
+            if robot is not None:
+                done = run_on_robot(robot, one.experiment, one.laws[trial.law])
+                runs[trial] = dataclasses.replace(
+                    done, info=dataclasses.replace(done.info, scenario=_info(one, trial))
+                )
+                continue
             ctrl, law, adds = made.get(trial.law), one.laws[trial.law], one.experiment.plant.adds
             experiment = one.experiment.prepared(law, engine)
             if ctrl is None or ctrl.law is not law or ctrl.side.adds != adds or experiment is not one.experiment:

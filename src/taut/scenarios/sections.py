@@ -26,7 +26,7 @@ from taut.control.combine import SideBySide, Wrapper, law_classes
 from taut.control.law import Law
 from taut.control.limits import Limits
 from taut.control.observer import MomentumObserver
-from taut.control.sensing import Difference, Kalman, LowPass, Sensing
+from taut.control.sensing import Difference, Kalman, LowPass, Notch, Sensing, Wrist
 from taut.drives import ElectricMotor, FlexibleLink, Motor, MotorModel, VariableStiffnessActuator
 from taut.environments import (
     Damper,
@@ -173,6 +173,27 @@ def law_of_text(text: str) -> tuple[str, Law]:
             value=text,
         ) from cause
     return name, read_law(Table(f"law '{name}':", "", table))
+
+
+def side_of_text(text: str) -> Any:
+    """Sensing or limits of a controller from the text that a record has: Sensing(velocity=LowPass(cutoff=30.0)).
+
+    None for "none". Raises UsageError.
+    """
+
+    def made(value: Any) -> Any:
+        if not isinstance(value, dict):
+            return None if value == "none" else value
+        return kinds[value["law"]](**{name: made(x) for name, x in value.items() if name != "law"})
+
+    kinds = {"Sensing": Sensing, "Limits": Limits, "LowPass": LowPass, "Difference": Difference, "Kalman": Kalman}
+    kinds |= {"Notch": Notch, "Wrist": Wrist, "MomentumObserver": MomentumObserver}
+    try:
+        if len(text) > MAX_TEXT:
+            raise ValueError(text)
+        return None if text == "Limits(none)" else made(_written(ast.parse(text, mode="eval").body))
+    except (ValueError, TypeError, LookupError, SyntaxError, RecursionError, MemoryError) as cause:
+        raise UsageError(f"{short(text, MAX_SHOWN)!r} cannot be made again from its text", name="sensing") from cause
 
 
 def _written(node: ast.expr) -> Any:

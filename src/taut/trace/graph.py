@@ -12,7 +12,7 @@ import operator
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from enum import IntEnum
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -53,6 +53,8 @@ class Op(IntEnum):
     AND = 24
     OR = 25
     NOT = 26
+    SCALE = 27  # a 2^b for a whole b; of the functions of codegen, as the next one: law code has neither
+    EXPONENT = 28  # the whole k with 2^k <= a < 2^(k+1), of a normal number a > 0
 
 
 BOOLEAN_OPS: Final = frozenset({Op.LT, Op.LE, Op.EQ, Op.AND, Op.OR, Op.NOT})
@@ -344,6 +346,16 @@ class Graph:
             )
 
 
+def scaled(a: Any, b: Any) -> Any:
+    """a 2^b for whole numbers b, in numbers or arrays."""
+    return np.ldexp(a, np.nan_to_num(b).astype(np.int32))
+
+
+def exponent(a: Any) -> Any:
+    """The whole k with 2^k <= a < 2^(k+1), as numbers."""
+    return np.frexp(a)[1] - 1.0
+
+
 _FOLDED: Final[dict[int, Callable[..., int]]] = {
     ADD: Graph.add,
     SUB: Graph.sub,
@@ -380,4 +392,6 @@ _VALUES: Final[dict[int, Callable[..., float]]] = {  # with NaN and infinity for
     AND: min,
     OR: max,
     NOT: operator.not_,
+    int(Op.SCALE): lambda a, b: float(scaled(a, b)),
+    int(Op.EXPONENT): lambda a: float(exponent(a)),
 }

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
-from taut.base.checks import finite_array, instance_of, require_range, whole_number
+from taut.base.checks import instance_of, per_joint, require_range, whole_number
 from taut.base.errors import UsageError
 from taut.base.result import Content, Result
 from taut.base.types import ArrayLike, Float64Array
@@ -97,9 +97,8 @@ def region_of_attraction(
     """
     instance_of("loop", loop, Loop, "a taut.Loop")
     n, count = loop.plant.arm.n, whole_number("samples", samples, minimum=1)
-    wide = np.broadcast_to(finite_array("q", q, unit="rad | m"), (n,))
-    fast = np.broadcast_to(finite_array("v", v, unit="rad/s | m/s"), (n,))
-    require_range("q", wide, above=0.0, unit="rad | m")
+    wide = per_joint("q", q, loop.plant.arm.joint_names, unit="rad | m", above=0.0)
+    fast = per_joint("v", v, loop.plant.arm.joint_names, unit="rad/s | m/s")
     require_range("v", fast, minimum=0.0, unit="rad/s | m/s")
     settled = run(loop, q0=at)
     rest = settled.q[-1]

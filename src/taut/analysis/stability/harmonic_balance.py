@@ -40,7 +40,6 @@ BELOW_HALF_RATE: Final = 0.9  # [-] above it a sampled sine is none
 FREQUENCIES_BEYOND: Final = 30.0  # [-] of the frequencies of the slowest and the fastest pole
 LEAST_SIGNAL: Final = 1e-12  # [-] of the first one
 MAX_RESIDUAL: Final = 1e-8  # [-] of the harmonic balance
-NEARLY: Final = 0.05  # [-] likewise, with jumps that are not located
 ALIKE: Final = 1e-3  # [-] two solutions whose frequency and amplitudes differ by less are one
 NUDGE: Final = 1e-4  # [-] of the amplitudes, and of the frequency, for the stability of a cycle
 
@@ -110,8 +109,8 @@ def limit_cycles(
 
     Raises:
         UnknownNameError: No such input or output.
-        UsageError: No element, or one that is not a function of a signal and its rate.
-        RangeError: Amplitudes that do not increase.
+        UsageError: No element, or one between several outputs and inputs.
+        RangeError, ShapeError: Amplitudes that do not increase; an element that gives no number for each sample.
 
     Example:
         A relay of 1 around 1 / (s (s + 1) (s + 2)) oscillates at sqrt(2) rad/s with an amplitude of 2 / (3 pi).
@@ -139,16 +138,12 @@ def limit_cycles(
     top = math.inf if system.dt is None else BELOW_HALF_RATE * math.pi / system.dt
     band = speeds.min() / FREQUENCIES_BEYOND, min(FREQUENCIES_BEYOND * speeds.max(), top)
     names = [output for output, _ in elements.values()]
-    nearly: list[Complex] = []
     points: list[Complex] = []
     with np.errstate(all="ignore"):
         for start in balance.starts(band, (low, high)):
-            near = balance.solved(start, exact=False)
-            if near is not None and not _known(near, nearly):
-                nearly.append(near)
-                point = balance.solved(near, exact=True)
-                if point is not None and not _known(point, points):
-                    points.append(point)
+            point = balance.solved(start)
+            if point is not None and not _known(point, points):
+                points.append(point)
     found = [
         LimitCycle(omega=float(point[0].real), amplitudes=dict(zip(names, abs(point[1:]).tolist(), strict=True)),
                    stable=balance.attracts(point))
@@ -212,12 +207,12 @@ class _Balance:
         z = np.asarray(np.exp(s * self.dt) if self.dt else s)[..., np.newaxis, np.newaxis]
         return np.asarray(self.C @ np.linalg.solve(z * np.eye(len(self.A)) - self.A, self.B + 0.0 * z) + self.D)
 
-    def N(self, omega: float, sizes: Float64Array, *, exact: bool = True) -> Complex:
+    def N(self, omega: float, sizes: Float64Array) -> Complex:
         """(m,) describing functions at amplitudes."""
         pairs = zip(self.functions, sizes.tolist(), strict=True)
-        return np.array([self._harmonic(function, omega, size, exact) for function, size in pairs])
+        return np.array([self._harmonic(function, omega, size) for function, size in pairs])
 
-    def _harmonic(self, function: Element, omega: float, size: float, exact: bool) -> complex:
+    def _harmonic(self, function: Element, omega: float, size: float, *, exact: bool = True) -> complex:
         """Describing function of an element, linear between samples; exactly, its jumps are located between them."""
         (parts, repeats), phase = SECTIONS, self.phase
         for remaining in range(repeats if exact else 0, -1, -1):  # an element sees a whole period each time
@@ -275,7 +270,7 @@ class _Balance:
         coarse, table = (coarse[[0, -1]], table) if alike else (coarse, self._table(k, coarse, sizes))
         return RegularGridInterpolator((np.log(coarse), np.log(sizes)), table, bounds_error=False, fill_value=None)
 
-    def solved(self, start: Complex, *, exact: bool) -> Complex | None:
+    def solved(self, start: Complex) -> Complex | None:
         """(1 + m,) frequency and signals of a cycle near these, if the equations have a solution."""
         others = len(self.functions) - 1
 
@@ -287,13 +282,13 @@ class _Balance:
 
         def missing(x: Float64Array) -> Float64Array:
             omega, y = float(point(x)[0].real), point(x)[1:]
-            left = (y - self.G(1j * omega) @ (self.N(omega, np.abs(y), exact=exact) * y)) / y[0]
+            left = (y - self.G(1j * omega) @ (self.N(omega, np.abs(y)) * y)) / y[0]
             return np.concatenate([left.real, left.imag])
 
         ratios = start[2:] / start[1]
         x = np.concatenate([np.log(np.abs(start[:2])), ratios.real, ratios.imag])
         out = root(missing, x, tol=1e-11, options={"maxfev": SOLVER_STEPS * len(x)})
-        return point(out.x) if np.abs(out.fun).max() < (MAX_RESIDUAL if exact else NEARLY) else None
+        return point(out.x) if np.abs(out.fun).max() < MAX_RESIDUAL else None
 
     def attracts(self, point: Complex) -> bool:
         """Whether the mode of the cycle decays with larger amplitudes: Re ds/d(size) < 0 of det(1 - G(s) N) = 0."""

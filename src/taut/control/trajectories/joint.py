@@ -53,9 +53,10 @@ class Sine(JointTrajectory):
     def rows(self, times: Float64Array) -> JointMotion:
         omega = 2.0 * np.pi * self.frequency
         angle = np.outer(times, omega) + self.phase
-        q = self.center + self.amplitude * np.sin(angle)
+        sine = np.sin(angle)
+        q = self.center + self.amplitude * sine
         v = self.amplitude * omega * np.cos(angle)
-        a = -self.amplitude * omega**2 * np.sin(angle)
+        a = -self.amplitude * omega**2 * sine
         return JointMotion.of({"q": q, "v": v, "a": a, "j": -(omega**2) * v, "s": -(omega**2) * a})
 
 

@@ -6,6 +6,7 @@ A file that somebody else wrote may ask for any amount of memory and time; what 
 from __future__ import annotations
 
 import json
+import mmap
 import os
 import struct
 import zlib
@@ -25,7 +26,7 @@ from taut.base.paths import subtree
 from taut.base.types import Array
 from taut.control.trajectories.compound import phase_sample, together_kind
 from taut.control.trajectories.reference import Sample
-from taut.record.info import POSES, Outcome
+from taut.record.info import POSES, Outcome, check_info, with_parameters
 from taut.record.log.writing import FORMAT, TICKS, Ending, Header, Shape, TickLayout
 from taut.record.plain import restored
 from taut.record.run import Run
@@ -35,6 +36,10 @@ RECORD_HEAD: Final = struct.Struct("<BQ")  # opcode and length of a record
 MESSAGE_HEAD: Final = 22  # bytes of a message record before its data
 MAX_CHUNK: Final = 32 * 1024 * 1024  # bytes of its records
 MAX_RECORD: Final = 8 * 1024 * 1024  # bytes of another record that is read
+CHUNK_HEAD: Final = 64  # bytes of a chunk's content in which its times, sizes and compression stand
+CHUNK_MARK: Final = b"\x03\x00\x00\x00lz4"  # in every chunk that taut writes, so many bytes from its start:
+CHUNK_MARK_AT: Final = RECORD_HEAD.size + 28
+MAX_SEARCH: Final = 2 * MAX_CHUNK  # bytes behind a damage in which a chunk is looked for
 MIN_RECORD: Final = 64  # bytes; a file whose records are shorter on the whole is no log
 FEW_RECORDS: Final = 10_000  # that any file may have
 FEW_BYTES: Final = 64 * 1024 * 1024  # that any file may unpack to
@@ -48,7 +53,7 @@ def load_run(path: str | os.PathLike[str]) -> Run:
 
     Every array, the outcome and the info are exactly what was recorded, `run.arms` among it; only what is drawn of an
     arm is not in the file (`run.arm` is None). Of a file that was cut off or damaged, the ticks before that are
-    returned, and the outcome says so.
+    returned, and the outcome says so; `taut repair` finds those behind it, too.
 
     Args:
         path: A .mcap file.
@@ -69,10 +74,18 @@ def load_run(path: str | os.PathLike[str]) -> Run:
     """
     if not isinstance(path, (str, os.PathLike)):
         raise UsageError(f"load_run takes the path of a .mcap file; got {type(path).__name__}", name="path")
+    return next(intact_parts(path))
+
+
+def intact_parts(path: str | os.PathLike[str]) -> Iterator[Run]:
+    """The ticks of a log that are whole, as runs: those from its start on, and what stands behind each damage.
+
+    Raises FileError as `load_run` does.
+    """
     try:
         target = readable_file("log", path)
         with target.open("rb") as file:
-            return _read(file, target.stat().st_size)
+            yield from _read(file, target.stat().st_size)
     except FileError:
         raise
     except (
@@ -85,7 +98,7 @@ def load_run(path: str | os.PathLike[str]) -> Run:
         raise FileError(f"log {str(path)!r} cannot be read: {printable(str(cause))}", name=str(path)) from cause
 
 
-def _read(file: IO[bytes], size: int) -> Run:
+def _read(file: IO[bytes], size: int) -> Iterator[Run]:
     first = file.read(len(MAGIC))
     if first != MAGIC:
         raise ValueError(f"it is no MCAP file, as it starts with {first!r}")
@@ -100,25 +113,41 @@ def _read(file: IO[bytes], size: int) -> Run:
     header = restored(Header, values, "header")
     header.check(min(max(size, 4096), MAX_NUMBERS))
     reference, layout = _sample_class(header), TickLayout(header)
-    columns = layout.columns(list(_blocks(file, found, layout)))
-    run = Run(
-        t=columns["t"],
-        q=columns["q"],
-        v=columns["v"],
-        tau=columns["tau"],
-        command=columns["command"],
-        terms=subtree(columns, "terms"),
-        reference=reference.of(subtree(columns, "reference")),
-        outcome=_outcome(found, columns["t"]),
-        joint_names=header.joint_names,
-        units=header.units,
-        continuous=header.continuous,
-        kind=header.kind,
-        extra=subtree(columns, "extra"),
-        info=header.info,
-    )
-    _check_columns(run)
-    return run
+    for begin, blocks in _stretches(_blocks(file, found, layout)):
+        columns = layout.columns(blocks)
+        run = Run(
+            t=columns["t"],
+            q=columns["q"],
+            v=columns["v"],
+            tau=columns["tau"],
+            command=columns["command"],
+            terms=subtree(columns, "terms"),
+            reference=reference.of(subtree(columns, "reference")),
+            outcome=_outcome(found, columns["t"], begin),
+            joint_names=header.joint_names,
+            units=header.units,
+            continuous=header.continuous,
+            kind=header.kind,
+            extra=subtree(columns, "extra"),
+            info=header.info,
+        )
+        if header.info.servo is not None:
+            run = replace(run, info=with_parameters(header.info, run.extra, run.t))
+            check_info(run.info, run.joint_names)
+        _check_columns(run)
+        yield run
+
+
+def _stretches(blocks: Iterator[tuple[int, Array]]) -> Iterator[tuple[int, list[Array]]]:
+    """Number of the first tick, and blocks, of each stretch without a gap; the first one may be empty."""
+    begin, following, kept = 0, 0, list[Array]()
+    for first, block in blocks:
+        if first != following:
+            yield begin, kept
+            begin, kept = first, []
+        kept.append(block)
+        following = first + len(block)
+    yield begin, kept
 
 
 def _check_columns(run: Run) -> None:
@@ -138,38 +167,72 @@ def _check_columns(run: Run) -> None:
 
 @dataclass
 class Contents:
-    """What stands in a file, up to its end or to the first damage."""
+    """What stands in a file."""
 
-    metadata: dict[str, dict[str, str]] = field(default_factory=dict)  # by name; of several the first
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)  # by name; of several the first that is whole
     topics: dict[int, str] = field(default_factory=dict)  # by channel
     chunks: list[tuple[int, int]] = field(default_factory=list)  # where the record's content starts, and its length
     unpacked: int = 0  # bytes that the chunks say they have
-    damage: int | None = None  # byte at which something is no record
+    damage: int | None = None  # first byte at which something is not what was written
+
+    def damaged(self, at: int) -> None:
+        """Something is wrong at a byte."""
+        self.damage = at if self.damage is None else min(at, self.damage)
 
 
 def _contents(file: IO[bytes], size: int) -> Contents:
     """What a file holds, without its chunks' data; its first eight bytes have been read."""
     found = Contents()
     at, records = len(MAGIC), FEW_RECORDS + size // MIN_RECORD
-    while at + RECORD_HEAD.size <= size:
+    while at + RECORD_HEAD.size <= size and records > 0:
         file.seek(at)
+        start, records = at, records - 1
         opcode, length = RECORD_HEAD.unpack(file.read(RECORD_HEAD.size))
-        at, records, end = at + RECORD_HEAD.size, records - 1, at + RECORD_HEAD.size + length
-        if not Opcode.HEADER <= opcode <= Opcode.DATA_END or records < 0:
-            found.damage = at - RECORD_HEAD.size
-            break
-        if opcode == Opcode.FOOTER or end > size:
-            break  # whole, or cut off
-        if opcode == Opcode.CHUNK:
-            found.chunks.append((at, length))
-            found.unpacked += int.from_bytes(file.read(min(length, 24))[16:], "little")  # behind two times
-        elif opcode in (Opcode.CHANNEL, Opcode.METADATA) and not (
-            length <= MAX_RECORD and _take(opcode, file.read(length), found)
-        ):
-            found.damage = at - RECORD_HEAD.size
-            break
-        at = end
+        at += RECORD_HEAD.size
+        if opcode == Opcode.FOOTER:
+            return found
+        sound = Opcode.HEADER <= opcode <= Opcode.DATA_END and at + length <= size
+        if sound and opcode == Opcode.CHUNK:
+            head = file.read(min(length, CHUNK_HEAD))
+            sound = length == _chunk_length(head)
+            if sound:
+                found.chunks.append((at, length))
+                found.unpacked += int.from_bytes(head[16:24], "little")  # behind two times
+        elif sound and opcode in (Opcode.CHANNEL, Opcode.METADATA):
+            sound = length <= MAX_RECORD and _take(opcode, file.read(length), found)
+        at += length
+        if not sound:
+            further = _next_chunk(file, start + 1)
+            if further is not None or start + RECORD_HEAD.size + length <= size:  # else it was cut off here
+                found.damaged(start)
+            if further is None:
+                return found
+            at = further
+    if records == 0:
+        found.damaged(at)
     return found
+
+
+def _chunk_length(head: bytes) -> int:
+    """Length of the content of a chunk by its own fields; 0 where they are none."""
+    name = int.from_bytes(head[28:32], "little")  # length of the compression's, behind times, size and checksum
+    if name > CHUNK_HEAD - 40 or len(head) < 40 + name:
+        return 0
+    return 40 + name + int.from_bytes(head[32 + name : 40 + name], "little")
+
+
+def _next_chunk(file: IO[bytes], at: int) -> int | None:
+    """Where a chunk of ours begins behind a byte, before which something is no record."""
+    with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        place, end = at + CHUNK_MARK_AT, min(at + MAX_SEARCH, len(data))
+        while (place := data.find(CHUNK_MARK, place, end)) >= 0:
+            start = place - CHUNK_MARK_AT
+            opcode, length = RECORD_HEAD.unpack(data[start : start + RECORD_HEAD.size])
+            first = start + RECORD_HEAD.size
+            if opcode == Opcode.CHUNK and length == _chunk_length(data[first : first + CHUNK_HEAD]):
+                return start
+            place += 1
+    return None
 
 
 def _take(opcode: int, body: bytes, found: Contents) -> bool:
@@ -180,7 +243,8 @@ def _take(opcode: int, body: bytes, found: Contents) -> bool:
             found.topics.setdefault(channel.id, channel.topic)
         else:
             record = Metadata.read(ReadDataStream(BytesIO(body)))
-            found.metadata.setdefault(record.name, record.metadata)
+            if not _is_whole(found.metadata.get(record.name, {})):
+                found.metadata[record.name] = record.metadata
     except Exception:  # whatever a parser of foreign bytes may raise
         return False
     return True
@@ -211,43 +275,49 @@ def _unpacked(chunk: Chunk) -> bytes:
     return data
 
 
-def _blocks(file: IO[bytes], found: Contents, layout: TickLayout) -> Iterator[Array]:
-    """The ticks of each chunk, up to the first that is damaged or that misses one."""
-    ticks = 0
+def _blocks(file: IO[bytes], found: Contents, layout: TickLayout) -> Iterator[tuple[int, Array]]:
+    """Number of the first tick, and ticks, of each chunk that is whole and goes on behind the one before it."""
+    following = 0
     for at, length in found.chunks:
         file.seek(at)
         data = _chunk_data(file.read(length)) if length <= MAX_CHUNK else None
-        messages = None if data is None else _ticks_in(data, found, layout.dtype.itemsize, ticks)
-        if messages is None:
-            found.damage = at
-            return
-        yield np.frombuffer(b"".join(messages), dtype=layout.dtype)
-        ticks += len(messages)
+        first, messages = (-1, []) if data is None else _ticks_in(data, found, layout.dtype.itemsize)
+        if first != following:
+            found.damaged(at)
+        if first >= following and messages:
+            yield first, np.frombuffer(b"".join(messages), dtype=layout.dtype)
+            following = first + len(messages)
 
 
-def _ticks_in(data: bytes, found: Contents, size: int, first: int) -> list[bytes] | None:
-    """The messages of the ticks in a chunk; None where another one follows than the next."""
+def _ticks_in(data: bytes, found: Contents, size: int) -> tuple[int, list[bytes]]:
+    """Number of the first tick in a chunk, and the messages of its ticks; -1 where they do not follow each other."""
     out: list[bytes] = []
-    at, others = 0, FEW_RECORDS
+    at, others, first = 0, FEW_RECORDS, 0
     while at + RECORD_HEAD.size <= len(data):
         opcode, length = RECORD_HEAD.unpack_from(data, at)
         at, start = at + RECORD_HEAD.size + length, at + RECORD_HEAD.size
-        if opcode == Opcode.MESSAGE and found.topics.get(int.from_bytes(data[start : start + 2], "little")) == TICKS:
+        channel = int.from_bytes(data[start : start + 2], "little")
+        if opcode == Opcode.MESSAGE and found.topics.get(channel, "" if found.topics else TICKS) == TICKS:
             number = int.from_bytes(data[start + 2 : start + 6], "little")
+            first = first if out else number
             if length != MESSAGE_HEAD + size or at > len(data) or number != first + len(out):
-                return None
+                return -1, []
             out.append(data[start + MESSAGE_HEAD : at])
             continue
         others -= 1
         if others < 0 or (opcode == Opcode.CHANNEL and not _take(opcode, data[start:at], found)):
-            return None
-    return out
+            return -1, []
+    return first, out
+
+
+def _is_whole(record: Mapping[str, str]) -> bool:
+    return f"{zlib.crc32(record.get('json', '').encode()):08x}" == record.get("crc32")
 
 
 def _unsealed(record: Mapping[str, str]) -> Any:
     """The values of a JSON text with its checksum, with texts that may be shown on a terminal."""
     text = record.get("json", "")
-    if f"{zlib.crc32(text.encode()):08x}" != record.get("crc32"):
+    if not _is_whole(record):
         raise ValueError("the checksum is another")
     if sum(map(text.count, ",[{")) > MAX_VALUES:
         raise ValueError(f"its description has more than {MAX_VALUES} values")
@@ -300,19 +370,22 @@ def _subclasses(kind: type[Any]) -> Iterator[type[Sample]]:
         yield from _subclasses(child)
 
 
-def _outcome(found: Contents, t: Array) -> Outcome:
-    """How the run ended, as far as the file says."""
-    end = f"t = {t[-1]:.6g} s (tick {len(t) - 1})" if len(t) else "the start"
+def _outcome(found: Contents, t: Array, begin: int) -> Outcome:
+    """How the run ended, as far as the file says; `begin` is the number of its first tick."""
+    last = begin + len(t) - 1
+    end = f"t = {t[-1]:.6g} s (tick {last})" if len(t) else "the start"
     damaged = "" if found.damage is None else f"; the file is damaged at byte {found.damage}"
+    behind = f"; it begins at tick {begin}, behind a damage" if begin else ""
     try:
         ending = restored(Ending, _unsealed(found.metadata["taut.outcome"]), "outcome")
     except (LookupError, ValueError, ArithmeticError, RecursionError) as cause:
         damaged = damaged if isinstance(cause, LookupError) else "; its outcome is damaged"
         message = f"the log ends at {end} without an outcome: its writer was stopped, or the file was cut off"
-        return Outcome(kind="stopped", message=f"{message}{damaged}", tick=max(0, len(t) - 1))
+        return Outcome(kind="stopped", message=f"{message}{damaged}{behind}", tick=max(0, len(t) - 1))
     outcome, ticks = ending.outcome, ending.ticks
     if len(t) == ticks:
         missing = f"{damaged}, but no tick is missing" if damaged else ""
         return replace(outcome, message=f"{outcome.message}{missing}")
-    missing = f": {ticks - len(t)} of {ticks} ticks are missing, those after {end}"
-    return replace(outcome, kind="stopped", message=f"{outcome.message}{damaged or '; the file is damaged'}{missing}")
+    missing = f": {ticks - last - 1} of {ticks} ticks are missing, those after {end}" if last + 1 < ticks else ""
+    damaged = f"{damaged or '; the file is damaged'}{missing}{behind}"
+    return replace(outcome, kind="stopped", message=f"{outcome.message}{damaged}", tick=max(0, len(t) - 1))

@@ -1,8 +1,8 @@
 """Logs: runs as MCAP files, written while they go on, read back exactly.
 
-A file has a record `taut.run` at the start and `taut.outcome` at the end, each a JSON text with its checksum, and
-between them one ROS 2 message taut/msg/Tick per tick on the topic /run: t and all columns (q, v, tau, command,
-terms_P, extra_F_ext, ...), numbers of fixed count, so that NumPy writes and reads thousands at a time.
+A file has a record `taut.run` at the start, and again at the end before `taut.outcome`, each a JSON text with its
+checksum, and between them one ROS 2 message taut/msg/Tick per tick on the topic /run: t and all columns (q, v, tau,
+command, terms_P, extra_F_ext, ...), numbers of fixed count, so that NumPy writes and reads thousands at a time.
 
 References:
     OMG, DDS-XTypes 1.3, section 7.4 (plain CDR, version 1).
@@ -14,7 +14,7 @@ import json
 import os
 import re
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import prod
@@ -188,8 +188,8 @@ def sealed(text: str) -> dict[str, str]:
 class _Stream:
     """A file whose every write is on its way to the disk when it returns, and that knows its length: a pipe too."""
 
-    def __init__(self, path: Path) -> None:
-        self._file: IO[bytes] = path.open("wb", buffering=0)
+    def __init__(self, path: Path, mode: str) -> None:
+        self._file: IO[bytes] = cast("IO[bytes]", path.open(mode, buffering=0))
         self.position = 0
 
     def write(self, data: bytes) -> int:
@@ -205,6 +205,11 @@ class _Stream:
     def flush(self) -> None:
         """Nothing waits."""
 
+    def sync(self) -> None:
+        """What has been written is on the disk when this returns, where the file is on one."""
+        with suppress(OSError):
+            os.fsync(self._file.fileno())
+
     def close(self) -> None:
         self._file.close()
 
@@ -216,8 +221,8 @@ class Log:
     is an error if strict; else the log ends there, and `finish` reports it.
     """
 
-    def __init__(self, path: Path, to: Path | None = None, *, strict: bool = True) -> None:
-        self._path, self._to, self._strict = path, path if to is None else to, strict
+    def __init__(self, path: Path, to: Path | None = None, *, strict: bool = True, mode: str = "wb") -> None:
+        self.path, self._to, self._strict, self._mode = path, path if to is None else to, strict, mode
         self._refusal: FileError | None = None
         self._stream: _Stream | None = None
         self._writer: Writer | None = None
@@ -228,46 +233,59 @@ class Log:
 
     def write(self, rows: Run) -> None:
         """Append the ticks of a piece of the run."""
+        columns = rows.arrays()
+        for first in range(0, max(len(rows), 1), BLOCK_TICKS):
+            block = {name: column[first : first + BLOCK_TICKS] for name, column in columns.items()}
+            self.append(lambda: Header.of(rows), block["t"], lambda layout: layout.rows(block).tobytes())  # noqa: B023
+
+    def append(self, header: Callable[[], Header], t: Float64Array, messages: Callable[[TickLayout], bytes]) -> None:
+        """Append ticks as messages, one behind the other; the header is asked for where the file begins."""
         if self._refusal is not None:
             return
         if self._stream is not None and self._writer is None:
-            raise FileError(f"log '{self._path}' is closed; open another one", name=str(self._path))
+            raise FileError(f"log '{self.path}' is closed; open another one", name=str(self.path))
         try:
             if self._writer is None:
-                self._writer = self._begin(rows)
-            columns = rows.arrays()
-            for first in range(0, len(rows), BLOCK_TICKS):
-                block = {name: column[first : first + BLOCK_TICKS] for name, column in columns.items()}
-                self._append(self._writer, block)
+                self._writer = self._begin(header())
+            self._append(self._writer, t, messages(self._layout))
+        except OSError as cause:
+            self._refuse(cause)
+
+    def flush(self, *, to_disk: bool = False) -> None:
+        """Close the chunk, so that every tick given is in the file; `to_disk` waits for the disk, too."""
+        try:
+            if self._writer is not None and self._stream is not None:
+                self._writer.flush()  # type: ignore[no-untyped-call]
+                self.safe_ticks = self.ticks
+                if to_disk:
+                    self._stream.sync()
         except OSError as cause:
             self._refuse(cause)
 
     def _refuse(self, cause: OSError) -> None:
-        self._writer, self._refusal = None, cannot_write("log", self._path, cause)  # what has been written stays
+        self._writer, self._refusal = None, cannot_write("log", self.path, cause)  # what has been written stays
         if self._strict:
             raise self._refusal from cause
 
-    def _begin(self, rows: Run) -> Writer:
+    def _begin(self, header: Header) -> Writer:
         from mcap.writer import CompressionType, Writer
 
-        header = Header.of(rows)
-        description = sealed(json.dumps(plain(header)))
-        rate = rows.info.rate or USUAL_RATE
+        self._description = sealed(json.dumps(plain(header)))
+        rate = header.info.rate or USUAL_RATE
         self._layout = TickLayout(header)
         ticks = max(MIN_CHUNK_TICKS, min(CHUNK_BYTES // self._layout.dtype.itemsize, round(CHUNK_SECONDS * rate)))
-        self._stream = _Stream(self._to)
+        self._stream = _Stream(self._to, self._mode)
         stream: Any = self._stream  # which has what the writer needs of a file
         writer = Writer(stream, chunk_size=ticks * self._layout.dtype.itemsize, compression=CompressionType.LZ4)
         writer.start(profile="ros2", library=f"taut {__version__}")
-        writer.add_metadata("taut.run", description)
+        writer.add_metadata("taut.run", self._description)
         schema = writer.register_schema("taut/msg/Tick", "ros2msg", self._layout.schema().encode())
         self._channel = writer.register_channel(TICKS, "cdr", schema)
         return writer
 
-    def _append(self, writer: Writer, columns: dict[str, Any]) -> None:
+    def _append(self, writer: Writer, t: Float64Array, data: bytes) -> None:
         assert self._stream is not None
-        data, size = self._layout.rows(columns).tobytes(), self._layout.dtype.itemsize
-        times = np.round(columns["t"] * 1e9).astype(np.int64).tolist()
+        size, times = self._layout.dtype.itemsize, np.round(t * 1e9).astype(np.int64).tolist()
         before = self._stream.position
         for k, time in enumerate(times):
             writer.add_message(self._channel, time, data[k * size : (k + 1) * size], time, self.ticks)
@@ -281,6 +299,7 @@ class Log:
         if writer is not None:
             try:
                 ending = plain(Ending(outcome=outcome, ticks=self.ticks))
+                writer.add_metadata("taut.run", self._description)
                 writer.add_metadata("taut.outcome", sealed(json.dumps(ending)))
                 writer.finish()  # type: ignore[no-untyped-call]
                 self.safe_ticks = self.ticks
@@ -303,6 +322,10 @@ class Log:
         outcome = Outcome(kind="stopped", message=f"the run broke off{words}", tick=max(0, self.ticks - 1))
         with suppress(OSError):  # the first error is the one to hear about
             self.finish(outcome)
+        self.close()
+
+    def close(self) -> None:
+        """Close the file as it is."""
         if self._stream is not None:
             with suppress(OSError):
                 self._stream.close()

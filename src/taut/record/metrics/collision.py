@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Final
 
 import numpy as np
@@ -29,7 +28,7 @@ def collision_threshold(run: Run, uncertainty: Uncertainty | None = None) -> Flo
 
     Law:          1.5 max over t of (|r_i| + sum over l of |h * Y_l pi_l|_i + h * friction error_i + disturbance_i)
                   r the estimate in the run, Y_l pi_l the torque of what is unknown of a body along its motion,
-                  h the observer's low-pass: what the same observer makes of it, from momenta, without accelerations
+                  h the observer's low-pass: what the same observer makes of it
 
     Of a run of the same motion, at the same speed and bandwidth, in which nothing touched the arm. Without intervals
     it must be one of the real arm, or of a plant that differs from the model as the arm may: an exact model gives
@@ -103,20 +102,18 @@ def _largest_error(run: Run, uncertainty: Uncertainty) -> Float64Array:
     gain, width = (np.broadcast_to(at[f"sensing.observer.{name}"], run.n) for name in ("bandwidth", "width"))
     model, bare = model_of(arm), links_of(arm)
     uncertainty.check_arm(model)
-    nothing = [body_of(np.zeros(10))] * run.n  # of the payload's interval, beyond what the observer knows
-    unknown = ([body_of(row) for row in rows] for rows in uncertainty.unknown(model))
-    parts = [uncertainty.middle(model, nothing), *unknown]
+    known = uncertainty.middle(
+        model, [body_of(np.zeros(10))] * run.n
+    )  # of its payload, beyond what the observer knows
 
-    def momenta(q: Array, v: Array) -> dict[str, Array]:
-        models = [dataclasses.replace(bare, bodies=(*bodies,)) for bodies in parts]
-        p, rate = zip(*(dyn.momentum(one, q, v) for one in models), strict=True)
-        g = [dyn.gravity_torque(one, q) for one in models]
-        return {"p": tm.stack(p), "rate": tm.stack(rate) - tm.stack(g)}
+    def torques(q: Array, v: Array, a: Array) -> dict[str, Array]:
+        middle = dyn.newton_euler(bare, known, q, v, a)
+        return {"torques": tm.stack([middle, *uncertainty.torques(model, q, v, v, a)])}
 
-    x = over_rows(momenta, q=run.n, v=run.n)(q=run.q, v=run.v)
-    torque = np.zeros((len(run), len(parts) + 1, run.n))  # mean of the period before
-    torque[1:, :-1] = np.diff(x["p"], axis=0) / T - 0.5 * (x["rate"][1:] + x["rate"][:-1])
+    a = np.diff(run.v, axis=0, prepend=run.v[:1]) / T  # mean of the period before
+    torque = over_rows(torques, q=run.n, v=run.n, a=run.n)(q=run.q, v=run.v, a=a)["torques"]
     friction, error = friction_and_error(*uncertainty.friction(arm.friction), run.v, run.v, width)
-    torque[:, -1] = np.abs(friction + MomentumObserver.friction(arm, run.v, run.tau, {"width": width})) + error
+    dry = np.abs(friction + MomentumObserver.friction(arm, run.v, run.tau, {"width": width})) + error
+    torque = np.concatenate([torque, dry[:, np.newaxis]], axis=1)
     low = [lfilter([K], [1.0, K - 1.0], torque[..., i], axis=0) for i, K in enumerate(gain * T)]
     return np.asarray(np.abs(np.stack(low, axis=2)).sum(axis=1) + uncertainty.disturbance)

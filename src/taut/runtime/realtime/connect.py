@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import sys
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
 
 from taut.arm.description import Arm, Payload
-from taut.base.checks import finite_array, instance_of
-from taut.base.errors import UsageError
+from taut.base.checks import finite_array, instance_of, rate_in_hertz
+from taut.base.errors import MatchError, UsageError
 from taut.base.types import ArrayLike
+from taut.codegen import native
 from taut.control.law import Law
 from taut.control.laws.joint import ComputedTorque, JointPosition, VelocityPI
 from taut.control.laws.via_mit import ViaMit
@@ -21,9 +25,11 @@ from taut.control.sensing import Sensing
 from taut.controller import Controller, compile
 from taut.loop import ModelPlant
 from taut.maths.model import Adds
-from taut.runtime.realtime.link import Link, checked_info, driver_of
+from taut.runtime.realtime.link import Link, driver_of
+from taut.runtime.realtime.logger import LogProcess, log_folder
 from taut.runtime.realtime.robot import Robot
-from taut.runtime.realtime.sets import PlantSet
+from taut.runtime.realtime.sets import compiled_plant
+from taut.runtime.robots.can import CanMotors
 from taut.runtime.robots.driver import RobotDriver, RobotInfo
 
 OBSERVER: Final = (50.0, 0.1)  # [1/s], and of the rate: bandwidth where a threshold of contact is stated
@@ -35,11 +41,13 @@ def connect(
     arm: Arm | None = None,
     *,
     limits: SafetyLimits | None = None,
+    motors: CanMotors | None = None,
     address: str | None = None,
     options: Mapping[str, Any] | None = None,
     rate: float = 1000.0,
     q0: ArrayLike | None = None,
     together: Robot | None = None,
+    log: str | os.PathLike[str] | None = None,
 ) -> Robot:
     """Connect to a robot, or run a model plant as one in real time. Nothing moves yet.
 
@@ -48,15 +56,19 @@ def connect(
             `taut.RigidPlant`; or a class of your own, a RobotDriver in a file.
         arm: The robot's model; that of a plant if left out.
         limits: `taut.SafetyLimits.of(arm)` unless given.
+        motors: Of an arm at can://, `taut.robots.CanMotors(types=[...])`.
         address: Given to a driver of your own.
         options: Further keyword arguments of a driver; plain values.
         rate: Of a model plant [Hz].
         q0: (n,) where a model plant is [rad | m]; home unless given.
         together: A robot that is connected: a fault of either stops both.
+        log: A folder, made where it is not there: every law that acts leaves a file in it, TIME-LAW.mcap, which
+            another process writes while it acts. `taut.load_run`, `taut report` and `taut replay` read them.
 
     Raises:
         UsageError, MatchError: Something that does not fit; nothing was sent.
         DriverError: The robot cannot be reached, or is not ready.
+        FileError: No files can be made in the folder of the log.
 
     Example:
         >>> import taut
@@ -70,39 +82,69 @@ def connect(
         >>> bool(abs(run.q[-1] - arm.home).max() < 1e-3)
         True
     """
-    partner = together.link if together is not None else None
-    if isinstance(robot, str) or (isinstance(robot, type) and issubclass(robot, RobotDriver)):
-        instance_of("arm", arm, Arm, "an Arm from taut.load_arm, the model of the robot")
-        assert arm is not None
-        hello = {**driver_of(robot, address), "options": dict(options or {})}
-        link = Link(hello, partner=partner)
-    elif isinstance(robot, ModelPlant):
-        arm = robot.arm if arm is None else arm
-        q = (
-            robot.arm.home
-            if q0 is None
-            else finite_array("q0", q0, shape=(robot.arm.n,), joints=robot.arm.joint_names)
-        )
-        made = PlantSet.of(robot, q, np.zeros(robot.arm.n), rate)
-        measures = tuple(name for name in made.measured if name != "q")
-        info = RobotInfo(
-            name=robot.name, n=robot.arm.n, rate=rate, takes=robot.takes, measures=measures,  # type: ignore[arg-type]
-            adds=Adds.of(robot.adds).names, paced_by="host",
-        )  # fmt: skip
-        plant = {name: getattr(made, name) for name in ("code", "layout", "parameters", "memory", "input_size")}
-        link = Link({"plant": plant, "info": dataclasses.asdict(info), "measured": made.measured}, partner=partner)
-    else:
+    plant = robot if isinstance(robot, ModelPlant) else None
+    if (
+        plant is None
+        and not isinstance(robot, str)
+        and not (isinstance(robot, type) and issubclass(robot, RobotDriver))
+    ):
         raise UsageError(
             "connect takes an address such as franka://172.16.0.2, a model plant such as taut.RigidPlant(arm), or a "
             f"class of your own, a RobotDriver; got {type(robot).__name__}", name="robot",
         )  # fmt: skip
+    if sys.platform != "linux" or not native.available():
+        raise UsageError(f"a robot's loop needs Linux and llvmlite (pip install llvmlite); here is {sys.platform}")
+    arm = plant.arm if arm is None and plant is not None else arm
+    instance_of("arm", arm, Arm, "an Arm from taut.load_arm, the model of the robot")
+    assert arm is not None
+    limits = SafetyLimits.of(arm) if limits is None else limits
+    instance_of("limits", limits, SafetyLimits, "taut.SafetyLimits, such as taut.SafetyLimits.of(arm)")
+    hello: dict[str, Any] = {}
+    if plant is None:
+        hello = {**driver_of(robot, address), "options": dict(options or {})}  # type: ignore[arg-type]
+    folder, logs = None if log is None else log_folder(log), None
+    if (motors is not None) != (isinstance(robot, str) and robot.startswith("can://")):
+        raise UsageError(
+            "motors=taut.robots.CanMotors(...) is for an address can://CHANNEL, which needs it", name="motors"
+        )
+    if motors is not None:
+        hello["options"] |= motors.options(arm, limits)
+    if together is not None:
+        together.check()
+    link = Link(together.link if together is not None else None)
     try:
-        info = checked_info(link.info, arm.n, arm.name)
-        limits = SafetyLimits.of(arm) if limits is None else limits
-        return Robot(link, info, arm, limits, _holder(info, arm, limits))
+        info = link.open(_model(plant, q0, rate) if plant is not None else hello)
+        if info.n != arm.n:
+            raise MatchError(
+                f"{info.name} has {info.n} joints and arm '{arm.name}' has {arm.n}; load the arm that is connected",
+                name="arm",
+            )
+        if plant is None and "F_ext" in info.measures and not np.allclose(arm.T_WB.R, np.eye(3)):
+            raise MatchError(
+                f"{info.name} measures F_ext in the axes of its base, and the base of arm '{arm.name}' is rotated in "
+                "the world (T_WB); state how it is mounted by arm.with_gravity(...), without T_WB",
+                name="T_WB",
+            )
+        logs = None if folder is None else LogProcess(folder)
+        return Robot(link, info, arm, limits, partial(_holder, limits=limits), logs)
     except BaseException:
         link.close()
+        if logs is not None:
+            logs.close()
         raise
+
+
+def _model(plant: ModelPlant, q0: ArrayLike | None, rate: float) -> dict[str, Any]:
+    """What the loop's process gets of a model plant at rest at q0."""
+    n, rate = plant.arm.n, rate_in_hertz(rate)
+    joints = plant.arm.joint_names
+    q = plant.arm.home if q0 is None else finite_array("q0", q0, shape=(n,), joints=joints)
+    made = compiled_plant(plant, q, np.zeros(n), rate)
+    info = RobotInfo(
+        name=plant.name, n=n, rate=rate, takes=plant.takes,  # type: ignore[arg-type]
+        measures=tuple(name for name in made["measured"] if name != "q"), adds=Adds.of(plant.adds).names,
+    )  # fmt: skip
+    return {"plant": made, "info": dataclasses.asdict(info), "measured": made["measured"]}
 
 
 def _holder(info: RobotInfo, arm: Arm, limits: SafetyLimits) -> Controller:

@@ -1,33 +1,44 @@
-"""References of a robot's loop: made beforehand as tables, where a phase begins, or asked from a stream's source."""
+"""References of a robot's loop: tables made beforehand, or where a phase begins, and streams."""
 
 from __future__ import annotations
 
+import math
 import threading
-import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 
-from taut.arm.parts import short_way
+from taut.arm.parts import require_radians, short_way
+from taut.base.checks import instance_of
 from taut.base.errors import RangeError, TautError, UsageError
+from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.control.lawside import LawSide
 from taut.control.tasks.feed import ReferenceFeed, TaskFeed
-from taut.control.trajectories.reference import Hold, Reference, Stream, Trajectory, as_reference
+from taut.control.trajectories.reference import (
+    Hold,
+    Reference,
+    Sample,
+    Stream,
+    Trajectory,
+    as_reference,
+    sample_rows,
+)
+from taut.control.trajectories.samples import Chunk
 from taut.controller import Controller
 from taut.maths.snapshot import Snapshot
 from taut.runtime.realtime.acting import Acting
-from taut.runtime.realtime.sets import Table
+from taut.runtime.realtime.sets import MADE_ROWS, NO_ROWS, Table
 
 STARTS_NEAR: Final = 0.1  # [rad | m] between the arm and the first sample of a joint motion
 MAX_TICKS: Final = 1_200_000  # of a reference that is made beforehand
-LOOK: Final = 0.002  # [s] between two looks at whether a phase has begun
+FEED_EVERY: Final = 0.002  # [s] between two looks at whether a phase has begun
+IDLE_EVERY: Final = 0.05  # [s] between two looks where nothing is fed
 STALE: Final = (2.0, 3.0)  # [periods] of a stream: then it holds, then it stops
 SERVO_PERIOD: Final = 0.02  # [s] streams of this period, or a shorter one, stop after
 SERVO_STOP: Final = 0.05  # [s], if that is more
-NO_ROWS: Final = np.zeros((0, 1))
 
 
 def time_outs(period: float) -> tuple[float, float]:
@@ -41,47 +52,53 @@ class References:
     """What feeds a law: a table for each phase, or one; the streams, by the number of the phase."""
 
     tables: list[Table]
-    streams: dict[int, Stream]
-    task: TaskFeed | None = None
-
-    @property
-    def stream(self) -> Stream | None:
-        """The stream that is followed, or the first one of a task."""
-        return next(iter(self.streams.values()), None)
+    streams: dict[int, Stream] = field(default_factory=dict)
+    feed: ReferenceFeed | TaskFeed | None = None  # None where everything is in the tables
 
 
 def references_of(ctrl: Controller, ref: object, q: Float64Array, duration: float | None) -> References:
     """What a controller follows that starts at q. Raises UsageError, RangeError."""
-    side, task = ctrl.side, ctrl.side.task
+    side, task, numbers = ctrl.side, ctrl.side.task, dict(ctrl.parameters)
     if task is None:
         reference: Reference = Hold() if ref is None else as_reference(ref)
-        side.check_start(q, dict(ctrl.parameters), reference)
-        if isinstance(reference, Stream):
-            return References(tables=[], streams={0: reference})
+        side.check_start(q, numbers, reference)
+        if isinstance(reference, Stream) and reference.source is None:
+            return References(tables=[_of_stream(reference)], streams={0: reference})
         feed = ReferenceFeed(reference, side.law.reference, side.arm, side.dt, side.at_rest(q))
-        here = isinstance(reference, Hold) and reference.sample is None
-        rows = NO_ROWS if here else _rows(side, feed, duration, lambda: None)
+        if isinstance(reference, Stream):
+            return References(tables=[_of_stream(reference)], streams={0: reference}, feed=feed)
+        rows = NO_ROWS if _here(reference) else _rows(side, feed, duration, lambda: None)
         if isinstance(reference, Trajectory):
             _require_near(side, rows, q)
-        return References(tables=[Table(rows=rows)], streams={})
+        return References(tables=[Table(rows=rows)])
     if ref is not None:
         raise UsageError("each phase of a task has its own reference; leave ref out", name="ref")
-    side.check_start(q, dict(ctrl.parameters))
-    tables, streams, numbers = list[Table](), dict[int, Stream](), dict(ctrl.parameters)
-    feeds = TaskFeed(side, task, lambda: numbers)
+    side.check_start(q, numbers)
+    tables, streams, feeds = list[Table](), dict[int, Stream](), TaskFeed(side, task, lambda: numbers)
     for i, (name, phase) in enumerate(task.phases.items()):
         given = phase.reference
-        if given is None or (isinstance(given, Hold) and given.sample is None):
+        if given is None or _here(given):
             tables.append(Table(rows=NO_ROWS))
         elif isinstance(given, Stream):
             streams[i] = given
-            tables.append(Table(rows=None, stream=True))
+            tables.append(_of_stream(given))
         elif callable(given) and not isinstance(given, Trajectory):
             tables.append(Table(rows=None))
         else:
-            x = Snapshot(side.model, q=q, v=np.zeros(len(q)))
-            tables.append(Table(rows=_phase_rows(side, feeds, name, x)))
-    return References(tables=tables, streams=streams, task=feeds)
+            tables.append(Table(rows=_phase_rows(side, feeds, name, Snapshot(side.model, q=q, v=np.zeros(len(q))))))
+    return References(tables=tables, streams=streams, feed=feeds)
+
+
+def _here(reference: object) -> bool:
+    """Whether it holds where the arm is."""
+    return isinstance(reference, Hold) and reference.sample is None
+
+
+def _of_stream(stream: Stream) -> Table:
+    """Its table. Samples that a program sends act as they are."""
+    if stream.source is None and stream.blend is not None:
+        raise UsageError("blend is for a stream with source=; leave it out", name="blend")
+    return Table(rows=None, stream=True)
 
 
 def _phase_rows(side: LawSide, feed: TaskFeed, name: str, x: Snapshot) -> Float64Array:
@@ -105,11 +122,18 @@ def _rows(
         raise RangeError(
             f"a reference of {ticks} ticks is longer than {MAX_TICKS}; give a shorter duration=", name="duration"
         )
+    return _filled(side, feed, 0, ticks, state)
+
+
+def _filled(
+    side: LawSide, feed: ReferenceFeed | TaskFeed, first: int, count: int, state: Callable[[], Any]
+) -> Float64Array:
+    """(count, reference) samples from a tick on."""
     fields = side.law.reference.fields(side.arm.n)
-    views, done = {name: np.zeros((ticks, *shape)) for name, shape in fields.items()}, 0
-    while done < ticks:
-        done += feed.fill({name: view[done:] for name, view in views.items()}, done, state)
-    return np.concatenate([view.reshape(ticks, -1) for view in views.values()], axis=1)
+    views, done = {name: np.zeros((count, *shape)) for name, shape in fields.items()}, 0
+    while done < count:
+        done += feed.fill({name: view[done:] for name, view in views.items()}, first + done, state)
+    return np.concatenate([view.reshape(count, -1) for view in views.values()], axis=1)
 
 
 def _require_near(side: LawSide, rows: Float64Array, q: Float64Array) -> None:
@@ -120,31 +144,32 @@ def _require_near(side: LawSide, rows: Float64Array, q: Float64Array) -> None:
     apart = np.abs(short_way(rows[0, :n] - q, side.arm.continuous))
     i = int(np.argmax(apart))
     if apart[i] > STARTS_NEAR:
-        raise RangeError(
-            f"the reference begins {apart[i]:.3g} {side.arm.units[i]} away from joint '{side.arm.joint_names[i]}'; "
-            "robot.move_to its beginning first",
-            name="ref",
-            joint=side.arm.joint_names[i],
-            value=float(apart[i]),
-        )
+        joint = side.arm.joint_names[i]
+        far = f"the reference begins {apart[i]:.3g} {side.arm.units[i]} away from joint '{joint}'"
+        hint = "robot.move_to its beginning first"
+        raise RangeError(f"{far}; {hint}", name="ref", joint=joint, value=float(apart[i]))
 
 
 class Feeder(threading.Thread):
-    """Makes the reference of a phase where it begins, and asks the source of a stream each period."""
+    """Feeds a law with what is not known beforehand, and keeps the ticks before a fault.
+
+    It makes the reference of a phase where that begins, and asks the source of a stream each period, whose answer
+    counts from the tick in which it was asked.
+    """
 
     def __init__(self, acting: Acting, references: References) -> None:
         super().__init__(daemon=True, name="taut feeder")
-        self._acting, self._references = acting, references
-        self._numbers = dict(acting.controls.views)
+        self._acting, self._references, self._side = acting, references, acting.made.safe.side
+        self._feeds = any(table.rows is None for table in references.tables)
         self._ended = threading.Event()
+        self._begun, self._due = (-1, 0), 0  # the phase that is fed, and its ticks; the tick of the next question
         self.error: TautError | None = None
-        """Why it ended; the loop holds, or stops by its time-out."""
+        """Why it feeds no more; the loop holds, or stops by its time-out."""
 
     @property
-    def needed(self) -> bool:
-        """Whether there is anything to feed."""
-        makes = any(table.rows is None and not table.stream for table in self._references.tables)
-        return makes or any(stream.source is not None for stream in self._references.streams.values())
+    def periods(self) -> list[float]:
+        """Of the streams that a program sends [s]."""
+        return [float(one.period) for one in self._references.streams.values() if one.source is None]
 
     def end(self) -> None:
         """Stop feeding."""
@@ -153,48 +178,84 @@ class Feeder(threading.Thread):
             self.join(1.0)
 
     def run(self) -> None:
-        next_question = time.monotonic()
+        while not self._ended.wait(FEED_EVERY if self._feeds and self.error is None else IDLE_EVERY):
+            self.step()
+
+    def step(self) -> None:
+        """Look at the last tick, and feed the next ones."""
+        rows = self._acting.rows(1)
+        self._acting.keep_fault(rows)
+        if not (len(rows) and self._feeds) or self.error is not None:
+            return
         try:
-            while not self._ended.is_set():
-                rows = self._acting.rows(1)
-                if len(rows):
-                    phase = self._phase(rows)
-                    stream = self._references.streams.get(phase)
-                    now = time.monotonic()
-                    if stream is not None and stream.source is not None:
-                        if now >= next_question:
-                            self._acting.controls.send(stream.source(self._seen(rows)))
-                            self._acting.controls.time_out(*time_outs(float(stream.period)))
-                            next_question = max(next_question + float(stream.period), now)
-                    elif self._acting.controls.waits(phase):
-                        self._make(phase, rows)
-                self._ended.wait(max(min(LOOK, next_question - time.monotonic()), 5e-4))
+            self._feed(rows)
         except TautError as error:
             self.error = error
         except Exception as cause:
             self.error = UsageError(f"a reference fails: {type(cause).__name__}: {cause}", name="reference")
 
+    def send(self, answer: Sample | Chunk) -> None:
+        """A sample of the stream that is followed now, or a chunk that begins now; from any thread."""
+        instance_of("sample", answer, (Sample, Chunk), "a sample such as taut.JointMotion, or a taut.chunk")
+        rows = self._acting.rows(1)
+        phase, side = self._phase(rows), self._side
+        stream = self._references.streams.get(phase)
+        if stream is None or not len(rows):
+            return  # another phase acts
+        task, fields = side.task, side.law.reference.fields(side.arm.n)
+        law = side.single_law if task is None else task.laws[task.names[phase]]
+        part = None if task is None else task.follows(task.names[phase])
+        count = 1 if isinstance(answer, Sample) else min(MADE_ROWS, round(answer.duration * side.rate) + 1)
+        given = sample_rows(answer, side.dt * np.arange(count, dtype=np.float64), law.reference, side.arm.n)
+        if "q" in given:
+            require_radians("ref.q", given["q"], side.arm)
+        rest = side.law.at_rest(self._seen(rows))  # for what the phase does not follow
+        table = {name: np.broadcast_to(getattr(rest, name), (count, *shape)) for name, shape in fields.items()}
+        table |= {name if part is None else f"{part}_{name}": values for name, values in given.items()}
+        self._publish(phase, stream, np.concatenate([np.reshape(table[name], (count, -1)) for name in fields], 1), -1)
+
+    def _feed(self, rows: Float64Array) -> None:
+        phase, feed, side = self._phase(rows), self._references.feed, self._side
+        if phase < 0 or feed is None or self._references.tables[phase].rows is not None:
+            return
+        ticks, stream = self._acting.controls.ticks(phase), self._references.streams.get(phase)
+        begins, self._begun = self._begun[0] != phase or ticks < self._begun[1], (phase, ticks)
+        name = "" if side.task is None else side.task.names[phase]
+        if stream is None:
+            if self._acting.controls.waits(phase) and isinstance(feed, TaskFeed):
+                self._acting.controls.fill(phase, _phase_rows(side, feed, name, self._seen(rows)))
+            return
+        if begins:
+            self._due = 0
+        if begins and isinstance(feed, TaskFeed):
+            feed.begin(name, 0)
+        if stream.source is None or ticks < self._due:
+            return
+        while not begins and (following := feed.next_question(self._due)) is not None and following <= ticks:
+            self._due = following  # what it did not come to
+        count = min(MADE_ROWS, math.ceil((float(stream.period) + time_outs(float(stream.period))[1]) * side.rate) + 1)
+        x = self._seen(rows)
+        made = _filled(side, feed, self._due, count, lambda: x)
+        if not self._ended.is_set():
+            self._publish(phase, stream, made, self._due)
+        following = feed.next_question(self._due)
+        self._due = self._due + 1 if following is None else following
+
+    def _publish(self, phase: int, stream: Stream, rows: Float64Array, arrived: int) -> None:
+        self._acting.controls.time_out(*time_outs(float(stream.period)))
+        self._acting.controls.fill(phase, rows, arrived)
+
     def _phase(self, rows: Float64Array) -> int:
-        """The phase of the coming tick."""
-        task = self._acting.made.safe.side.task
-        if task is None:
-            return 0
+        """The phase of the coming tick; -1 where that is not known yet."""
+        if self._side.task is None or not len(rows):
+            return 0 if len(rows) else -1
         now = int(self._acting.column(rows, "phase")[-1])
         ended = self._acting.column(rows, "phase_ended")[-1] > 0.5
-        return -1 if ended else now  # which follows is known in the next tick
-
-    def _make(self, phase: int, rows: Float64Array) -> None:
-        side, task = self._acting.made.safe.side, self._references.task
-        assert side.task is not None
-        assert task is not None
-        name = side.task.names[phase]
-        made = _phase_rows(side, task, name, self._seen(rows))
-        self._acting.controls.fill(phase, made)
+        return -1 if ended or now >= len(self._references.tables) else now
 
     def _seen(self, rows: Float64Array) -> Snapshot:
         """The controller's snapshot in the last tick."""
         acting = self._acting
-        side = acting.made.safe.side
-        measured = {name: acting.column(rows, name)[-1] for name in acting.made.safe.measured}
-        numbers = {path: view.copy() for path, view in self._numbers.items()}
-        return side.seen(measured, None, numbers, float(acting.column(rows, "t")[-1]))
+        now = {path: acting.column(rows, path)[-1] for path in acting.layout.columns}
+        measured = {name: now[name] for name in acting.made.safe.measured}
+        return self._side.seen(measured, subtree(now, "memory.sensing"), subtree(now, "parameters"), float(now["t"]))

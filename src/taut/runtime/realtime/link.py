@@ -8,19 +8,21 @@ import os
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Mapping
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
 
-from taut.base.errors import MatchError, UsageError, unknown_name
+from taut.base.errors import UsageError, unknown_name
 from taut.codegen.servo_loop import STATUS, STATUS_WORDS
-from taut.runtime.realtime.shared import Shared
+from taut.runtime.realtime.shared import Shared, environment
 from taut.runtime.robots.driver import DriverError, RobotDriver, RobotInfo
 
-WATCHDOG: Final = 0.08  # [s] without a tick after which the loop's process is ended; acts within 0.1
-PATIENCE: Final = 30.0  # [s] for the answer of the loop's process, which may be connecting to a robot
+ANSWER_TIME: Final = 30.0  # [s] for the answer of the loop's process, which may be connecting to a robot
+CLOSING: Final = 8.0  # [s] for its end, with a controlled stop before it
+ONE_THREAD: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 SCHEMES: Final[Mapping[str, tuple[str, str]]] = {
     "franka": ("taut.runtime.robots.franka", "FrankaDriver"),
     "udp": ("taut.runtime.robots.udp", "UdpDriver"),
@@ -29,46 +31,30 @@ SCHEMES: Final[Mapping[str, tuple[str, str]]] = {
 }
 
 
-class LinkLostError(DriverError):
-    """The loop's process is gone."""
-
-
 class Link:
-    """A loop's process, its watchdog, and the status that they share."""
+    """A loop's process, which has a watchdog, and the status that they share."""
 
-    def __init__(self, hello: Mapping[str, Any], *, partner: Link | None = None) -> None:
+    def __init__(self, partner: Link | None = None) -> None:
         self.status = Shared.create(STATUS_WORDS)
         self.words = self.status.view
-        self._closed = False
+        self.group: Shared = Shared.create(1) if partner is None else partner.group
         self.failure: tuple[int, str] | None = None  # code and text of a driver's fault
+        self._owner, self._closed, self._shares = os.getpid(), False, partner is not None
+        self._alone = threading.RLock()  # of the messages
         ours, theirs = socket.socketpair()
-        # What the child imports is what this process does, also from a path that only this one knows.
-        paths = os.pathsep.join(dict.fromkeys(path or str(Path.cwd()) for path in sys.path))
-        self._env = {**os.environ, "PYTHONPATH": paths}
         with theirs:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", "taut.runtime.realtime.process", str(theirs.fileno())],
-                pass_fds=[theirs.fileno()], env=self._env, stdin=subprocess.DEVNULL,
+                pass_fds=[theirs.fileno()], env={**environment(), **ONE_THREAD},
+                stdin=subprocess.DEVNULL, start_new_session=True,  # what a terminal sends is not for it
             )  # fmt: skip
         self._mail = Connection(ours.detach())
-        self._watchdog: subprocess.Popen[str] | None = None
-        try:
-            shared = {"partner": partner.status.name} if partner is not None else {}
-            self._send({**hello, "status": self.status.name, **shared})
-            self.info, self.notes = self._answer("info")
-            self._watch()
-        except BaseException:
-            self.close()
-            raise
 
-    def _watch(self) -> None:
-        arguments = [self.status.name, str(self.process.pid), str(WATCHDOG)]
-        self._watchdog = subprocess.Popen(
-            [sys.executable, "-m", "taut.runtime.realtime.watchdog", *arguments],
-            stdout=subprocess.PIPE, text=True, env=self._env, stdin=subprocess.DEVNULL,
-        )  # fmt: skip
-        assert self._watchdog.stdout is not None
-        self._watchdog.stdout.readline()
+    def open(self, hello: Mapping[str, Any]) -> RobotInfo:
+        """Connect to the robot. Raises DriverError."""
+        self._send(("hello", {**hello, "status": self.status.name, "group": self.group.name}))
+        info, self.notes = self._answer("info")
+        return RobotInfo(**info)
 
     def word(self, name: str) -> int:
         """A word of the status."""
@@ -87,69 +73,66 @@ class Link:
         """Whether the loop's process is there."""
         return self.process.poll() is None
 
+    @property
+    def silence(self) -> float:
+        """Time since the last tick [s]."""
+        return 1e-9 * (time.monotonic_ns() - self.word("heartbeat"))
+
+    def ask(self, kind: str, given: Any = None) -> Any:
+        """A message, and the answer to it. Raises DriverError with the error of the loop's process."""
+        with self._alone:
+            self.hear()
+            self._send((kind, given))
+            return self._answer("done")[1]
+
     def _send(self, message: Any) -> None:
         try:
             self._mail.send(message)
         except (OSError, ValueError) as cause:
-            raise LinkLostError("the loop's process is gone; connect again", kind="process_died") from cause
-
-    def tell(self, kind: str, given: Any = None) -> None:
-        """A message that is not answered."""
-        self._send((kind, given))
-
-    def ask(self, kind: str, given: Any = None) -> Any:
-        """A message, and the answer to it. Raises DriverError with the error of the loop's process."""
-        self._send((kind, given))
-        return self._answer("done")[1]
+            raise DriverError("the loop's process is gone; connect again", kind="process_died") from cause
 
     def _answer(self, kind: str) -> tuple[Any, ...]:
-        until = time.monotonic() + PATIENCE
-        while time.monotonic() < until:
-            if self._mail.poll(0.05):
-                try:
+        until = time.monotonic() + ANSWER_TIME
+        with contextlib.suppress(EOFError, OSError):
+            while self._mail.poll(0.05) or self.alive:
+                if self._mail.poll(0):
                     message = self._mail.recv()
-                except (EOFError, OSError):
-                    break
-                if message[0] == kind:
-                    return tuple(message[1:])
-                self._note(message)
-                if message[0] == "error":
-                    raise DriverError(message[2], kind=message[1])
-            elif not self.alive:
-                break
-        else:
-            raise DriverError(f"the loop's process did not answer within {PATIENCE:g} s", kind="driver")
-        raise LinkLostError("the loop's process died; connect again", kind="process_died")
-
-    def _note(self, message: tuple[Any, ...]) -> None:
-        if message[0] == "fault":
-            self.failure = message[1], message[2]
+                    if message[0] == kind:
+                        return tuple(message[1:])
+                    if message[0] == "error":
+                        raise DriverError(message[2], kind=message[1])
+                    self.failure = message[1], message[2]
+                if time.monotonic() > until:
+                    raise DriverError(f"the loop's process did not answer within {ANSWER_TIME:g} s", kind="driver")
+        raise DriverError("the loop's process died; connect again", kind="process_died")
 
     def hear(self) -> None:
-        """Take messages that nobody asked for."""
+        """Take what nobody asked for: a fault."""
+        if not self._alone.acquire(blocking=False):
+            return  # who waits for an answer takes it
         with contextlib.suppress(EOFError, OSError):
             while self._mail.poll(0):
-                self._note(self._mail.recv())
+                message = self._mail.recv()
+                self.failure = (message[1], message[2]) if message[0] == "fault" else self.failure
+        self._alone.release()
 
-    def close(self) -> None:
-        """End the processes, the robot's motion first."""
-        if self._closed:
-            return
+    def close(self) -> bool:
+        """End the process, the robot's motion first; False in another process than the one that made it."""
+        if self._closed or os.getpid() != self._owner:
+            return self._closed
         self._closed = True
         with contextlib.suppress(DriverError):
-            self.tell("close")
+            self._send(("close", None))
         with contextlib.suppress(subprocess.TimeoutExpired):
-            self.process.wait(3.0)
+            self.process.wait(CLOSING)
         if self.alive:
             self.process.kill()
             self.process.wait()
-        self.words[STATUS["dead"]] = 1
-        if self._watchdog is not None:
-            self._watchdog.wait()
-            assert self._watchdog.stdout is not None
-            self._watchdog.stdout.close()
         self._mail.close()
         self.status.close()
+        if not self._shares:
+            self.group.close()
+        return True
 
 
 def driver_of(robot: str | type[RobotDriver], address: str | None) -> dict[str, Any]:
@@ -168,25 +151,10 @@ def driver_of(robot: str | type[RobotDriver], address: str | None) -> dict[str, 
     file = None
     with contextlib.suppress(TypeError, OSError):
         file = inspect.getfile(robot)
-    if file is None or not Path(file).is_file():
+    if file is None or not Path(file).is_file() or robot.__module__ == "__main__" or "." in robot.__qualname__:
         raise UsageError(
-            f"{robot.__name__} stands in no file, and the loop's process imports a driver from one: write it into a "
-            "module (.py) and import it from there",
+            f"{robot.__name__} is not at the top of a module, and the loop's process imports a driver from one: "
+            "write it into a file of its own (.py) and import it from there",
             name="robot",
         )
-    return {
-        "module": robot.__module__,
-        "class": robot.__qualname__,
-        "file": str(Path(file).resolve()),
-        "address": address or "",
-    }
-
-
-def checked_info(values: Mapping[str, Any], n: int, arm: str) -> RobotInfo:
-    """What a robot declared, for an arm of n joints. Raises MatchError."""
-    info = RobotInfo(**values)
-    if info.n != n:
-        raise MatchError(
-            f"{info.name} has {info.n} joints and arm '{arm}' has {n}; load the arm that is connected", name="arm"
-        )
-    return info
+    return {"module": robot.__module__, "class": robot.__qualname__, "address": address or ""}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import threading
 import time
 import weakref
 from collections.abc import Callable, Mapping
@@ -13,35 +14,39 @@ from typing import Any, Final, Self
 import numpy as np
 
 from taut.arm.description import Arm, Payload
-from taut.arm.parts import short_way
+from taut.arm.parts import inertia_matrix, short_way
 from taut.base.checks import finite_array, instance_of, require_range
 from taut.base.errors import MatchError, RangeError, TautError, UsageError
 from taut.base.paths import Parameters
 from taut.base.types import ArrayLike, Float64Array
-from taut.codegen.servo_loop import ROW_HEAD
 from taut.control.faults import CODES, Fault, fault_of
 from taut.control.safety import SafeSide, SafetyLimits
 from taut.control.trajectories.joint import Trapezoidal
 from taut.control.trajectories.reference import JointMotion, Sample
+from taut.control.trajectories.samples import Chunk
 from taut.controller import Controller
 from taut.linear.judgement import Judgement, judge_start
 from taut.loop import check_fit
-from taut.maths.snapshot import snapshot
+from taut.plant.actuation import Actuation
 from taut.record.run import Run
 from taut.runtime.realtime.acting import Acting
-from taut.runtime.realtime.feeding import NO_ROWS, Feeder, References, references_of, time_outs
+from taut.runtime.realtime.feeding import Feeder, References, references_of
 from taut.runtime.realtime.link import Link
-from taut.runtime.realtime.sets import ServoSet, Table
-from taut.runtime.realtime.status import RobotError, RobotStatus, percentiles
+from taut.runtime.realtime.logger import LogProcess
+from taut.runtime.realtime.ring import ENDED
+from taut.runtime.realtime.sets import NO_ROWS, ServoSet, Table
+from taut.runtime.realtime.status import RobotError, RobotStatus, Timing
 from taut.runtime.robots.driver import DriverError, RobotInfo
 
 BLEND: Final = 0.2  # [s] in which another law, or new parameters, come in
 THERE: Final = 2e-3  # [rad | m] from the goal of move_to
 SETTLE: Final = 3.0  # [s] for a controlled stop, and for the last part of move_to
-AT_REST: Final = 0.01  # [rad/s | m/s]
+STANDING: Final = 0.01  # [rad/s | m/s]
 LOOK: Final = 0.02  # [s] between two looks at what is latched
 SAME_LOAD: Final = 0.05  # [kg]
 LATER: Final = 3  # ticks after which a request has surely been seen
+SILENT: Final = 0.5  # [s] after which a state is no news
+HOLD: Final = References(tables=[Table(rows=NO_ROWS)])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,6 +60,7 @@ class RobotPlant:
     adds: Any
     parameters: Mapping[str, Float64Array] = dataclasses.field(default_factory=dict)
     distorts: frozenset[str] = frozenset()
+    actuation: Actuation = dataclasses.field(default_factory=Actuation)
 
     def checked_parameter(self, path: str, value: ArrayLike) -> Float64Array:
         raise UsageError(f"robot '{self.name}' has no parameter {path!r}", name=path, value=value)
@@ -66,56 +72,112 @@ class RobotPlant:
 class RobotParameters(Parameters):
     """Parameters of the law that acts, by path; new values are blended in within 0.2 s."""
 
-    def __init__(self, robot: Robot, ctrl: Controller) -> None:
+    def __init__(self, robot: Robot, ctrl: Controller, acting: Acting) -> None:
         super().__init__("the robot's law", {path: np.array(value) for path, value in ctrl.parameters.items()})
-        self._robot, self._ctrl = robot, ctrl
+        self._robot, self._ctrl, self._acting = robot, ctrl, acting
 
     def __setitem__(self, path: str, value: ArrayLike) -> None:
-        checked = self._ctrl.side.checked_parameter(path, value)
-        self._ctrl.side.check_change(self._robot.q, self._values, {path: checked})
-        self._values[path] = checked
-        self._robot.acting.controls.set({path: checked}, BLEND)
+        self.update({path: value})
+
+    def update(self, other: Any = (), /, **values: ArrayLike) -> None:
+        """New values that come in together, as for a dict; refused where the sampled loop would be unstable here."""
+        robot, side = self._robot, self._ctrl.side
+        checked = {path: side.checked_parameter(path, value) for path, value in dict(other, **values).items()}
+        side.check_change(robot.q, self._values, checked)
+        require_stable(self._ctrl, robot.plant, robot.q, {**self._values, **checked})
+        self._values |= checked
+        self._acting.controls.set(checked, BLEND)
+
+
+class Gripper:
+    """The gripper of a robot: functions of its driver. Each returns what it came to, such as the width, when it ends.
+
+    The arm goes on meanwhile; a fault of it is raised as RobotError.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+
+    def move(self, width: float, *, speed: float = 0.05) -> dict[str, Any]:
+        """Open or close to a width [m], at a speed [m/s]."""
+        return self._ended("move", width=width, speed=speed)
+
+    def grasp(self, width: float, force: float, *, speed: float = 0.05) -> dict[str, Any]:
+        """Close on something of a width [m] until there is a force [N], at a speed [m/s]."""
+        return self._ended("grasp", width=width, force=force, speed=speed)
+
+    def home(self) -> dict[str, Any]:
+        """Find the largest width."""
+        return self._ended("homing")
+
+    @property
+    def status(self) -> dict[str, Any]:
+        """What it does now, by the driver's words: `busy`, `error`, `width` [m]."""
+        return dict(self._robot.call("gripper"))
+
+    def _ended(self, name: str, **arguments: float) -> dict[str, Any]:
+        self._robot.call(name, **arguments)
+        while (status := self.status).get("busy"):
+            self._robot.wait(LOOK)
+        if status.get("error"):
+            raise DriverError(f"the gripper failed to {name}: {status['error']}", kind="rejected")
+        return status
 
 
 class Robot:
     """A robot whose loop runs in a process of its own, under safety limits. Close it, or use it with `with`.
 
     Nothing moves before `start`, `move_to` or `hold`. A fault ends every law in the controlled stop of
-    `taut.SafetyLimits`, within one tick, and is latched: every verb raises it as RobotError until `recover()`.
+    `taut.SafetyLimits`, within one tick, and is latched: every verb raises it as RobotError until `recover()`. All
+    verbs may be called from several threads; `stop` acts at once, and ends a `start` that is under way.
 
     Args:
-        link: Its processes.
+        link: Its process.
         info: What it declared.
         arm: Its model.
         limits: Its safety limits.
-        holder: The controller that holds and that `move_to` moves by.
+        holders: Makes the controller that holds and that `move_to` moves by.
+        log: The process that logs, or None.
     """
 
-    def __init__(self, link: Link, info: RobotInfo, arm: Arm, limits: SafetyLimits, holder: Controller) -> None:
-        self.link, self.info, self.arm, self.limits = link, info, arm, limits
-        self._holder = holder
-        self._plant = RobotPlant(
-            name=info.name, arm=arm, takes=info.takes, measures=frozenset(info.measures), adds=holder.adds
-        )
-        self._number = 0
+    def __init__(
+        self, link: Link, info: RobotInfo, arm: Arm, limits: SafetyLimits,
+        holders: Callable[[RobotInfo, Arm], Controller], log: LogProcess | None = None,
+    ) -> None:  # fmt: skip
+        self.link, self.limits, self._holders, self._log = link, limits, holders, log
+        self.parameters: RobotParameters
+        """Parameters of the law that acts, by path; settable while it runs."""
+        self._number, self._stops, self._verbs = 0, 0, threading.RLock()
         self._all: list[Acting] = []
         self._feeder: Feeder | None = None
-        self.parameters: Mapping[str, Float64Array] = {}
-        """Parameters of the law that acts, by path; settable while it runs."""
-        hold = References(tables=[Table(rows=NO_ROWS)], streams={})
-        self._install(holder, hold, begins=False, sends=True)
+        self._know(info, arm)
         # Also where the program ends without closing it.
-        self._finalizer = weakref.finalize(self, _freed, link, self._all)
+        self._finalizer = weakref.finalize(self, _freed, link, log, self._all)
+
+    def _know(self, info: RobotInfo, arm: Arm) -> None:
+        """Take what the robot is and carries, and hold accordingly."""
+        self.info, self.arm, self.holder = info, arm, self._holders(info, arm)
+        self.plant = RobotPlant(
+            name=info.name, arm=arm, takes=info.takes, measures=frozenset(info.measures), adds=self.holder.adds,
+            actuation=Actuation(delay=info.delay),
+        )  # fmt: skip
+        self._holding = self._compiled(self.holder)
+        self._act(self.holder, self._holding, HOLD, begins=False)
 
     @property
     def adds(self) -> Any:
         """What the robot adds to a torque itself, for `taut.compile(adds=)`."""
-        return self._plant.adds
+        return self.plant.adds
 
     @property
     def rate(self) -> float:
         """Ticks per second [Hz], for `taut.compile(rate=)`."""
         return self.info.rate
+
+    @property
+    def gripper(self) -> Gripper:
+        """The robot's gripper, where its driver has one."""
+        return Gripper(self)
 
     def start(
         self, ctrl: Controller, ref: object = None, *, duration: float | None = None, over: float = BLEND
@@ -133,99 +195,112 @@ class Robot:
                 unstable here; nothing was sent.
             RobotError: A fault is latched.
         """
-        self.check()
-        references = self._checked(ctrl, ref, duration)
-        verdict = judge_start(ctrl, self._plant, self.q)
-        if isinstance(verdict, Judgement) and not verdict.stable:
-            raise RangeError(f"{verdict.message} (nothing was sent to {self.info.name})", name="law")
-        if not self.link.word("control"):
-            self._begin()
-        self._install(ctrl, references, begins=True, sends=True, over=over)
-        self.link.set_word("hold", 0)
+        self._begin(ctrl, ref, duration, over=over)
 
     def switch(
         self, ctrl: Controller, ref: object = None, *, duration: float | None = None, over: float = BLEND
     ) -> None:
         """Another controller in place of the one that acts, whose command fades into it within `over` [s]."""
+        self.check()
         if not self.link.word("control"):
             raise UsageError("nothing acts that could be switched; use start", name="switch")
-        self.start(ctrl, ref, over=over, duration=duration)
+        self._begin(ctrl, ref, duration, over=over)
 
     def shadow(self, ctrl: Controller, ref: object = None, *, duration: float | None = None) -> None:
         """Let a controller run on the live state and send nothing; its commands are in `robot.run()`."""
         self.check()
         if self.link.word("control"):
             raise UsageError("shadow is for a robot that is not controlled now; stop it first", name="shadow")
-        self._install(ctrl, self._checked(ctrl, ref, duration), begins=True, sends=False)
+        self._begin(ctrl, ref, duration, sends=False)
 
     def move_to(self, q: ArrayLike, *, speed: float = 0.2) -> None:
-        """Move the joints to q (n,) [rad | m], at most at `speed` times its speed limit; returns when there."""
+        """Move the joints to q (n,) [rad | m], at most at `speed` times their speed limits; returns when there.
+
+        Raises:
+            DriverError: They are not there 3 s after they should be.
+        """
+        self.check()
         arm = self.arm
         goal = finite_array("q", q, shape=(arm.n,), joints=arm.joint_names, unit="rad | m")
-        i = int(np.argmax(np.maximum(arm.lower - goal, goal - arm.upper)))
-        require_range(
-            f"q of joint '{arm.joint_names[i]}'",
-            goal[i],
-            unit=arm.units[i],
-            minimum=float(arm.lower[i]),
-            maximum=float(arm.upper[i]),
-        )
+        own, none = self.limits, np.full(arm.n, np.inf)
+        low = np.maximum(arm.lower, -none if own.lower is None else own.lower)
+        high = np.minimum(arm.upper, none if own.upper is None else own.upper)
+        i = int(np.argmax(np.maximum(low - goal, goal - high)))
+        name = f"q of joint '{arm.joint_names[i]}'"
+        require_range(name, goal[i], unit=arm.units[i], minimum=float(low[i]), maximum=float(high[i]))
         require_range("speed", np.asarray(speed, dtype=np.float64), above=0.0, maximum=1.0)
         here = self.q
         there = here + short_way(goal - here, arm.continuous)
-        v_max = np.where(np.isfinite(arm.velocity), arm.velocity, 1.0) * speed
+        most = arm.velocity if own.v is None else np.minimum(arm.velocity, own.v)
+        v_max = np.where(np.isfinite(most), most, 1.0) * speed
+        ref: Any = JointMotion(q=there)
         if np.abs(there - here).max() > THERE:
-            path = Trapezoidal(q0=here, q1=there, velocity=v_max, acceleration=2.0 * v_max)
-            self.start(self._holder, path)
-            self.wait(float(path.duration))
-        else:
-            self.start(self._holder, JointMotion(q=there))
+            ref = Trapezoidal(q0=here, q1=there, velocity=v_max, acceleration=2.0 * v_max)
+        self.start(self.holder, ref)
+        self.wait(float(getattr(ref, "duration", 0.0)))
         until = time.monotonic() + SETTLE
-        while np.abs(self.q - there).max() > THERE and time.monotonic() < until:
+        while (apart := np.abs(self.q - there)).max() > THERE:
+            if time.monotonic() > until:
+                name = arm.joint_names[int(np.argmax(apart))]
+                away = f"joint '{name}' is still {apart.max():.3g} away from its goal"
+                raise DriverError(f"{away}; free the arm, or raise limits.tau", kind="rejected")
             self.wait(LOOK)
 
     def hold(self) -> None:
         """The controlled stop, from the next tick on: brake, then hold where the arm is."""
         self.check()
-        if not self.link.word("control"):
-            self._begin()
         self.link.set_word("hold", 1)
+        with self._verbs:
+            if not self.link.word("control"):
+                self._act(self.holder, self._holding, HOLD, begins=False, controls=True)
 
     def stop(self) -> Run:
         """The controlled stop; when the arm stands, give control back to the robot. The record of the last law."""
-        if self.link.word("control") and self.link.alive:
-            self.link.set_word("hold", 1)
-            until = time.monotonic() + SETTLE
-            time.sleep(LATER / self.rate)
-            while self.link.alive and time.monotonic() < until and np.abs(self._last("v", LATER)).max() > AT_REST:
-                time.sleep(LOOK)
-        self._end_feeding()
-        run = self.run()
-        with contextlib.suppress(DriverError):
-            if self.link.word("control"):
-                self.link.ask("end")
-        return run
+        self._require_open()
+        self._stand()
+        with self._verbs:
+            self._end_feeding()
+            run = self.run()
+            with contextlib.suppress(DriverError):
+                if self.link.word("control"):
+                    self._stand()
+                    self.link.ask("end")
+            return run
 
     def recover(self) -> None:
-        """Clear what is latched, in the robot too. It is then as after `taut.connect`."""
-        if not self.link.alive:
-            raise RobotError(self.fault or fault_of(CODES["process_died"], 0))
-        hold = References(tables=[Table(rows=NO_ROWS)], streams={})
-        self._install(self._holder, hold, begins=False, sends=True, recovers=True)
-        self._pause()
+        """Clear what is latched, in the robot too. It is then as after `taut.connect`.
 
-    def stream(self, *, period: float) -> Callable[[Sample], None]:
-        """The function that sends a sample to the law that acts, which was started with `taut.stream(period=)`.
+        Raises:
+            RobotError: The cause is still there, or the loop's process is gone.
+        """
+        self._require_open()
+        if not self.link.alive:
+            self.check()
+        self._stand()
+        with self._verbs:
+            self._end_feeding()
+            self.link.ask("recover")
+            self.link.failure = None
+            self._pause()
+        self.check()
+
+    def stream(self, *, period: float) -> Callable[[Sample | Chunk], None]:
+        """The function that sends samples or chunks to the law that acts, started with `taut.stream(period=)`.
 
         Where none came for two periods the loop holds; after three (and 50 ms at least, for a period of 20 ms or
         less) it stops with the fault `stream_stopped`.
         """
-        require_range("period", np.asarray(period, dtype=np.float64), above=0.0, unit="s")
-        controls = self._all[-1].controls
+        feeder = self._feeder
+        declared = [] if feeder is None else feeder.periods
+        if feeder is None or not any(abs(period - one) <= 1e-9 for one in declared):
+            stated = f"with a period of {declared[0]:g} s" if declared else "without a stream to be sent"
+            hint = f"start it with taut.stream(period={period:g})"
+            raise UsageError(f"the law that acts was started {stated}; {hint}", name="period")
 
-        def send(sample: Sample) -> None:
-            controls.send(sample)
-            controls.time_out(*time_outs(period))
+        def send(sample: Sample | Chunk) -> None:
+            if feeder is not self._feeder:
+                raise UsageError("the law of this stream does not act any more; robot.stream() again", name="stream")
+            feeder.send(sample)
 
         return send
 
@@ -243,24 +318,33 @@ class Robot:
         """Raise what is latched, as RobotError; and what a source or a phase's reference raised."""
         fault = self.fault
         if fault is not None:
-            raise RobotError(fault)
+            acting = self.acting
+            raise RobotError.of(fault, acting.run(self.info.name, self.arm, fault, acting.last_rows))
         if self._feeder is not None and self._feeder.error is not None:
             raise self._feeder.error
 
     def call(self, name: str, **arguments: Any) -> Any:
-        """A function of the robot's driver, such as its gripper's; between motions."""
+        """A function of the robot's driver, such as its collision thresholds; it runs between two ticks."""
+        self._require_open()
         return self.link.ask("call", (name, arguments))
 
     def set_load(self, payload: Payload) -> None:
-        """Tell the robot its load, which it compensates from then on; between motions."""
+        """Tell the robot its load: it compensates it and `robot.arm` carries it; where it is not controlled."""
+        self._require_open()
         instance_of("payload", payload, Payload, "a taut.Payload, such as arm.payload")
-        self.link.ask("load", (payload.mass, np.array(payload.com), np.array(payload.inertia)))
+        if self.link.word("control"):
+            raise UsageError("the load is set while nothing acts; robot.stop() first", name="set_load")
+        inertia = np.array(inertia_matrix(payload.inertia))
+        self.link.ask("load", (payload.mass, np.array(payload.com), inertia))
         x, y, z = (float(value) for value in payload.com)
-        self.info = dataclasses.replace(self.info, load=(float(payload.mass), (x, y, z)))
+        info = dataclasses.replace(self.info, load=(float(payload.mass), (x, y, z)))
+        with self._verbs:
+            self._know(info, self.arm.with_payload(payload.mass, com=payload.com, inertia=payload.inertia))
 
     @property
     def acting(self) -> Acting:
         """The law that ticks: the one sent last may not have begun yet."""
+        self._require_open()
         number = self.link.word("running")
         return next((one for one in reversed(self._all) if one.number == number), self._all[-1])
 
@@ -279,9 +363,8 @@ class Robot:
     @property
     def fault(self) -> Fault | None:
         """What is latched, or None."""
+        self._require_open()
         link = self.link
-        if link.released:
-            raise UsageError(f"the connection to {self.info.name} is closed; taut.connect again", name="robot")
         link.hear()
         if link.failure is not None:
             code, text = link.failure
@@ -294,35 +377,35 @@ class Robot:
     def status(self) -> RobotStatus:
         """What the loop does now."""
         fault, link, acting = self.fault, self.link, self.acting
-        rows = acting.rows()
+        with contextlib.suppress(TautError):
+            self._last("t")  # a law's first tick may be under way
+        rows, n = acting.rows(), self.arm.n
         runs = len(rows) and acting.column(rows, "safe.mode")[-1] > 0.5
-        state = "running" if runs else "holding"
-        if not link.word("control"):
-            state = "idle" if acting.sends else "shadow"
+        state = ("running" if runs else "holding") if link.word("control") else "shadow" if runs else "idle"
         state = "gone" if not link.alive else "fault" if fault is not None else state
         return RobotStatus(
             state=state,
             fault=fault,
             t=float(acting.column(rows, "t")[-1]) if len(rows) else 0.0,
-            q=self._last("q")[-1],
-            v=self._last("v")[-1],
-            command=self._last("command")[-1],
+            **{
+                name: acting.column(rows, name)[-1] if len(rows) else np.full(n, np.nan)
+                for name in ("q", "v", "command")
+            },
             ticks=link.word("ticks"),
             lost=link.word("lost"),
             overruns=link.word("overruns"),
-            compute=percentiles(acting.column(rows, "loop.compute")),
-            driver=percentiles(acting.column(rows, "loop.driver")),
-            notes=tuple(link.notes),
+            timing=self.timing(),
+            dropped=0 if self._log is None else self._log.dropped,
+            notes=(*link.notes, *self.info.facts.get("notes", ())),
         )
 
     def run(self) -> Run:
         """The record of the law that acts, or acted last: its last 8000 ticks."""
         return self.acting.run(self.info.name, self.arm, self.fault)
 
-    def timing(self) -> dict[str, Float64Array]:
-        """Of the ticks that are kept: late, compute, driver [s], and the periods lost before each."""
-        rows = self.acting.rows()
-        return {name: self.acting.column(rows, f"loop.{name}").copy() for name in ROW_HEAD[2:]}
+    def timing(self) -> Timing:
+        """Lateness and computing time of the ticks that are kept, and what the driver takes."""
+        return Timing.of(self.run())
 
     def close(self) -> None:
         """Stop, and end the loop's process."""
@@ -342,99 +425,112 @@ class Robot:
     def __repr__(self) -> str:
         return f"Robot({self.info.name}, {self.arm!r}, rate={self.rate:g})"
 
+    def _require_open(self) -> None:
+        if self.link.released:
+            raise UsageError(f"the connection to {self.info.name} is closed; taut.connect again", name="robot")
+
     def _pause(self) -> None:
         time.sleep(LATER / self.rate)
 
-    def _begin(self) -> None:
-        self.link.set_word("hold", 0)
-        self.link.ask("begin")
+    def _stand(self) -> None:
+        """The controlled stop, also of a law that is just being started, until the arm stands or the loop ends."""
+        self._stops += 1
+        self.link.set_word("hold", 1)
         self._pause()
+        until = time.monotonic() + SETTLE
+        while self.link.word("control") and self.link.failure is None and self.link.alive:
+            self.link.set_word("hold", 1)
+            if np.abs(self._last("v", LATER)).max() < max(STANDING, self.info.at_rest) or time.monotonic() > until:
+                return
+            time.sleep(LOOK)
 
     def _last(self, path: str, count: int = 1) -> Float64Array:
-        """The last rows of a column; velocities from positions where none are measured."""
+        """The last rows of a column. Raises DriverError or RobotError where the robot is silent."""
         until = time.monotonic() + SETTLE
         while time.monotonic() < until:
             acting = self.acting
-            rows = acting.rows(max(count, 2))
-            if len(rows):
-                if path in acting.columns:
-                    return acting.column(rows, path)[-count:]
-                q = acting.column(rows, "q")
-                return (np.diff(q, axis=0, prepend=q[:1]) * self.rate)[-count:]
-            self._require_alive()
+            rows = acting.rows(count)
+            if len(rows) and (self.link.silence < SILENT + LATER / self.rate or not self.link.alive):
+                return acting.column(rows, path)
+            self.link.hear()
+            if not self.link.alive or self.link.failure is not None:
+                self.check()
             time.sleep(1e-3)
-        raise DriverError(f"{self.info.name} sent no state within {SETTLE:g} s", kind="silent")
+        raise self._silent()
 
-    def _require_alive(self) -> None:
-        self.link.hear()
-        if not self.link.alive or self.link.failure is not None:
-            self.check()
+    def _silent(self) -> DriverError:
+        return DriverError(f"{self.info.name} sent no state within {SETTLE:g} s", kind="silent")
+
+    def _begin(
+        self, ctrl: Controller, ref: object, duration: float | None, *, sends: bool = True, over: float = BLEND
+    ) -> None:
+        """Let a controller act that fits this robot and is stable here."""
+        self.check()
+        stops = self._stops
+        with self._verbs:
+            references = self._checked(ctrl, ref, duration)
+            made = self._holding if ctrl is self.holder else self._compiled(ctrl)
+            made.safe.check_pose(self.q)
+            require_stable(ctrl, self.plant, self.q)
+            if self._stops != stops:
+                raise UsageError("the robot was stopped while it started", name="start")
+            self.link.set_word("hold", 0)
+            self._act(ctrl, made, references, begins=True, sends=sends, controls=sends, over=over)
 
     def _checked(self, ctrl: Controller, ref: object, duration: float | None) -> References:
-        """What feeds a controller that fits this robot, whose loop is stable here."""
+        """What feeds a controller that fits this robot."""
         instance_of("ctrl", ctrl, Controller, "a controller from taut.compile")
         name, q = self.info.name, self.q
-        check_fit(ctrl.side, self._plant)
+        check_fit(ctrl.side, self.plant)
         if abs(ctrl.rate - self.rate) > 1e-6 * self.rate:
-            raise MatchError(
-                f"{name} takes commands at {self.rate:g} Hz and the controller was compiled for {ctrl.rate:g} Hz; "
-                "taut.compile(..., rate=robot.rate)",
-                name="rate",
-            )
+            rates = f"takes commands at {self.rate:g} Hz and the controller was compiled for {ctrl.rate:g} Hz"
+            raise MatchError(f"{name} {rates}; taut.compile(..., rate=robot.rate)", name="rate")
         load, mass = self.info.load, float(ctrl.arm.payload.mass)
         if load is not None and "gravity" in self.info.adds and abs(load[0] - mass) > SAME_LOAD:
-            raise MatchError(
-                f"{name} compensates a load of {load[0]:g} kg and the controller's arm carries {mass:g} kg; "
-                "robot.set_load(arm.payload), or load the arm with what is there",
-                name="load",
-            )
+            loads = f"compensates a load of {load[0]:g} kg and the controller's arm carries {mass:g} kg"
+            hint = "robot.set_load(arm.payload), or load the arm with what is there"
+            raise MatchError(f"{name} {loads}; {hint}", name="load")
         return references_of(ctrl, ref, q, duration)
 
-    def _install(
-        self,
-        ctrl: Controller,
-        references: References,
-        *,
-        begins: bool,
-        sends: bool,
-        over: float = BLEND,
-        recovers: bool = False,
-    ) -> None:
-        """Send a compiled tick, wait until it acts, and feed it."""
-        self._end_feeding()
-        safe = SafeSide(side=ctrl.side, limits=self.limits, measures=tuple(self.info.measures))
+    def _compiled(self, ctrl: Controller) -> ServoSet:
+        safe = SafeSide(
+            side=ctrl.side, limits=self.limits, measures=tuple(self.info.measures), at_rest=self.info.at_rest
+        )
         safe.check()
-        made = ServoSet(safe, dict(ctrl.parameters))
-        self._number += 1
-        acting = Acting(made, references.tables, number=self._number, sends=sends, over=over)
-        first = self._command_at_start(made)
-        self.link.tell("set", made.message(acting, first, begins=begins))
-        if recovers:  # with the tick that holds already waiting: another one might latch the same again
-            self.link.ask("recover")
-            self.link.failure = None
-        for old in self._all[:-2]:
-            old.close()
-        self._all[:] = [*self._all[-2:], acting]
-        self.parameters = RobotParameters(self, ctrl)
-        until = time.monotonic() + SETTLE
-        while self.link.word("running") != self._number and time.monotonic() < until:
-            self._require_alive()
-            time.sleep(5e-4)
-        feeder = Feeder(acting, references)
-        if feeder.needed:
-            self._feeder = feeder
-            feeder.start()
+        return ServoSet(safe)
 
-    def _command_at_start(self, made: ServoSet) -> Float64Array:
-        """The command from which limits begin, of a robot that was not controlled."""
-        side = made.safe.side
-        if not self._all:
-            return np.zeros(side.arm.n) if side.probe.kind != "position" else side.arm.home.copy()
-        if side.probe.kind == "position":
-            return self.q
-        if side.probe.kind == "velocity":
-            return np.zeros(side.arm.n)
-        return np.array(snapshot(side.arm, self.q, np.zeros(side.arm.n)).g) * float(not side.adds.gravity)
+    def _act(
+        self, ctrl: Controller, made: ServoSet, references: References, *, begins: bool, sends: bool = True,
+        controls: bool = False, over: float = BLEND,
+    ) -> None:  # fmt: skip
+        """Send a compiled tick, with which control may begin; wait until it acts, and feed it."""
+        self._end_feeding()
+        self._number += 1
+        acting = Acting(made, references, ctrl.parameters, number=self._number, sends=sends, over=over)
+        if self._log is not None:
+            self._log.follow(acting, self.info.name, self.arm, ctrl.side.title if begins else "hold")
+        try:
+            controls = controls and not self.link.word("control")
+            self.link.ask("set", {**made.message(acting, begins=begins), "control": controls})
+        except BaseException:
+            acting.ring.header[ENDED] = 1
+            acting.close()
+            raise
+        self._all.append(acting)
+        self.parameters = RobotParameters(self, ctrl, acting)
+        self._feeder = Feeder(acting, references)
+        self._feeder.start()
+        until = time.monotonic() + SETTLE
+        while self.link.word("running") != self._number:
+            self.check()
+            if time.monotonic() > until:
+                raise self._silent()
+            time.sleep(5e-4)
+        for old in self._all[:-1]:
+            old.ring.header[ENDED] = 1
+            if self._log is None or old.ring.done:
+                old.close()
+                self._all.remove(old)
 
     def _end_feeding(self) -> None:
         if self._feeder is not None:
@@ -442,8 +538,17 @@ class Robot:
             self._feeder = None
 
 
-def _freed(link: Link, acting: list[Acting]) -> None:
-    """End the processes and free the memory of a robot."""
-    link.close()
-    for one in acting:
-        one.close()
+def require_stable(ctrl: Controller, plant: RobotPlant, q: Float64Array, values: Mapping[str, Any] = {}) -> None:
+    """RangeError for a sampled loop that is known to be unstable at q, with these values of its parameters."""
+    verdict = judge_start(ctrl, plant, q, values)
+    if isinstance(verdict, Judgement) and not verdict.stable:
+        raise RangeError(f"{verdict.message} (nothing was sent to {plant.name})", name="law")
+
+
+def _freed(link: Link, log: LogProcess | None, acting: list[Acting]) -> None:
+    """End the processes and free the memory of a robot; not in a child of the program that made it."""
+    if link.close():
+        if log is not None:
+            log.close()
+        for one in acting:
+            one.close()

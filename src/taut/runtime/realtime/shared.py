@@ -1,12 +1,11 @@
-"""Memory that processes share: created by the parent, freed with it, whatever the others do."""
+"""What processes share: memory without a name in any folder, freed with the last one that maps it; environment."""
 
 from __future__ import annotations
 
-import contextlib
+import mmap
+import os
 import sys
-from collections.abc import Callable
-from multiprocessing import resource_tracker
-from multiprocessing.shared_memory import SharedMemory
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,46 +15,34 @@ from taut.base.types import Float64Array
 Words = NDArray[np.int64]
 
 
-class _Memory(SharedMemory):
-    """Shared memory whose views may outlive it."""
-
-    def __del__(self) -> None:
-        with contextlib.suppress(BufferError):
-            super().__del__()
-
-
-def _attached(name: str) -> SharedMemory:
-    """Memory that another process removes; Python before 3.13 would remove it when this process ends."""
-    if sys.version_info >= (3, 13):
-        return _Memory(name, track=False)
-    register: Callable[..., None] = resource_tracker.register
-    resource_tracker.register = lambda *_: None
-    try:
-        return _Memory(name)
-    finally:
-        resource_tracker.register = register
+def environment() -> dict[str, str]:
+    """Environment of a child, which imports what this process does, also from a path that only this one knows."""
+    paths = os.pathsep.join(dict.fromkeys(path or str(Path.cwd()) for path in sys.path))
+    return {**os.environ, "PYTHONPATH": paths}
 
 
 class Shared:
-    """A segment of 64-bit words, as whole numbers and as floats."""
+    """A segment of 64-bit words, as whole numbers and as floats. It is mapped as long as anything views it."""
 
-    def __init__(self, memory: SharedMemory, *, owner: bool) -> None:
-        self._memory, self._owner = memory, owner
-        self.name = memory.name
-        assert memory.buf is not None
-        self.view = memory.buf.cast("q")  # of the words: a number from it costs a third of one from the array
+    def __init__(self, name: str, handle: int, keep: int | None = None) -> None:
+        self.name, self._keep = name, keep
+        mapped = mmap.mmap(handle, 0, mmap.MAP_SHARED | mmap.MAP_POPULATE)
+        self.view = memoryview(mapped).cast("q")  # a number costs a third of one from an array
         self.words: Words = np.frombuffer(self.view, dtype=np.int64)
         self.numbers: Float64Array = self.words.view(np.float64)
 
     @classmethod
     def create(cls, words: int) -> Shared:
-        """A new segment of zeros; who creates it removes it."""
-        return cls(_Memory(create=True, size=8 * words), owner=True)
+        """A new segment of zeros."""
+        handle = os.memfd_create("taut")
+        os.posix_fallocate(handle, 0, 8 * words)  # where there is not enough memory, an error here and not later
+        return cls(f"/proc/{os.getpid()}/fd/{handle}", handle, handle)
 
     @classmethod
     def attach(cls, name: str) -> Shared:
-        """The segment of that name, of another process."""
-        return cls(_attached(name), owner=False)
+        """The segment of that name, of another process that has not closed it."""
+        with Path(name).open("r+b", buffering=0) as file:
+            return cls(name, file.fileno())
 
     @property
     def address(self) -> int:
@@ -63,10 +50,9 @@ class Shared:
         return int(self.words.ctypes.data)
 
     def close(self) -> None:
-        """Leave it, and remove it where it was created. Views that are still about keep their memory."""
-        del self.words, self.numbers, self.view
-        with contextlib.suppress(BufferError):
-            self._memory.close()
-        if self._owner:
-            with contextlib.suppress(FileNotFoundError):
-                self._memory.unlink()
+        """Leave it; others cannot attach to it any more."""
+        self.view = memoryview(b"").cast("q")
+        self.words, self.numbers = np.zeros(0, dtype=np.int64), np.zeros(0)
+        if self._keep is not None:
+            os.close(self._keep)
+            self._keep = None

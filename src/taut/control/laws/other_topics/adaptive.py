@@ -7,8 +7,8 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from taut.arm.description import BASE, Friction
-from taut.base.errors import MatchError, RangeError
+from taut.arm.description import BASE, Arm, Friction
+from taut.base.errors import MatchError, RangeError, warn
 from taut.base.fields import Choice
 from taut.base.types import Float64Array, Matrix, Vector
 from taut.control.command import Command, Terms, Torque
@@ -24,7 +24,7 @@ from taut.trace import math as tm
 Links = Literal["payload", "all"]
 MAX_STEP: Final = 0.2  # [-] relative change of an estimate in one tick: a single bad tick must not overflow it
 PRIOR_SIDE: Final = 0.1  # [m] of the cube that the prior payload is taken for
-MAX_REACH: Final = 0.5  # [-] dt gamma max eig(Q W^T R W) of composite adaptation, which is unstable beyond 2
+MAX_REACH: Final = 0.5  # [-] dt gamma max eig(Q W^T R W) of composite adaptation; unstable beyond 2
 THINNEST: Final = 1e-9  # [-] smallest eigenvalue of a pseudo-inertia, relative to its largest
 
 
@@ -39,7 +39,7 @@ class Adaptive(Law):
                     at most 0.2 of itself in one tick
                   composite: s . (...) less e_p . R W pi for L, where e_p = W pi^ - tau and W pi, tau are filtered:
                     Y pi = d(M v)/dt - C^T v + g through a low-pass, for which accelerations are not needed
-                    R = composite 1, less where dt gamma sum eig(Q W^T R W) would be above 0.5
+                    R^-1 = 1 / composite + 2 dt gamma W Q W^T, so that dt gamma eig(Q W^T R W) is below 0.5
                   b^' = b^ exp(gamma_friction b^ v_r s dt), c^' = c^ exp(gamma_friction c^ tanh(v_des / width) s dt)
                   all estimates rest where sqrt(s . M s) < dead_zone, and while limits cut the torque
     Closed loop:  M_true ds/dt + C s + b s + k M s = Y (pi - pi^), and e_dot + lam e = s
@@ -72,8 +72,8 @@ class Adaptive(Law):
         width: Speed over which the estimated dry friction changes its sign.
         dead_zone: Of sqrt(s . M s): residual torque / (k sqrt(min eig M)), so that a disturbance is not learned.
         prior: Mass that the tool is taken to carry at first beyond the model's payload, a cube of 0.1 m.
-        composite: Weight of the error of the filtered torques in composite adaptation; without it the tracking error
-            alone adapts.
+        composite: Weight of the error of the filtered torques in composite adaptation, such as 10; without it the
+            tracking error alone adapts.
         cutoff: Of the low-pass of composite adaptation.
 
     Raises:
@@ -104,7 +104,7 @@ class Adaptive(Law):
     width: Gain = Gain(0.01, unit="rad/s | m/s", accepts=("scalar",), above=0.0)
     dead_zone: Gain = Gain(0.0, unit="J^0.5", shape="scalar")
     prior: Gain = Gain(0.0, unit="kg", shape="scalar")
-    composite: Gain = Gain(unit="1/(N m s)", shape="scalar", optional=True)
+    composite: Gain = Gain(unit="1/(N m s)", shape="scalar", above=0.0, optional=True)
     cutoff: Gain = Gain(50.0, unit="1/s", shape="scalar", above=0.0)
     root = Memory(unit="kg^0.5, kg^0.5 m", doc="G of each adapted body")
     estimate = Memory(unit="kg, kg m, kg m^2", record=True, doc="ten parameters of each adapted body")
@@ -158,6 +158,16 @@ class Adaptive(Law):
                 f"five below; got {self.gamma[()]:g}",
                 name="gamma",
                 value=float(self.gamma[()]),
+            )
+
+    def check_plant(self, path: str, arm: Arm, plant: str, parameters: Mapping[str, Any]) -> None:
+        """Warn of a plant that carries more than `max_payload`."""
+        excess = float(parameters.get("plant.payload.mass", 0.0)) - arm.payload.mass
+        if excess > self.max_payload[()]:
+            warn(
+                f"{path}.max_payload is {self.max_payload[()]:g} kg and plant '{plant}' carries {excess:g} kg more "
+                "than the controller's arm, for which gamma may be too large: the adaptation may oscillate with "
+                "growing amplitude; raise max_payload"
             )
 
     def start(self, x: Snapshot, ref: Sample) -> Mapping[str, Any]:  # noqa: ARG002
@@ -230,14 +240,14 @@ class Adaptive(Law):
         before = tm.where(memory.begun > 0.0, memory.filtered + a * applied, impulse - 0.5 * a * rate)
         W = impulse - before - 0.5 * a * rate
         filtered = before + a * (impulse + (1.0 - 0.5 * a) * rate - before)
-        e_p, reach = W[:, 0], 0.0
+        e_p, reach = W[:, 0], np.eye(x.n) / self.composite[()]
         each = [W[:, i : i + 10] for i in range(1, W.shape[1], 10)]
         for k, G, own in zip(adapted(x.model, self.links), memory.root, each, strict=True):
             e_p = e_p + own @ (_parameters(G) - rg.parameters_of(x.model.links[k]))
-            reach = reach + sum(np.sum((G.T @ rg.covector_matrix(w) @ G) ** 2) for w in own)
-        R = self.composite[()]
-        R = R * MAX_REACH / tm.maximum(dt * self.gamma[()] * R * reach, MAX_REACH)
-        return [R * (e_p @ own) for own in each], filtered
+            rows = tm.stack([(G.T @ rg.covector_matrix(w) @ G).reshape(-1) for w in own])
+            reach = reach + (dt * self.gamma[()] / MAX_REACH) * (rows @ rows.T)
+        e_p = tm.solve_spd(tm.factor_spd(reach), e_p)
+        return [e_p @ own for own in each], filtered
 
 
 def adapted(model: Model, links: Links) -> tuple[int, ...]:

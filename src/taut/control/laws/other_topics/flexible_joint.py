@@ -329,7 +329,7 @@ class FlexibleJointLinearisation(Law):
                   a = M_links^-1 (tau_J - C v - g), its jerk j from tau_J' = K (v_motor - v) likewise, and the snap
                   s_des + 4 omega (j_des - j) + 6 omega^2 (a_des - a) + 4 omega^3 e_dot + omega^4 e
     Closed loop:  (d/dt + omega)^4 e = 0, with an exact model, exact measurements and D = 0; a sampled loop tends to
-                  it, and leaves an error that falls fast with omega
+                  it, with an error that falls fast with omega, and is unstable where sqrt(K / M) dt is above 1
                   not robust: an error of the model in a enters with 6 omega^2, and slow poles are the unsafe ones;
                   friction of the motor, D and a late sensor are such errors
 

@@ -72,6 +72,7 @@ class Uncertainty(Declared):
 
     def check_arm(self, model: Model) -> None:
         """Refuse intervals without width, and an arm they are not for: other joints, links that are no bodies."""
+        self.check_size(model.arm.joint_names, "uncertainty.")
         own = model.arm.payload
         if own.mass + self.payload[0] < 0.0:
             raise RangeError(
@@ -123,11 +124,9 @@ class Uncertainty(Declared):
 
     def torques(self, model: Model, q: Vector, v: Vector, v_ref: Vector, a_ref: Vector) -> Array:
         """(m, n) torques Y_l pi_l of each unknown at its largest: s . (M a_ref + C v_ref + g) errs by their sum."""
-        bare, unknown = links_of(model.arm), self.unknown(model)
-        if not unknown:
-            return tm.zeros((0, model.n))
-        bodies = ([body_of(row) for row in rows] for rows in unknown)
-        return tm.array([dyn.reference_dynamics(bare, part, q, v, v_ref, a_ref) for part in bodies])
+        bare, unknown = links_of(model.arm), ([body_of(row) for row in rows] for rows in self.unknown(model))
+        each = [dyn.reference_dynamics(bare, part, q, v, v_ref, a_ref) for part in unknown]
+        return np.reshape(tm.array(each), (-1, model.n))
 
     def friction(self, known: Friction) -> tuple[Float64Array, Float64Array]:
         """(2, n) each: viscous and Coulomb friction, smallest and largest; that of the model where none is given."""

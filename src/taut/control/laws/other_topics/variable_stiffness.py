@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from taut.base.errors import RangeError
+from taut.arm.description import Arm
+from taut.base.errors import MatchError, RangeError
 from taut.base.fields import Part
 from taut.control.command import MitCommand, Terms
 from taut.control.gains import Gain, Memory, MemoryView
@@ -76,6 +78,14 @@ class VariableStiffness(Law):
                     name="stiffness",
                     joint=joint,
                 )
+
+    def check_plant(self, path: str, arm: Arm, plant: str, parameters: Mapping[str, Any]) -> None:  # noqa: ARG002
+        """The drives must have the law's springs."""
+        for name, ours in self.springs.parameters().items():
+            theirs = parameters.get(f"actuation.motor.springs.{name}", ours)
+            if not np.allclose(ours, theirs, atol=0.0):
+                both = f"is {ours.tolist()}, and the drives of plant '{plant}' have {theirs.tolist()}"
+                raise MatchError(f"{path}.springs.{name} {both}; give both the same springs", name="springs")
 
     def start(self, x: Snapshot, ref: Any) -> dict[str, Any]:  # noqa: ARG002
         return {"sigma": self.stiffness.as_array() * tm.ones(x.n)}

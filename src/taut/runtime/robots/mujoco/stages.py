@@ -14,6 +14,7 @@ from taut.base.paths import subtree
 from taut.base.types import Array, Float64Array, Vector
 from taut.codegen.engine import Steps, best_engine
 from taut.codegen.loop import StepLoop
+from taut.codegen.noise import Noise, noise_block
 from taut.codegen.program import Block
 from taut.maths import dynamics as dyn
 from taut.maths.dynamics import compensation
@@ -27,6 +28,7 @@ from taut.runtime.robots.mujoco.rig import Rig
 from taut.trace import math as tm
 
 Values = Mapping[str, Any]
+AHEAD: Final = 256  # ticks whose noise is drawn at once
 HELD: float = 1.0 - 1e-9  # of its limit: what friction is less than holds a joint
 
 
@@ -283,7 +285,8 @@ class SensorStage(Stage):
 
     def __init__(self, arm: Arm, sensors: Sensors) -> None:
         self._sensors, self._model = sensors, model_of(arm)
-        self._shapes = sensors.noise(arm, touched=True)
+        self._block = noise_block(sensors.noise(arm, touched=True))
+        self._rows = np.zeros((AHEAD, self._block.size))
 
     def _step(self, inputs: Values, parameters: Values, memory: Values) -> tuple[dict[str, Any], dict[str, Any]]:  # noqa: ARG002
         true = {path: value for path, value in inputs.items() if not path.startswith("noise.")}
@@ -291,10 +294,9 @@ class SensorStage(Stage):
 
     def start(self, seed: int, true: Values, parameters: Values) -> None:
         """Prepare for a run whose noise comes from this seed: the numbers that a model plant gets too."""
-        self._noise = {name: np.random.default_rng([seed, *name.encode()]) for name in self._shapes}
+        self._noise, self._seed, self._tick = Noise(self._block, best_engine()), seed, 0
         still = {name: value if name == "q" else np.zeros_like(value) for name, value in true.items()}
-        silence = {f"noise.{name}": np.zeros(shape) for name, shape in self._shapes.items()}
-        self._begin(still | silence, parameters, {}, 0.0)
+        self._begin(still | self._block.views(self._block.zeros()), parameters, {}, 0.0)
 
     @property
     def saturating(self) -> tuple[str, ...]:
@@ -303,5 +305,9 @@ class SensorStage(Stage):
 
     def read(self, true: Values) -> dict[str, Float64Array]:
         """Readings in this tick, with fresh noise."""
-        noise = {f"noise.{name}": rng.standard_normal(self._shapes[name]) for name, rng in self._noise.items()}
+        row = self._tick % AHEAD
+        if row == 0:
+            self._noise.fill(self._rows, self._tick, self._seed)
+        self._tick += 1
+        noise = self._block.views(self._rows[row])
         return {name: np.array(value) for name, value in self._call({**true, **noise}).items()}

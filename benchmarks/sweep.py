@@ -1,0 +1,151 @@
+"""Draw docs/images/sweep.png, and print the tables of docs/sweep.md: sweeps against single runs and what others do.
+
+python sweep.py [rounds] [million]
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import resource
+import statistics
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+
+import matplotlib.pyplot as plt
+import mujoco
+import numpy as np
+import rivals
+
+import taut
+from taut.analysis.sweeps.chunks import runner_of
+from taut.codegen.functions import DOUBLE, SINGLE
+from taut.codegen.loop import known_loop
+from taut.codegen.native import host_lanes
+from taut.runtime.events import Schedule
+from taut.runtime.ongoing import FusedRun
+
+TICKS = 1000
+CHUNK = 1024
+VARY = {"law.kp": taut.uniform(50.0, 400.0), "law.kd": taut.uniform(10.0, 60.0)}
+VARY |= {"plant.payload.mass": taut.uniform(0.0, 2.0)}
+
+
+def panda() -> taut.Loop:
+    """Computed torque on a Panda with a payload that the law does not know: 1 kHz, 1 s, nothing in contact."""
+    ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), rivals.ARM)
+    ref = taut.trajectories.Sine(center=rivals.CENTER, amplitude=rivals.AMPLITUDE, frequency=rivals.FREQUENCY)
+    loaded = rivals.ARM.with_payload(1.0, rivals.PAYLOAD_COM)
+    return taut.Loop(ctrl, taut.RigidPlant(loaded, friction=None), ref, duration=(TICKS - 1) * ctrl.dt)
+
+
+def scalar(loop: taut.Loop) -> Callable[[], object]:
+    """The library's own loop over the same ticks, everything recorded."""
+    schedule = Schedule(loop.side, loop.plant, loop.parameters, (), loop.ticks)
+    fused = FusedRun(loop, np.array(rivals.CENTER), np.zeros(7), 0, schedule)
+    state = fused._state.copy()
+    fused.go(lambda _: None, None)
+    code, out = known_loop(loop), np.zeros_like(fused.tape.output_rows)
+    assert code is not None
+    code.expect(None)
+    return lambda: code.run(fused.tape.input_rows, fused._values, state.copy(), out)
+
+
+def speed(work: Callable[[], object], steps: int, clock: Callable[[], float]) -> float:
+    began = clock()
+    work()
+    return 1e-6 * steps / max(clock() - began, 1e-9)
+
+
+def both(work: Callable[[], object]) -> None:
+    """The same work in two threads at once."""
+    other = threading.Thread(target=work)
+    other.start()
+    work()
+    other.join()
+
+
+def measured(rounds: int) -> dict[str, list[float]]:
+    """Million steps a second of each case, round by round."""
+    loop, own = panda(), rivals.mujoco_model()
+    found = taut.sweep(loop, VARY, samples=CHUNK, q0=rivals.CENTER)
+    plans = {real: dataclasses.replace(found.plan, real=real) for real in ("double", "float")}
+    lanes = {real: runner_of(plan, loop) for real, plan in plans.items()}
+    chunk = {real: lambda runner=runner: runner.results(0, CHUNK) for real, runner in lanes.items()}
+    bare, data = scalar(loop), mujoco.MjData(own)
+    core, wall = time.thread_time, time.perf_counter
+    cases = {
+        "scalar": (bare, TICKS, core),
+        "double": (chunk["double"], CHUNK * TICKS, core),
+        "float": (chunk["float"], CHUNK * TICKS, core),
+        "double, wall": (chunk["double"], CHUNK * TICKS, wall),
+        "double, two threads, wall": (lambda: both(chunk["double"]), 2 * CHUNK * TICKS, wall),
+        "double, two threads, each": (lambda: both(chunk["double"]), 2 * CHUNK * TICKS, time.process_time),
+        "taut.run": (lambda: taut.run(loop, q0=rivals.CENTER), TICKS, core),
+        "pinocchio": (lambda: rivals.pinocchio_loop(200), 200, core),
+        "mujoco": (lambda: rivals.mujoco_loop(own, data, 200), 200, core),
+    }
+    for work, _, _ in cases.values():
+        work()
+    out: dict[str, list[float]] = {name: [] for name in cases}
+    for _ in range(rounds):
+        for name, case in cases.items():
+            out[name].append(speed(*case))
+    return out
+
+
+def ratio(found: dict[str, list[float]], name: str, over: str) -> float:
+    return statistics.median(a / b for a, b in zip(found[name], found[over], strict=True))
+
+
+def picture(file: Path) -> None:
+    """Where the error of computed torque comes from: a payload that it does not know."""
+    found = taut.sweep(panda(), VARY, samples=4000, q0=rivals.CENTER).table
+    figure, axes = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
+    points = axes.scatter(
+        found["plant.payload.mass"], 1e3 * found["rms_error"], c=found["law.kp"], s=4, cmap="viridis"
+    )
+    axes.set(xlabel="payload that the law does not know [kg]", ylabel="RMS error [mrad]", yscale="log")
+    figure.colorbar(points, label="kp [1/s²]")
+    figure.savefig(file, dpi=130)
+
+
+def million() -> None:
+    began = time.perf_counter()
+    found = taut.sweep(panda(), VARY, samples=1_000_000, q0=rivals.CENTER, metrics=["rms_error"])
+    seconds, peak = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    done = int(found.completed.sum())
+    print(
+        f"a million loops of 1 s: {seconds:.1f} s, {1e-6 * done * TICKS / seconds:.1f} M steps/s, peak {peak:.0f} MB"
+    )
+
+
+def main() -> None:
+    rounds = int(sys.argv[1]) if len(sys.argv) > 1 else 7
+    found = measured(rounds)
+    print(f"lanes of this processor: {host_lanes(DOUBLE)} double, {host_lanes(SINGLE)} float; {rounds} rounds\n")
+    for name, values in found.items():
+        print(f"{name:28s} {statistics.median(values):8.3f} M steps/s")
+    print()
+    print(f"double lanes over scalar, one core   {ratio(found, 'double', 'scalar'):6.2f}")
+    print(f"float lanes over scalar, one core    {ratio(found, 'float', 'scalar'):6.2f}")
+    print(f"two threads over one, by the clock   {ratio(found, 'double, two threads, wall', 'double, wall'):6.2f}")
+    cores = 2.0 * ratio(found, "double, two threads, each", "double")
+    print(f"two threads over one, by the time of the processor {cores:6.2f}")
+    for peer, words in (("pinocchio", "NumPy + Pinocchio"), ("mujoco", "MuJoCo + NumPy")):
+        one = ratio(found, "double", peer)
+        print(f"one core over {words:20s}  {one:6.0f}; two cores {cores * one:6.0f}")
+    print(f"taut.run, everything recorded, over the scalar loop {ratio(found, 'taut.run', 'scalar'):6.2f}")
+    if "million" in sys.argv:
+        million()
+    picture(Path(__file__).parents[1] / "docs" / "images" / "sweep.png")
+
+
+if __name__ == "__main__":
+    main()

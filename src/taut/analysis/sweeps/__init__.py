@@ -1,0 +1,1 @@
+"""Sweeps: many runs of one closed loop, in lanes and threads or in processes; `sweep` is the door."""
