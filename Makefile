@@ -3,6 +3,7 @@
 # make test-extras   logs in the readers of Rerun and rosbags, which it installs (0.5 GB)
 # make lock   write locked.txt anew: what taut needs, with versions and hashes
 # make bars   the long counts;  make bench  figures against Pinocchio and MuJoCo;  make docs  the site
+# make bench-peers   docs/benchmarks.md: the same tasks in Drake, MuJoCo, JAX and others, each installed apart (3 GB)
 # make firmware   exported C: time here, instructions on a Cortex-M7 in QEMU
 # make scorecard   the rows of docs/reliability.md and how many hold
 # make soak   a robot's loop for a minute beside a busy program; three laws on a Franka's test server
@@ -13,7 +14,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: demo test test-extras lock bars fuzz scorecard soak bench firmware docs clean
+.PHONY: demo test test-extras lock bars fuzz scorecard soak bench bench-peers firmware docs clean
 
 demo: $(VENV)/demo.stamp
 	$(BIN)/taut run panda_payload --out out/demo
@@ -43,6 +44,9 @@ scorecard: $(VENV)/test.stamp
 
 bench: $(VENV)/test.stamp
 	cd benchmarks && ../$(BIN)/python run.py
+
+bench-peers: $(VENV)/test.stamp
+	cd benchmarks/peers && ../../$(BIN)/python bench.py
 
 soak: $(VENV)/test.stamp
 	cd benchmarks && ../$(BIN)/python soak.py

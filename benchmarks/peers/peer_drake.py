@@ -10,13 +10,13 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorC
 from pydrake.systems.controllers import InverseDynamicsController
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import Adder, ConstantVectorSource, Sine
-from worker import Array, Case, Task, impedance, task_ticks, ticks
+from worker import Array, Case, Task, impedance, ticks, tool_ticks
 
 
-def plant_of(task: Task, robot: str, period: float = 0.0) -> MultibodyPlant:
-    plant = MultibodyPlant(period)
+def plant_of(task: Task, robot: str) -> MultibodyPlant:
+    plant = MultibodyPlant(0.0)
     Parser(plant).AddModels(task.urdf(robot))
-    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("world_link"))
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("link0"))
     plant.mutable_gravity_field().set_gravity_vector(np.array(task.robots[robot]["gravity"]))
     for joint in task.robots[robot]["joints"]:
         plant.AddJointActuator(joint["name"], plant.GetJointByName(joint["name"]))
@@ -25,7 +25,7 @@ def plant_of(task: Task, robot: str, period: float = 0.0) -> MultibodyPlant:
 
 
 def tick(task: Task, robot: str) -> Case:
-    """Inverse dynamics of the plant, with gains in NumPy: less than half the time of its controller system."""
+    """Inverse dynamics of the plant, with gains in NumPy: less than half the time of InverseDynamicsController."""
     plant, kp, kd = plant_of(task, robot), task.kp, task.kd
     context, forces = plant.CreateDefaultContext(), MultibodyForces(plant)
 
@@ -36,27 +36,10 @@ def tick(task: Task, robot: str) -> Case:
         a = a_des + kp * (q_des - q) + kd * (v_des - v)
         return plant.CalcInverseDynamics(context, a, forces) - gravity
 
-    return ticks(task, law, "CalcInverseDynamics, CalcGravityGeneralizedForces", robot)
+    return ticks(task, robot, law, "CalcInverseDynamics, CalcGravityGeneralizedForces")
 
 
-def controller_tick(task: Task, robot: str) -> Case:
-    plant, n = plant_of(task, robot), len(task.robots[robot]["joints"])
-    ones = np.ones(n)
-    system = InverseDynamicsController(plant, task.kp * ones, 0.0 * ones, task.kd * ones, True)
-    context = system.CreateDefaultContext()
-    ports = [system.get_input_port_estimated_state(), system.get_input_port_desired_state()]
-    ports.append(system.get_input_port_desired_acceleration())
-    out = system.get_output_port_control()
-
-    def law(q: Array, v: Array, q_des: Array, v_des: Array, a_des: Array) -> Array:
-        for port, value in zip(ports, (np.hstack([q, v]), np.hstack([q_des, v_des]), a_des), strict=True):
-            port.FixValue(context, value)
-        return out.Eval(context)
-
-    return ticks(task, law, "InverseDynamicsController, FixValue and Eval", robot)
-
-
-def task_tick(task: Task) -> Case:
+def tool_tick(task: Task) -> Case:
     plant = plant_of(task, "panda")
     context, world = plant.CreateDefaultContext(), plant.world_frame()
     tool = plant.GetFrameByName("tool")
@@ -75,37 +58,34 @@ def task_tick(task: Task) -> Case:
         return impedance(task, M, h, J, Jdot_v, X.translation(), X.rotation().matrix(), q, v, target)
 
     how = "CalcMassMatrix, CalcBiasTerm, CalcJacobianSpatialVelocity, CalcBiasSpatialAcceleration"
-    return task_ticks(task, law, how)
+    return tool_ticks(task, law, how)
 
 
-def simulation(task: Task, robot: str, period: float, how: str) -> Case:
-    """The sine, the controller and the loaded arm as one diagram; time goes on from call to call of `advance`."""
+def closed_loop(task: Task, robot: str) -> Case:
+    """The sine, the controller and the loaded arm as one diagram."""
     n, steps = len(task.robots[robot]["joints"]), 400
     center, amplitude, omega = task.sine(robot)
-    builder = DiagramBuilder()
-    plant = builder.AddSystem(plant_of(task, robot + "_loaded", period))
-    model, ones = plant_of(task, robot), np.ones(n)
+    builder, model, ones = DiagramBuilder(), plant_of(task, robot), np.ones(n)
+    plant = builder.AddSystem(plant_of(task, robot + "_loaded"))
     control = builder.AddSystem(InverseDynamicsController(model, task.kp * ones, 0.0 * ones, task.kd * ones, True))
     # Sine gives a sin, its first and its second derivative; a state is positions, then velocities.
-    place = builder.AddSystem(
-        Sine(np.hstack([amplitude, amplitude * omega]), np.hstack([omega, omega]), np.repeat([0.0, np.pi / 2], n))
-    )
+    phases = np.repeat([0.0, np.pi / 2], n)
+    place = builder.AddSystem(Sine(np.hstack([amplitude, amplitude * omega]), np.hstack([omega, omega]), phases))
     fast = builder.AddSystem(Sine(amplitude, omega, np.zeros(n)))
     middle = builder.AddSystem(ConstantVectorSource(np.hstack([center, np.zeros(n)])))
     total = builder.AddSystem(Adder(2, 2 * n))
-    builder.Connect(place.get_output_port(0), total.get_input_port(0))
-    builder.Connect(middle.get_output_port(), total.get_input_port(1))
-    builder.Connect(total.get_output_port(), control.get_input_port_desired_state())
-    builder.Connect(fast.get_output_port(2), control.get_input_port_desired_acceleration())
-    builder.Connect(plant.get_state_output_port(), control.get_input_port_estimated_state())
-    builder.Connect(control.get_output_port_control(), plant.get_actuation_input_port())
-    diagram = builder.Build()
-    simulator = Simulator(diagram)
-    if not period:
-        config = SimulatorConfig(
-            integration_scheme="semi_explicit_euler", max_step_size=task.dt, use_error_control=False, accuracy=0.1
-        )
-        ApplySimulatorConfig(config, simulator)
+    for source, target in (
+        (place.get_output_port(0), total.get_input_port(0)),
+        (middle.get_output_port(), total.get_input_port(1)),
+        (total.get_output_port(), control.get_input_port_desired_state()),
+        (fast.get_output_port(2), control.get_input_port_desired_acceleration()),
+        (plant.get_state_output_port(), control.get_input_port_estimated_state()),
+        (control.get_output_port_control(), plant.get_actuation_input_port()),
+    ):
+        builder.Connect(source, target)
+    simulator = Simulator(builder.Build())
+    scheme = {"integration_scheme": "semi_explicit_euler", "max_step_size": task.dt, "use_error_control": False}
+    ApplySimulatorConfig(SimulatorConfig(**scheme, accuracy=0.1), simulator)
     context = simulator.get_mutable_context()
     own = plant.GetMyMutableContextFromRoot(context)
 
@@ -117,22 +97,7 @@ def simulation(task: Task, robot: str, period: float, how: str) -> Case:
         simulator.AdvanceTo(steps * task.dt)
         return plant.GetPositions(own)
 
-    return Case(call, steps, how)
+    return Case(call, steps, "a diagram of Sine, InverseDynamicsController, MultibodyPlant; semi_explicit_euler")
 
 
-def closed_loop(task: Task, robot: str) -> Case:
-    how = "diagram of Sine, InverseDynamicsController, MultibodyPlant; semi_explicit_euler, 1 ms"
-    return simulation(task, robot, 0.0, how)
-
-
-def discrete_loop(task: Task, robot: str) -> Case:
-    return simulation(task, robot, task.dt, "the same with a discrete plant of 1 ms")
-
-
-CASES = {
-    "tick": tick,
-    "controller_tick": controller_tick,
-    "task_tick": task_tick,
-    "loop": closed_loop,
-    "discrete_loop": discrete_loop,
-}
+CASES = {"tick": tick, "impedance": tool_tick, "loop": closed_loop}

@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-import os
-
-os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})  # XLA takes all the processors that it is given
-os.environ["JAX_PLATFORMS"] = "cpu"
-
 from collections.abc import Callable
 
 import jax
@@ -32,7 +27,7 @@ def law_of(task: Task, robot: str) -> Callable[..., Array]:
 
 def tick(task: Task, robot: str) -> Case:
     law = jax.jit(law_of(task, robot))
-    return ticks(task, lambda *x: np.asarray(law(*x)), "jit of mjx.inverse", robot)
+    return ticks(task, robot, lambda *x: np.asarray(law(*x)), "jit of mjx.inverse")
 
 
 def one_loop(task: Task, robot: str, ticks: int) -> Callable[..., tuple[Array, Array]]:
@@ -65,7 +60,9 @@ def closed_loop(task: Task, robot: str) -> Case:
     steps = 100
     run = jax.jit(one_loop(task, robot, steps))
     par = (np.float64(task.kp), np.float64(task.kd), np.float64(task.payload["mass"]))
-    return Case(lambda: np.asarray(run(*par)[0]), steps, "jit of lax.scan over mjx.inverse, mjx.step; semi-implicit Euler")
+    return Case(
+        lambda: np.asarray(run(*par)[0]), steps, "jit of lax.scan over mjx.inverse, mjx.step; semi-implicit Euler"
+    )
 
 
 def sweep(task: Task, samples: int, ticks: int, real: str) -> Case:

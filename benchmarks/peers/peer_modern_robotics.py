@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import modern_robotics as mr
 import numpy as np
 from worker import Array, Case, Task, loop, ticks
@@ -26,7 +28,7 @@ def lists(task: Task, robot: str) -> tuple[Array, Array, Array]:
     return np.array(M), np.array(G), np.array(S).T
 
 
-def computed_torque(task: Task, robot: str):
+def computed_torque(task: Task, robot: str) -> Callable[..., Array]:
     M, G, S = lists(task, robot)
     gravity, none = np.array(task.robots[robot]["gravity"]), np.zeros(S.shape[1])
 
@@ -37,7 +39,7 @@ def computed_torque(task: Task, robot: str):
 
 
 def tick(task: Task, robot: str) -> Case:
-    return ticks(task, computed_torque(task, robot), "ComputedTorque", robot)
+    return ticks(task, robot, computed_torque(task, robot), "ComputedTorque")
 
 
 def closed_loop(task: Task, robot: str) -> Case:
@@ -47,7 +49,7 @@ def closed_loop(task: Task, robot: str) -> Case:
     def acceleration(q: Array, v: Array, tau: Array) -> Array:
         return mr.ForwardDynamics(q, v, tau, gravity, none, M, G, S)
 
-    how = "ComputedTorque, ForwardDynamics; semi-implicit Euler, loop in Python"
+    how = "ComputedTorque, ForwardDynamics; loop in Python"
     return loop(task, robot, computed_torque(task, robot), acceleration, 10, how)
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from worker import Array, Case, Task, impedance, task_ticks, ticks
+from worker import Array, Case, Task, impedance, ticks, tool_ticks
 
 
-def model_of(task: Task, robot: str, payload: bool = False, geoms: bool = False) -> mujoco.MjModel:
-    """Bodies, hinges and a site at the tool; with a payload, that as a body of its own; with a ball on each body."""
+def model_of(task: Task, robot: str, payload: bool = False) -> mujoco.MjModel:
+    """Bodies, hinges and a site at the tool; with a payload, that as a body of its own."""
     data = task.robots[robot]
     spec = mujoco.MjSpec()
     spec.option.timestep = task.dt
@@ -16,25 +16,19 @@ def model_of(task: Task, robot: str, payload: bool = False, geoms: bool = False)
     spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     body = spec.worldbody
     for joint, link in zip(data["joints"], data["bodies"], strict=True):
-        full = np.array(link["inertia"])
-        body = body.add_body(
-            name=joint["name"] + "_body",
-            pos=joint["p"],
-            quat=joint["wxyz"],
-            mass=link["mass"],
-            ipos=link["com"],
-            fullinertia=[*np.diag(full), full[0, 1], full[0, 2], full[1, 2]],
-            explicitinertial=True,
-        )
-        if geoms:
-            body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.01, 0.0, 0.0], contype=0, conaffinity=0, mass=0.0)
-        body.add_joint(name=joint["name"], type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0.0, 0.0, 1.0])
-    body.add_site(name="tool", pos=data["tool"]["p"], quat=data["tool"]["wxyz"])
+        I = np.array(link["inertia"])
+        inertial = {
+            "mass": link["mass"],
+            "ipos": link["com"],
+            "fullinertia": [*np.diag(I), I[0, 1], I[0, 2], I[1, 2]],
+        }
+        body = body.add_body(pos=joint["p"], quat=joint["wxyz"], explicitinertial=True, **inertial)
+        body.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0.0, 0.0, 1.0])
+    place = {"pos": data["tool"]["p"], "quat": data["tool"]["wxyz"]}
+    body.add_site(name="tool", **place)
     if payload:
-        held = task.payload
-        place = {"pos": data["tool"]["p"], "quat": data["tool"]["wxyz"]}
-        load = body.add_body(name="payload", mass=float(held["mass"]), ipos=held["com"], explicitinertial=True, **place)
-        load.inertia = np.diag(held["inertia"])
+        mass, com, I = (task.payload[name] for name in ("mass", "com", "inertia"))
+        body.add_body(name="payload", mass=float(mass), ipos=com, inertia=np.diag(I), explicitinertial=True, **place)
     return spec.compile()
 
 
@@ -48,10 +42,10 @@ def tick(task: Task, robot: str) -> Case:
         mujoco.mj_inverse(model, data)
         return data.qfrc_inverse.copy()
 
-    return ticks(task, law, "mj_inverse", robot)
+    return ticks(task, robot, law, "mj_inverse")
 
 
-def task_tick(task: Task) -> Case:
+def tool_tick(task: Task) -> Case:
     model = model_of(task, "panda")
     data, n, site = mujoco.MjData(model), model.nv, model.site("tool").id
     body = model.site_bodyid[site]
@@ -61,13 +55,12 @@ def task_tick(task: Task) -> Case:
         data.qpos[:], data.qvel[:] = q, v
         mujoco.mj_step1(model, data)
         mujoco.mj_fullM(model, data, M)
-        p = data.site_xpos[site]
+        p, R = data.site_xpos[site], data.site_xmat[site].reshape(3, 3)
         mujoco.mj_jacSite(model, data, J[:3], J[3:], site)
         mujoco.mj_jacDot(model, data, Jdot[:3], Jdot[3:], p, body)
-        R = data.site_xmat[site].reshape(3, 3)
         return impedance(task, M, data.qfrc_bias, J, Jdot @ v, p, R, q, v, target)
 
-    return task_ticks(task, law, "mj_step1, mj_fullM, qfrc_bias, mj_jacSite, mj_jacDot")
+    return tool_ticks(task, law, "mj_step1, mj_fullM, qfrc_bias, mj_jacSite, mj_jacDot")
 
 
 def closed_loop(task: Task, robot: str) -> Case:
@@ -87,7 +80,7 @@ def closed_loop(task: Task, robot: str) -> Case:
             mujoco.mj_step(plant, data)
         return data.qpos.copy()
 
-    return Case(call, steps, "mj_inverse of the law's model, mj_step; semi-implicit Euler, loop in Python")
+    return Case(call, steps, "mj_inverse, mj_step; loop in Python")
 
 
-CASES = {"tick": tick, "task_tick": task_tick, "loop": closed_loop}
+CASES = {"tick": tick, "impedance": tool_tick, "loop": closed_loop}

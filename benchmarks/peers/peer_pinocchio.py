@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pinocchio as pin
-from worker import Array, Case, Task, impedance, loop, task_ticks, ticks
-
-HOW = "rnea(q, v, a)"
+from worker import Array, Case, Task, impedance, loop, ticks, tool_ticks
 
 
-class Arm:
-    """A model with its data."""
-
-    def __init__(self, task: Task, robot: str) -> None:
-        self.model = pin.buildModelFromUrdf(task.urdf(robot))
-        self.model.gravity.linear = np.array(task.robots[robot]["gravity"])
-        self.data = self.model.createData()
+def model_of(task: Task, robot: str) -> tuple[pin.Model, pin.Data]:
+    model = pin.buildModelFromUrdf(task.urdf(robot))
+    model.gravity.linear = np.array(task.robots[robot]["gravity"])
+    return model, model.createData()
 
 
-def computed_torque(task: Task, robot: str):
-    arm, kp, kd = Arm(task, robot), task.kp, task.kd
-    model, data = arm.model, arm.data
+def computed_torque(task: Task, robot: str) -> Callable[..., Array]:
+    (model, data), kp, kd = model_of(task, robot), task.kp, task.kd
 
     def law(q: Array, v: Array, q_des: Array, v_des: Array, a_des: Array) -> Array:
         return pin.rnea(model, data, q, v, a_des + kp * (q_des - q) + kd * (v_des - v))
@@ -29,13 +25,12 @@ def computed_torque(task: Task, robot: str):
 
 
 def tick(task: Task, robot: str) -> Case:
-    return ticks(task, computed_torque(task, robot), HOW, robot)
+    return ticks(task, robot, computed_torque(task, robot), "rnea")
 
 
-def task_tick(task: Task) -> Case:
-    arm = Arm(task, "panda")
-    model, data, still = arm.model, arm.data, np.zeros(arm.model.nv)
-    frame = model.getFrameId("tool")
+def tool_tick(task: Task) -> Case:
+    model, data = model_of(task, "panda")
+    frame, still = model.getFrameId("tool"), np.zeros(model.nv)
     axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
     def law(q: Array, v: Array, *target: Array) -> Array:
@@ -49,15 +44,13 @@ def task_tick(task: Task) -> Case:
         T = data.oMf[frame]
         return impedance(task, M, h, J, Jdot_v, T.translation, T.rotation, q, v, target)
 
-    return task_ticks(task, law, "crba, nonLinearEffects, getFrameJacobian, getFrameClassicalAcceleration")
+    return tool_ticks(task, law, "crba, nonLinearEffects, getFrameJacobian, getFrameClassicalAcceleration")
 
 
 def closed_loop(task: Task, robot: str) -> Case:
-    plant = Arm(task, robot + "_loaded")
-    model, data = plant.model, plant.data
+    model, data = model_of(task, robot + "_loaded")
     law = computed_torque(task, robot)
-    how = "rnea, aba; semi-implicit Euler, loop in Python"
-    return loop(task, robot, law, lambda q, v, tau: pin.aba(model, data, q, v, tau), 400, how)
+    return loop(task, robot, law, lambda q, v, tau: pin.aba(model, data, q, v, tau), 400, "rnea, aba; loop in Python")
 
 
-CASES = {"tick": tick, "task_tick": task_tick, "loop": closed_loop}
+CASES = {"tick": tick, "impedance": tool_tick, "loop": closed_loop}

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from roboticstoolbox import DHRobot, RevoluteMDH
 from spatialmath import SE3
-from worker import Array, Case, Task, impedance, loop, task_ticks, ticks
+from worker import Array, Case, Task, impedance, loop, ticks, tool_ticks
 
 
 def robot_of(task: Task, robot: str) -> DHRobot:
@@ -22,7 +24,7 @@ def robot_of(task: Task, robot: str) -> DHRobot:
     return DHRobot(links, tool=tool, gravity=data["gravity"])
 
 
-def computed_torque(task: Task, robot: str):
+def computed_torque(task: Task, robot: str) -> Callable[..., Array]:
     arm, kp, kd = robot_of(task, robot), task.kp, task.kd
 
     def law(q: Array, v: Array, q_des: Array, v_des: Array, a_des: Array) -> Array:
@@ -32,10 +34,10 @@ def computed_torque(task: Task, robot: str):
 
 
 def tick(task: Task, robot: str) -> Case:
-    return ticks(task, computed_torque(task, robot), "DHRobot.rne", robot)
+    return ticks(task, robot, computed_torque(task, robot), "DHRobot.rne")
 
 
-def task_tick(task: Task) -> Case:
+def tool_tick(task: Task) -> Case:
     arm = robot_of(task, "panda")
     still = np.zeros(arm.n)
 
@@ -45,13 +47,12 @@ def task_tick(task: Task) -> Case:
         Jdot_v = arm.jacob0_dot(q, v, J0=J) @ v
         return impedance(task, arm.inertia(q), arm.rne(q, v, still), J, Jdot_v, T[:3, 3], T[:3, :3], q, v, target)
 
-    return task_ticks(task, law, "DHRobot.inertia, rne, jacob0, jacob0_dot, fkine")
+    return tool_ticks(task, law, "DHRobot.inertia, rne, jacob0, jacob0_dot, fkine")
 
 
 def closed_loop(task: Task, robot: str) -> Case:
     plant = robot_of(task, robot + "_loaded")
-    how = "rne, accel; semi-implicit Euler, loop in Python"
-    return loop(task, robot, computed_torque(task, robot), plant.accel, 100, how)
+    return loop(task, robot, computed_torque(task, robot), plant.accel, 100, "rne, accel; loop in Python")
 
 
-CASES = {"tick": tick, "task_tick": task_tick, "loop": closed_loop}
+CASES = {"tick": tick, "impedance": tool_tick, "loop": closed_loop}

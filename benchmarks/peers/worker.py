@@ -1,7 +1,7 @@
-"""What the process of a peer does: it answers requests on standard input, one line of JSON each. NumPy alone is needed.
+"""The process of one peer: it makes cases and times them, asked in lines of JSON. It needs NumPy alone.
 
-The module of a peer has `CASES`: for each kind of case a function `(task, **case) -> Case`; a case that it raises
-is reported in its words. Errors of the arms are desired minus actual, 6-vectors have the linear part first.
+A peer's module has `CASES`: by kind of case a function `(task, **case) -> Case`. Errors are desired minus actual, and
+6-vectors have the linear part first.
 """
 
 from __future__ import annotations
@@ -14,18 +14,16 @@ import sys
 import time
 import timeit
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[name] = "1"
-
 import numpy as np
 
 Array = Any
+BURST = 0.03  # [s] of processor time that a case takes in a round, or one call
 
 
 @dataclass(frozen=True)
@@ -33,9 +31,9 @@ class Case:
     """Something to be timed.
 
     Args:
-        call: Does `steps` steps (ticks, steps of the loop) and returns what they gave.
+        call: Does `steps` steps (ticks, or steps of the loop) and returns what they gave.
         steps: Of all samples together.
-        how: The interface and the integrator in a few words.
+        how: The interface in a few words.
     """
 
     call: Callable[[], Any]
@@ -44,7 +42,7 @@ class Case:
 
 
 class Task:
-    """The arm, the states, the laws and the motion that all share, read from a folder."""
+    """The arms, the states, the laws and the motion that all share, read from a folder."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -69,7 +67,8 @@ class Task:
 
     def sine(self, robot: str) -> tuple[Array, Array, Array]:
         """Center, amplitude and angular frequency of the motion that every loop follows."""
-        return tuple(np.array(row) for row in self.robots[robot]["sine"])
+        center, amplitude, omega = (np.array(row) for row in self.robots[robot]["sine"])
+        return center, amplitude, omega
 
     def motion(self, robot: str) -> Callable[[float], tuple[Array, Array, Array]]:
         """That motion: q, v, a at a time."""
@@ -82,36 +81,22 @@ class Task:
         return at
 
 
-def ticks(task: Task, law: Callable[..., Array], how: str, robot: str = "panda") -> Case:
+def ticks(task: Task, robot: str, law: Callable[..., Array], how: str) -> Case:
     """A law of joints at each of the states, one call a tick."""
     states = task.states(robot)
-
-    def call() -> list[Array]:
-        return [law(q, v, q_des, v_des, a_des) for q, v, q_des, v_des, a_des in states]
-
-    return Case(call, len(states), how)
+    return Case(lambda: [law(*state) for state in states], len(states), how)
 
 
-def task_ticks(task: Task, law: Callable[..., Array], how: str) -> Case:
+def tool_ticks(task: Task, law: Callable[..., Array], how: str) -> Case:
     """A law of the tool at each of the states, one call a tick."""
     rows = [(q, v, *target) for (q, v, *_), target in zip(task.states("panda"), task.targets(), strict=True)]
-
-    def call() -> list[Array]:
-        return [law(q, v, p, R, V, a) for q, v, p, R, V, a in rows]
-
-    return Case(call, len(rows), how)
+    return Case(lambda: [law(*row) for row in rows], len(rows), how)
 
 
 def loop(
-    task: Task,
-    robot: str,
-    law: Callable[..., Array],
-    acceleration: Callable[..., Array],
-    steps: int,
-    how: str,
+    task: Task, robot: str, law: Callable[..., Array], acceleration: Callable[..., Array], steps: int, how: str
 ) -> Case:
     """A closed loop in Python: law, forward dynamics of the loaded arm, semi-implicit Euler."""
-
     wanted = task.motion(robot)
 
     def call() -> Array:
@@ -146,51 +131,57 @@ def impedance(
     return J.T @ F + h + posture - J.T @ (Lambda @ (J @ (Minv @ posture)))
 
 
-def versions(names: Sequence[str]) -> dict[str, str]:
-    return {name: version(name) for name in names}
+class Cases:
+    """The cases of a process, each made once and then timed in turns."""
 
+    def __init__(self, task: Task, kinds: Mapping[str, Callable[..., Case]]) -> None:
+        self._task, self._kinds = task, kinds
+        self._timers: dict[str, tuple[timeit.Timer, int, int]] = {}
 
-def answers(task: Task, cases: Mapping[str, Callable[..., Case]]) -> Iterator[dict[str, Any]]:
-    """One answer for each request."""
-    timers: dict[str, tuple[timeit.Timer, int]] = {}
-    for line in sys.stdin:
-        request = json.loads(line)
-        key = json.dumps(request["case"])
-        case = dict(request["case"])
-        if "budget" in request:
-            timer, steps = timers[key]
-            wall = time.perf_counter()
-            n = request["n"]
-            core = timer.timeit(n)
-            yield {"core": core / n / steps, "wall": (time.perf_counter() - wall) / n / steps}
-            continue
-        try:
-            began = time.process_time()
-            made = cases[case.pop("kind")](task, **case)
-            result = np.asarray(made.call(), dtype=float)
-            ready = time.process_time() - began
-            timer = timeit.Timer(made.call, timer=time.process_time)
-            n, spent = 1, timer.timeit(1)
-            while spent < 0.3 * request["burst"]:
-                n *= 2
-                spent = timer.timeit(n)
-            timers[key] = timer, made.steps
-            n = max(1, round(n * request["burst"] / spent))
-            yield {"result": result.tolist(), "how": made.how, "n": n, "ready": ready, "steps": made.steps}
-        except Exception as error:  # noqa: BLE001  # whatever it is, it is what happened to this peer
-            traceback.print_exc()
-            yield {"error": " ".join(f"{type(error).__name__}: {error}".split())[:200]}
+    def made(self, case: Mapping[str, Any]) -> dict[str, Any]:
+        """What the case gives, how many steps that took, and the processor time until then [s]."""
+        began, rest = time.process_time(), dict(case)
+        made = self._kinds[rest.pop("kind")](self._task, **rest)
+        result = np.asarray(made.call(), dtype=float)
+        first = time.process_time() - began
+        timer = timeit.Timer(made.call, timer=time.process_time)
+        n, spent = 1, timer.timeit(1)
+        while spent < 0.3 * BURST:
+            n *= 2
+            spent = timer.timeit(n)
+        self._timers[str(case)] = timer, max(1, round(n * BURST / spent)), made.steps
+        return {"result": result, "how": made.how, "steps": made.steps, "first": first}
+
+    def turn(self, case: Mapping[str, Any]) -> dict[str, float]:
+        """Processor time of one step [s]."""
+        timer, n, steps = self._timers[str(case)]
+        return {"seconds": timer.timeit(n) / n / steps}
 
 
 def main() -> None:
-    """`python worker.py MODULE FOLDER PACKAGE...`: first the versions, then an answer for each request."""
+    """`python worker.py MODULE FOLDER PACKAGE...`: first the versions, then an answer to each request."""
     out = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what the peer prints does not get among the answers
-    sys.path.insert(0, str(Path(__file__).parent))
-    module = importlib.import_module(sys.argv[1])
-    print(json.dumps({"versions": versions(sys.argv[3:])}), file=out, flush=True)
-    for answer in answers(Task(Path(sys.argv[2])), module.CASES):
-        print(json.dumps(answer), file=out, flush=True)
+
+    def answer(make: Callable[[], dict[str, Any]]) -> None:
+        try:
+            found = make()
+        except Exception as error:  # whatever it is, it is what happened to this peer
+            traceback.print_exc()
+            found = {"error": " ".join(f"{type(error).__name__}: {error}".split())[:200]}
+        print(json.dumps(found, default=lambda array: array.tolist()), file=out, flush=True)
+
+    cases: list[Cases] = []
+
+    def start() -> dict[str, Any]:
+        module = importlib.import_module(sys.argv[1])
+        cases.append(Cases(Task(Path(sys.argv[2])), module.CASES))
+        return {name: version(name) for name in sys.argv[3:]}
+
+    answer(start)
+    for line in sys.stdin:
+        request = json.loads(line)
+        answer(lambda request=request: getattr(cases[0], request["verb"])(request["case"]))
 
 
 if __name__ == "__main__":
