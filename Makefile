@@ -33,7 +33,7 @@ lock: $(BIN)/python
 	$(BIN)/python tools/lock.py
 
 bars: $(VENV)/test.stamp
-	TAUT_BARS=1 $(BIN)/pytest -n 2 -m "bars or long" -s
+	TAUT_BARS=1 $(BIN)/pytest -n 2 -m "bars or long or part" -s
 
 N ?= 10000
 fuzz: $(VENV)/test.stamp

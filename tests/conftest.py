@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import gc
+import hashlib
 import json
 import os
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -58,8 +60,8 @@ def only_our_metrics() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def share() -> Callable[[int], int]:
-    """How many of n cases to take: all in `make bars`, else a tenth."""
-    return lambda n: n if WHOLE else max(1, n // 10)
+    """How many of n cases to take: all in `make bars`, else a twentieth."""
+    return lambda n: n if WHOLE else max(1, n // 20)
 
 
 @pytest.fixture
@@ -70,11 +72,23 @@ def bar(record_property: Callable[[str, object], None]) -> Bar:
 
 @pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    left = set(left_out(items))
     for item in items:
         if "share" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.bars)
-        if not WHOLE and item.get_closest_marker("long"):
+        if not WHOLE and (item.get_closest_marker("long") or item in left):
             item.add_marker(pytest.mark.skip(reason="make bars runs it"))
+
+
+def left_out(items: list[pytest.Item]) -> Iterator[pytest.Item]:
+    """Of the cases of a test marked `part(n)`, all but n: a draw by their names."""
+    cases: dict[str, list[pytest.Item]] = defaultdict(list)
+    for item in items:
+        if item.get_closest_marker("part"):
+            cases[item.nodeid.partition("[")[0]].append(item)
+    for some in cases.values():
+        some.sort(key=lambda item: hashlib.sha256(item.nodeid.encode()).digest())
+        yield from some[some[0].get_closest_marker("part").args[0] :]
 
 
 def pytest_collection_finish() -> None:

@@ -29,6 +29,7 @@ def grows(arm: taut.Arm, ctrl: taut.Controller, factor: float, q: Any) -> bool:
     return not run.outcome.ok or bool(parts[9] > parts[5])
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("name", ["panda", "ur10", "xarm7"])
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_runs_begin_to_grow_at_the_limit(name: str) -> None:
@@ -52,6 +53,7 @@ AWKWARD = {
 }
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("case", AWKWARD)
 @pytest.mark.parametrize(
     "velocity", ["measured", taut.sensors.Difference(cutoff=60.0)], ids=["measured", "difference"]

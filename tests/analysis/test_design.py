@@ -228,6 +228,7 @@ MET: list[tuple[Callable[[], Any], str, dict[str, Any]]] = [
 ]
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize(("make", "name", "asked"), MET)
 def test_what_can_be_is_met(make: Callable[[], Any], name: str, asked: dict[str, Any]) -> None:
     at = [0.3, 0.8, 0.4] if name == "planar3" else None

@@ -235,6 +235,7 @@ def carried(name: str, mass: float, com: list[float], duration: float = 1.0, ang
     return taut.run(computed_torque(name), taut.RigidPlant(arm.with_payload(mass, com=com)), path, duration=duration)
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize(
     ("name", "mass", "com", "duration", "angle"),
     [
@@ -254,6 +255,7 @@ def test_a_payload_is_found_alone_with_its_mass_and_centre(
     assert 3e-4 < numbers["standard error of the centre"] < 0.03
 
 
+@pytest.mark.long
 def test_a_payload_is_fitted_beyond_the_one_that_was_declared() -> None:
     arm = runs.arm_of("panda")
     ctrl = taut.compile(L.ComputedTorque(kp=100.0, kd=20.0), arm.with_payload(1.0, com=[0.0, 0.0, 0.05]))

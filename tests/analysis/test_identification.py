@@ -128,6 +128,7 @@ def test_a_panda_with_2_kg_gives_payload_and_friction_back(kind: Any) -> None:
     assert set(found.without_slow_motion) <= set(arm.joint_names)
 
 
+@pytest.mark.long
 def test_intervals_of_95_percent_cover_95_percent(
     share: Callable[[int], int], bar: Callable[[str, object], None]
 ) -> None:
@@ -141,6 +142,7 @@ def test_intervals_of_95_percent_cover_95_percent(
     assert np.sqrt(np.mean(np.square(errors))) < 1.25
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("name", ["ur10", "kinova", "planar2"])
 def test_other_arms_give_payload_and_friction_back(name: str) -> None:
     arm = arm_of(name)

@@ -102,6 +102,7 @@ def test_jumps_between_the_samples_of_a_sine_are_located() -> None:
     ]  # fmt: skip
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("seed", [8, 19, 36])
 def test_an_element_in_two_parts_makes_the_same_cycles(seed: int) -> None:
     """One of y and one of 3 y, at two inputs that act alike, against the sum of both at one."""

@@ -23,6 +23,7 @@ def sampled_model(arm, q, rate):
     return whole[: 2 * n, : 2 * n], whole[: 2 * n, 2 * n :]
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("name", CASES)
 def test_the_gain_is_that_of_python_control_on_a_model_of_its_own(name):
     arm, rate, rng = taut.load_arm(name), CASES[name], np.random.default_rng(4)

@@ -80,6 +80,7 @@ def test_in_a_tight_run_the_slope_of_its_values_is_minus_v_kd_v() -> None:
     assert np.abs(slope - damping).max() < TIGHT * np.abs(damping).max()
 
 
+@pytest.mark.long
 @pytest.mark.bars
 def test_from_every_state_of_every_arm_it_comes_to_rest_at_the_target(
     share: Callable[[int], int], bar: Callable[[str, object], None]

@@ -88,6 +88,7 @@ def plan_of(loop: taut.Loop, vary: Any, samples: int = 6, **more: Any) -> Plan:
 # -------------------------------------------------------------------- bits
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("case", CASES)
 def test_a_sample_is_the_run_of_its_numbers_bit_for_bit(case: str) -> None:
     make, vary = CASES[case]
@@ -102,6 +103,7 @@ def test_a_sample_is_the_run_of_its_numbers_bit_for_bit(case: str) -> None:
     assert len(np.unique(found.rows[moved])) > 100
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("case", ["gains, payload and state", "noise, quantisation, friction, limits", "impedance"])
 def test_metrics_summed_up_on_the_way_are_those_of_the_runs(case: str) -> None:
     make, vary = CASES[case]

@@ -236,6 +236,7 @@ def closed_form(arm: taut.Arm, omega: Float64Array, kfp: float, kdamp: float) ->
     return np.array(out), damping
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("name", ["planar3", "gantry3", "ur10"])
 @pytest.mark.parametrize("kfp", [0.0, 1.0])
 def test_hybrid_control_is_motion_along_its_constraint_and_force_against_it(name: str, kfp: float) -> None:

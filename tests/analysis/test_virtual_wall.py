@@ -196,6 +196,7 @@ class TestPassiveEnvironments:
         assert predicted == pytest.approx(limit, rel=0.03)
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_runs_of_taut_have_the_borders_of_the_eigenvalues(
     share: Callable[[int], int], bar: Callable[[str, object], None]

@@ -270,6 +270,7 @@ def compile_in_a_process(path: str, start: Any, answers: Any) -> None:
     answers.put(tau.tolist())
 
 
+@pytest.mark.long
 def test_eight_processes_compile_the_same_law_at_once(folder: Path) -> None:
     spawn = multiprocessing.get_context("spawn")
     start, answers = spawn.Barrier(8), spawn.Queue()

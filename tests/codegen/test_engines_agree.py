@@ -36,6 +36,7 @@ def states(arm: taut.Arm) -> list[tuple[Float64Array, Float64Array, taut.JointMo
     ]
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("name", NAMES)
 def test_native_code_agrees_with_plain_python(name: str, law: str) -> None:

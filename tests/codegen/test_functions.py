@@ -74,6 +74,7 @@ def ulps(got: Float64Array, exact: Any) -> Float64Array:
     return np.asarray(np.abs(np.longdouble(got) - exact) / np.spacing(np.abs(exact.astype(np.float64))))
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("name", ONE)
 def test_a_function_is_right_to_its_last_bits(name: str) -> None:
     function, true, draws, special = ONE[name]

@@ -103,6 +103,7 @@ def random_tick(rng: np.random.Generator) -> tuple[Float64Array, Float64Array, t
     return q, v, taut.TaskMotion(pose=pose, twist=rng.standard_normal(6), acceleration=rng.standard_normal(6))
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("error", ["decoupled", "body", "space", "coordinates"])
 def test_engines_and_pinocchio_give_the_same_torques(error: str, share: Callable[[int], int]) -> None:
     rng = np.random.default_rng(11)

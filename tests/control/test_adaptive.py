@@ -125,6 +125,7 @@ def masses(arm: taut.Arm, q: Float64Array) -> Float64Array:
     return over_rows(lambda q: {"M": mass_matrix(model, q, load)}, q=arm.n)(q=q)["M"]
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("name", ["planar2", "ur10", *(["z1"] if WHOLE else [])])
 @pytest.mark.parametrize("links", ["payload", "all"])
 def test_the_lyapunov_function_falls_at_the_rate_of_the_proof(name: str, links: Any) -> None:

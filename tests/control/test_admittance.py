@@ -106,6 +106,7 @@ class TestAUR10LedByAHand:
         assert Z.imag / w == pytest.approx(D, rel=WITHIN)
         assert abs(Z) == pytest.approx(abs(1j * w * D + B), rel=WITHIN)
 
+    @pytest.mark.part(2)
     def test_feels_like_the_damper_and_the_spring_that_were_asked_for(self, mode: str) -> None:
         push = steady(6.0, 0.0, -3.0, 0.0, 0.5, 0.0)
         run = led(mode, push, 6.0, K=(300.0, 30.0), B=(160.0, 16.0))
@@ -137,6 +138,7 @@ class TestAUR10LedByAHand:
 class TestAContact:
     """A spring k that a UR10 in velocity mode leans on needs B > k t, with t the lags between hand and motion."""
 
+    @pytest.mark.part(2)
     @pytest.mark.parametrize("D", [10.0, 40.0])
     @pytest.mark.parametrize(
         ("cutoff", "led", "lag"),

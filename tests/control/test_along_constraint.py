@@ -57,6 +57,7 @@ def nearest(A: Array, six: Array, to: Array) -> Array:
     return found
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", ["panda", "ur10"])
 def test_the_tool_does_what_the_law_says_of_what_is_asked_along_the_constraint(name: str, kind: str) -> None:
@@ -179,6 +180,7 @@ def on_soft_board(motion: taut.Law, depth: float) -> Array:
     return np.asarray(run.task.p[-1, :2] - T.p[:2])
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize(
     "motion",
     [

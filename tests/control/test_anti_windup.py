@@ -53,6 +53,7 @@ FAR = taut.JointMotion(q=[2.0, -1.5])
 REST = np.zeros(2)
 
 
+@pytest.mark.part(2)
 @engines
 @pytest.mark.parametrize(
     "ki", [5.0, [5.0, 8.0], np.array([[5.0, 1.0], [1.0, 8.0]])], ids=["scalar", "vector", "matrix"]

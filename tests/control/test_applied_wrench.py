@@ -19,6 +19,7 @@ def tool_speeds(arm, run, every=4):
     return np.array([np.asarray(taut.snapshot(arm, q).J()) @ v for q, v in rows])
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("name", ["ur10", "panda", "kinova"])
 @pytest.mark.parametrize("part", [0, 3])
 def test_without_contact_the_tool_goes_no_faster_than_stated(name, part, share):

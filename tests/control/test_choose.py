@@ -54,6 +54,7 @@ OF_ONE_JOINT = re.compile(r"laws\.PID\(")  # whose gains are for one_joint, as t
 TOUCHING = taut.environments.Push(peak=[0.0, 0.0, 0.0])  # nothing, but the wrench is measured
 
 
+@pytest.mark.part(2)
 @pytest.mark.bars
 @pytest.mark.parametrize(
     "code", [code for heading, code in lines() if heading not in DRIVES], ids=lambda text: text[:60]

@@ -51,6 +51,7 @@ def estimated(
     return tilt
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("mu", [0.0, 0.2, 0.5])
 @pytest.mark.parametrize("degrees", [3.0, 10.0, 15.0])
 def test_one_second_of_sliding_one_way_shows_any_tilt_to_a_degree_whatever_the_friction(

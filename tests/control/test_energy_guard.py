@@ -58,6 +58,7 @@ def stopped(run: taut.Run) -> bool:
     return [window.name for window in run.phases] != ["move"]
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("name", ["planar2", "ur10", "panda"])
 @pytest.mark.parametrize("frictionless", [True, False])
 def test_the_energy_is_the_work_of_the_torque_less_what_lifted_the_arm(name: str, frictionless: bool) -> None:

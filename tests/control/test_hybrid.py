@@ -242,6 +242,7 @@ def test_joint_torques_measure_the_contact_whatever_the_plant_adds_itself(adds: 
     assert abs(run.extra["contact.lam"][-1, 0] + 10.0) < 0.1
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize(
     ("kfp", "kfi", "settles"), [(0.95, 1.0, True), (1.05, 1.0, False), (0.5, 900.0, True), (0.5, 1100.0, False)]
 )
@@ -320,6 +321,7 @@ def squared(T: Pose) -> Any:
     return (T.p[2] - 0.4) * (T.p[2] - 0.4)
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize(
     ("make", "error"),
     [

@@ -76,6 +76,7 @@ LIGHT = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "axis"), LIGHT)
 def test_damping_beside_the_tool_is_stable_off_contact_on_light_directions_too(name: str, axis: int) -> None:
     """A face beside the tool: one of its rows is rotation about the last link, which next to nothing resists."""
@@ -194,6 +195,7 @@ def test_a_stream_into_the_surface_is_told_and_followed_along_it(faded: taut.Con
     assert quiet.outcome.message == "completed: 301 ticks, 0.3 s"
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize(
     ("forces", "told"),
     [

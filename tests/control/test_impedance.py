@@ -216,6 +216,7 @@ def test_an_inertia_cannot_become_zero_in_a_run() -> None:
         ctrl.parameters["law.D"] = (0.0, 0.5)
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("name", ["planar2", "planar3", "gantry3", "so101"])
 @pytest.mark.parametrize("damping", [{"zeta": 0.7}, {"B": (0.5, 0.001)}], ids=["zeta", "B"])
 def test_an_arm_of_few_joints_moves_in_the_directions_that_it_has(name: str, damping: dict[str, Any]) -> None:

@@ -119,6 +119,7 @@ class TestTheTaskIsLeftInPeace:
         R = max(float(np.abs(rotation_log(each.R @ T.R.T)).max()) for each in poses)
         return float(np.abs(out.q - arm.home).max()), p, R
 
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("arm", TASKS)
     def test_by_a_posture(self, arm: str) -> None:
         made, task = TASKS[arm]
@@ -131,6 +132,7 @@ class TestTheTaskIsLeftInPeace:
         if made.n == 7:
             assert R < 1e-6
 
+    @pytest.mark.part(1)
     @pytest.mark.bars
     @pytest.mark.parametrize("arm", ["panda", "fr3", "xarm7"])
     def test_by_less_than_a_micrometre_at_one_kilohertz(self, arm: str, bar: Any) -> None:
@@ -143,6 +145,7 @@ class TestTheTaskIsLeftInPeace:
             bar(f"null space, {arm}: {joints:.2f} rad of it move the tool, {substeps} steps a tick", f"{p:.1e} m")
             assert p < 1e-6
 
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("arm", ["panda", "kinova"])
     def test_by_manipulability(self, arm: str) -> None:
         made, task = TASKS[arm]
@@ -190,6 +193,7 @@ class Circle:
         return taut.TaskMotion(pose=taut.Pose.of(self.T.R, p), twist=[*v, 0, 0, 0], acceleration=[*a, 0, 0, 0])
 
 
+@pytest.mark.long
 def test_limit_avoidance_keeps_joints_off_the_limits_that_a_long_circle_would_take_them_to() -> None:
     """With hardly any damping the elbow drifts from lap to lap, and ends up turning round; the tool does not feel it."""
     q0 = np.array(PANDA.home)

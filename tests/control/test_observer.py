@@ -101,6 +101,7 @@ def filtered(exact: Float64Array, bandwidth: Float64Array) -> Float64Array:
     return out
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ["ur10", "kinova", "gantry3"])
 def test_any_arm_under_any_force_is_estimated_as_the_closed_form_says(name: str, share: Callable[[int], int]) -> None:
     """Seeded: arms with payload, rotors and viscous friction, limits that cut, random motions, gains and pushes."""
@@ -331,6 +332,7 @@ def test_for_one_joint_the_disturbance_observer_is_the_pid_of_its_gains() -> Non
     assert np.abs(errors[0] - errors[1]).max() < 0.03 * peak
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ["ur10", "kinova"])
 def test_a_constant_disturbance_leaves_no_error(name: str, share: Callable[[int], int]) -> None:
     """Seeded: arms with wrong links, an unknown load and a steady push hold any pose exactly."""
@@ -352,6 +354,7 @@ def test_a_constant_disturbance_leaves_no_error(name: str, share: Callable[[int]
         assert errors[1] < 1e-4 < 1e-2 < errors[0], (seed, errors)
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ["ur10", "planar2"])
 def test_the_limit_of_the_bandwidth_is_that_of_the_formula_on_any_arm(name: str, share: Callable[[int], int]) -> None:
     """Seeded: stable below K_O T max eig(M^ M^-1) = 2 and unstable above, for models whose links are off."""
@@ -478,6 +481,7 @@ def test_a_geom_of_mujoco_is_met_and_the_arm_stops() -> None:
     assert peaks["stop"] < 0.75 * peaks["none"]
 
 
+@pytest.mark.long
 def test_a_threshold_of_a_wrong_arm_gives_no_false_alarm_on_it(share: Callable[[int], int]) -> None:
     """Seeded: arms that differ from the model by 10 %, and the same motion slower or from a little beside."""
     for seed in range(share(20)):
@@ -512,6 +516,7 @@ def arms_of(ctrl: taut.Controller, arm: taut.Arm, unknown: laws.Uncertainty, ref
     return estimate
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ["planar2", "ur10", "panda", "xarm7"])
 def test_thresholds_of_intervals_hold_for_every_arm_in_them_and_the_worst_reaches_them(
     name: str, share: Callable[[int], int]

@@ -56,6 +56,7 @@ class TestTheRoom:
 class TestASpeedLimit:
     LIMITS = taut.Limits.of(PANDA, speed=True)
 
+    @pytest.mark.part(2)
     @pytest.mark.parametrize("seed", range(6))
     @pytest.mark.parametrize("with_rate", [False, True])
     def test_holds_for_steps_under_pid_on_a_panda_with_a_load(self, seed: int, with_rate: bool) -> None:

@@ -111,6 +111,7 @@ def test_it_ends_in_a_state_that_moves():
     np.testing.assert_allclose(tool.at(1.0).twist, twist, atol=1e-12)
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("tool", [False, True])
 def test_a_new_goal_in_mid_motion_makes_no_jump_of_torque(tool):
     """Against the same change of goal by a motion that begins at rest."""

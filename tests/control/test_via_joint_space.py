@@ -128,6 +128,7 @@ SMOOTH = {
 
 
 class TestTheMotionOfTheJoints:
+    @pytest.mark.part(2)
     @pytest.mark.parametrize("name", ["planar3", "panda", "ur10", "z1"])
     def test_is_the_inverse_kinematics_of_the_target(self, name: str) -> None:
         """Equation 10.28, after one step a tick: rounding is all that is left once the start has died away."""
@@ -177,6 +178,7 @@ class TestTheMotionOfTheJoints:
 
 
 class TestTheClosedLoop:
+    @pytest.mark.part(2)
     @pytest.mark.parametrize("name", ["planar3", "panda", "ur10"])
     def test_is_that_of_the_law_inside(self, name: str) -> None:
         """From 5 mm off, joint errors fall as e_ddot + kd e_dot + kp e = 0, sampled: within 1 %."""

@@ -48,6 +48,7 @@ class TestGainsThatAreTooLarge:
         ("fr3", DAMPED, "law.B", "fr3_joint7"),
     )
 
+    @pytest.mark.part(2)
     @pytest.mark.parametrize(("name", "law", "gain", "joint"), CASES)
     def test_are_named_with_the_largest_that_is_stable(self, name: str, law: taut.Law, gain: str, joint: str) -> None:
         arm = without_friction(name)
@@ -103,6 +104,7 @@ class TestAgreement:
 
     ARMS = ("ur10", "ur3", "kinova", "xarm7", "panda", "fr3", "z1", "planar2", "gantry3", "one_joint", "so101")
 
+    @pytest.mark.part(2)
     @pytest.mark.bars
     @pytest.mark.parametrize("seed", range(120) if WHOLE else (1, 3, 6, 7, 8, 9))
     def test_with_linearise_over_random_arms_laws_gains_and_poses(self, seed: int) -> None:

@@ -320,6 +320,7 @@ WHOLE = {
 }  # fmt: skip
 
 
+@pytest.mark.part(1)
 @pytest.mark.bars
 @pytest.mark.parametrize("name", WHOLE)
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")

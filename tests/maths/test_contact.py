@@ -41,6 +41,7 @@ def violation(W: Array, r: Array, p: Array, touches: list[Touch], mu: list[float
     return worst / float(np.abs(r).max())
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("one_sided", [True, False])
 def test_one_contact_sticks_slides_or_opens_as_the_laws_say(one_sided: bool) -> None:
     rng = np.random.default_rng(3)
@@ -78,6 +79,7 @@ def test_without_friction_several_contacts_fulfil_the_complementarity_of_every_s
         assert best < 1e-9
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize(
     ("count", "own", "mu"),
     [(2, 2.0, 0.3), (2, 0.3, 0.3), (2, 2.0, 0.8), (3, 2.0, 0.3), (4, 0.5, 0.3)],

@@ -56,6 +56,7 @@ def multipliers(arm: taut.Arm, constraint: taut.Constraint, q: Array, v: Array, 
     return np.asarray(plant.advance(memory, plant.parameters, 1e-3)["contact.lam"])
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("name", ARMS)
 @pytest.mark.parametrize("kind", ["point", "pose"])
 def test_multipliers_are_those_of_pinocchio(name: str, kind: str) -> None:
@@ -132,6 +133,7 @@ def by_equation_10_42(oracle: Oracle, A_of: Callable[[Array], Array], q: Array, 
     return np.asarray(np.linalg.solve(A @ W, W.T @ (tau - oracle.h(q, v)) + bias))
 
 
+@pytest.mark.part(1)
 @pytest.mark.bars
 @pytest.mark.parametrize("name", ["panda", "ur10", "xarm7"])
 def test_the_plants_multipliers_are_those_of_pinocchio_at_many_poses(

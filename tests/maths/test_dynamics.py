@@ -64,10 +64,12 @@ def assert_same_as_pinocchio(arm: taut.Arm, oracle: Oracle, tolerance: float = S
 
 @pytest.mark.parametrize("name", NAMES)
 class TestEachArmOfTheCatalogueAgreesWithPinocchio:
+    @pytest.mark.part(2)
     def test_as_its_file_says(self, name: str) -> None:
         arm = taut.load_arm(name)
         assert_same_as_pinocchio(arm, catalogue_oracle(name, arm))
 
+    @pytest.mark.part(2)
     def test_with_a_payload_in_the_tool_frame(self, name: str) -> None:
         arm = taut.load_arm(name).with_payload(
             1.7, com=[0.03, -0.02, 0.08], inertia=[4e-3, 5e-3, 3e-3, 4e-4, 0, -2e-4]
@@ -76,6 +78,7 @@ class TestEachArmOfTheCatalogueAgreesWithPinocchio:
         oracle.carry(arm.payload)
         assert_same_as_pinocchio(arm, oracle)
 
+    @pytest.mark.part(2)
     def test_with_rotor_inertia_mounted_askew_and_gravity_along_x(self, name: str) -> None:
         tilted = taut.Pose([0.5, -0.3, 0.2], rpy=[0.3, 1.1, -2.0])
         arm = taut.load_arm(name, T_WB=tilted, gravity=[9.81, 0.0, 0.0])
@@ -114,6 +117,7 @@ def test_pinocchio_has_most_of_our_frames() -> None:
         assert len(set(arm.frame_names) & theirs) >= arm.n
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("name", ["panda", "kinova", "gantry3", "planar3"])
 def test_symbols_give_what_floats_give(name: str) -> None:
     """The same code, traced and compiled; only the order of additions may differ."""

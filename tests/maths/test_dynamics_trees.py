@@ -68,6 +68,7 @@ class TestAnyTreeAgreesWithPinocchio:
         rng = np.random.default_rng(seed)
         assert_same_as_pinocchio(torso(rng), rng)
 
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("branches", [False, True])
     def test_thirty_joints(self, branches: bool) -> None:
         rng = np.random.default_rng(30)
@@ -139,6 +140,7 @@ class TestWhatMustHoldOfEveryArm:
         expected += 0.5 * np.einsum("jik,k->ij", D, v) - 0.5 * np.einsum("ijk,k->ij", D, v)
         assert_close(dyn.coriolis_matrix(model, q, v, load), expected, DIFFERENCED, scale=1.0)
 
+    @pytest.mark.part(1)
     def test_c_v_is_c_times_v_and_c_is_linear_in_v(self, arm: taut.Arm) -> None:
         model, load, rng = model_of(arm), load_of(arm), np.random.default_rng(13)
         q, v = random_state(arm, rng)

@@ -64,6 +64,7 @@ class TestAgainstEveryCombination:
         np.testing.assert_allclose(v, expected, rtol=0.0, atol=EXACT * np.abs(v_free).max())
         np.testing.assert_allclose(f, f_expected, rtol=0.0, atol=1e-6 * max(limit.max(), 1.0))
 
+    @pytest.mark.long
     @settings(max_examples=30, deadline=None, derandomize=True)
     @given(st.integers(0, 2**32 - 1))
     def test_the_sweeps_of_a_tick_get_there_when_the_load_rests(self, seed: int) -> None:

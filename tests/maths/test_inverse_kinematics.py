@@ -47,6 +47,7 @@ def check_found(arm: taut.Arm, oracle: Oracle, count: int, seed: int) -> int:
     return solved
 
 
+@pytest.mark.part(2)
 @pytest.mark.bars
 @pytest.mark.parametrize("name", NAMED)
 def test_targets_within_reach_are_found(name: str, share: Share, bar: Bar) -> None:

@@ -90,6 +90,7 @@ class TestQuantities:
 
 
 class TestWhatThePlantAddsIsLeftOut:
+    @pytest.mark.part(2)
     @pytest.mark.parametrize(
         "names", [c for k in range(4) for c in itertools.combinations(("gravity", "coriolis", "friction"), k)]
     )

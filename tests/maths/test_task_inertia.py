@@ -103,6 +103,7 @@ def test_inverse_iteration_finds_the_least_eigenvector_of_random_matrices() -> N
             assert abs(factor_spd(A).least_direction()[0] @ Q[:, 0]) > 1.0 - 1e-6
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("name", ARMS)
 def test_away_from_singularities_the_torque_is_that_of_the_plain_law(name: str) -> None:
     tried = 0
@@ -166,6 +167,7 @@ def test_terms_add_up_to_the_torque_near_a_singularity() -> None:
     assert np.abs(ctrl.terms["singularity"]).max() > 0.1
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("kd", [20.0, (20.0, 15.0), np.diag([20.0, 20.0, 20.0, 12.0, 12.0, 12.0])])
 def test_any_shape_of_kd_tells_how_fast_joints_settle(kd: Any) -> None:
     arm = taut.load_arm("ur10")

@@ -121,6 +121,7 @@ class TestTorqueLoop:
     def test_its_proportional_part_leaves_a_share(self) -> None:
         assert abs(self.error(taut.drives.TorqueLoop(kp=4.0))) < 0.5 * abs(self.error(None))
 
+    @pytest.mark.long
     def test_its_integral_does_not_wind_up_behind_a_motor_at_its_limit(self) -> None:
         loop = taut.drives.TorqueLoop(ki=50.0)
         drives = taut.drives.Actuation(
@@ -161,6 +162,7 @@ class Wall(taut.environments.Environment):
         return taut.math.array([0.0, 0.0, push, 0.0, 0.0, 0.0]), dict(memory)
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize(
     "drives",
     [
@@ -300,6 +302,7 @@ class TestStepsThatAreTooLong:
         plant = taut.RigidPlant(arm, actuation=taut.drives.Actuation(motor=free))
         assert taut.run(taut.compile(taut.laws.PID(kp=1.0), arm), plant, duration=0.1).outcome.ok
 
+    @pytest.mark.long
     def test_for_an_inner_loop_that_reads_the_step_before(self) -> None:
         loop = taut.drives.TorqueLoop(kp=1.5)
         self.is_refused(taut.RigidPlant(FREE, actuation=taut.drives.Actuation(torque_loop=loop)))

@@ -126,6 +126,7 @@ class TestTheInstant:
         np.testing.assert_allclose(felt[0], [300.0 * 0.1, 0.0, 0.0], rtol=0.0, atol=1e-12)
         np.testing.assert_array_equal(felt[1:], out.extra["F_ext"][:-1, :3])
 
+    @pytest.mark.part(2)
     @pytest.mark.parametrize(("integrator", "within"), [("rk4", 1e-9), ("semi-implicit-euler", 2e-3)])
     @pytest.mark.parametrize("substeps", [1, 3])
     def test_a_force_that_is_a_function_of_time_gets_the_right_time(
@@ -243,6 +244,7 @@ class TestEnvironmentsOfTheUser:
         with refused((taut.errors.UsageError, taut.errors.ShapeError)):
             go()
 
+    @pytest.mark.part(2)
     def test_may_inherit_from_the_base_class(self, plant: Any, together: bool) -> None:
         own: Any = taut.environments.Environments(mine=Own()) if together else Own()
         ctrl = taut.compile(taut.laws.PID(kp=1.0, kd=1.0), GANTRY)

@@ -161,6 +161,7 @@ class TestInversion:
         run = taut.run(on_hub(self.LINK), self.LINK, MOVE, duration=2.0)
         assert np.allclose(errors(run, 0.8), [71.8, 41.0], rtol=ROW)
 
+    @pytest.mark.part(2)
     @pytest.mark.parametrize(("k", "largest"), [(5, 0.056), (3, 0.41), (1, 3.1), (0, 8.2)])
     def test_what_a_shorter_lead_costs_is_the_table(self, k: int, largest: float) -> None:
         found = self.followed(k / self.Z)

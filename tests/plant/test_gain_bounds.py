@@ -12,6 +12,7 @@ from taut.scenarios.scenario import load_scenario
 SEARCH = 1e-3  # what ten halvings leave of the border, and a run of some seconds of its growth
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("differenced", [False, True], ids=["tachometer", "differenced"])
 @pytest.mark.parametrize("taps", [2, 5, 10])
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
@@ -22,6 +23,7 @@ def test_a_delay_bounds_kd_where_the_sampled_loop_says(taps: int, differenced: b
     assert formula == pytest.approx(predicted, rel=0.03 if differenced else 0.01)
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("differenced", [False, True], ids=["tachometer", "differenced"])
 @pytest.mark.parametrize("rate", [50.0, 100.0, 500.0])
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
@@ -65,6 +67,7 @@ class TestElasticity:
         assert predicted > 30.0 * bounds.elasticity_predicted(3.0)
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize(("step", "within"), [(0.3, 0.01), (0.5, 0.06), (1.0, 0.11)])
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_a_motor_at_its_limit_bounds_ki_by_what_it_leaves_of_the_damping(step: float, within: float) -> None:
@@ -105,6 +108,7 @@ class TestResolution:
 
 
 class TestBacklash:
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("coulomb", [0.1, 0.2, 0.4])
     def test_friction_ends_the_limit_cycle_below_a_gain(self, coulomb: float) -> None:
         """To 5 %: nearer to the border what is left of a cycle takes minutes to die out."""

@@ -68,6 +68,7 @@ class TestAHandle:
 
 
 class TestAHand:
+    @pytest.mark.part(2)
     @pytest.mark.parametrize("frequency", [0.5, 2.5])
     @pytest.mark.parametrize("what", ["motion", "force"])
     def test_drives_the_arm_at_the_amplitude_of_the_closed_form(self, what: str, frequency: float) -> None:

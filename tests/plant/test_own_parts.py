@@ -98,6 +98,7 @@ def pushed(
     return run
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("engine", ["native", "float"])
 @pytest.mark.parametrize(("torque", "net"), [(1.0, 0.5), (-1.0, -0.8), (0.4, 0.0), (-0.19, 0.0), (-0.25, -0.05)])
 def test_a_friction_law_of_ones_own_differs_by_direction_and_sticks(torque: float, net: float, engine: str) -> None:
@@ -163,6 +164,7 @@ class Sees(taut.Law):
         return taut.Torque(seen=2.0**-60 * x.q)
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("engine", ["native", "float"])
 @pytest.mark.parametrize("plant", [taut.RigidPlant, taut.MujocoPlant])
 def test_a_sensor_of_ones_own_is_what_the_law_sees(plant: Any, engine: Any) -> None:

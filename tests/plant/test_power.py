@@ -77,6 +77,7 @@ def steps(name: str, count: int = 60) -> Any:
         memory = after
 
 
+@pytest.mark.part(2)
 @pytest.mark.bars
 @pytest.mark.parametrize("name", CASES)
 def test_power_in_is_power_out_plus_each_loss_plus_what_is_stored(name: str, bar: Any) -> None:
@@ -93,6 +94,7 @@ def test_power_in_is_power_out_plus_each_loss_plus_what_is_stored(name: str, bar
     bar(f"power balance of a step, {name}: what is missing, relative", worst)
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("name", CASES)
 def test_what_is_done_on_the_links_is_what_their_motion_takes(name: str) -> None:
     """The link's part comes from the motor's end; inverse dynamics of the links alone is the other end."""
@@ -106,6 +108,7 @@ def test_what_is_done_on_the_links_is_what_their_motion_takes(name: str) -> None
         np.testing.assert_allclose(link, torque * (after["q"] - before["q"]), rtol=0.0, atol=1e-8 * scale * DT)
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("name", CASES)
 def test_losses_only_take(name: str) -> None:
     lost = dict.fromkeys(LOSSES, 0.0)
@@ -195,6 +198,7 @@ def run_of(name: str, rate: float) -> tuple[taut.Run, taut.RigidPlant]:
     return taut.run(ctrl, plant, taut.JointMotion(q=arm.home + 0.2), duration=0.3), plant
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ["rotors", "friction", "electric", "elastic", "lossy gears"])
 def test_the_energy_balance_of_a_run_converges_with_the_order_of_the_integrator(name: str) -> None:
     """Semi-implicit Euler is of first order: half the step, half of what is missing."""

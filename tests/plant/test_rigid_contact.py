@@ -99,6 +99,7 @@ def test_rebounds_end_in_rest() -> None:
     np.testing.assert_allclose(found.q[-200:, 2], 0.0, atol=1e-12)
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("direction", [0.0, 0.7, 2.5])
 def test_friction_holds_just_inside_its_cone_and_not_outside(direction: float) -> None:
     floor, along = taut.RigidContact(constraint=FLOOR, friction=MU), np.array([np.cos(direction), np.sin(direction)])
@@ -162,6 +163,7 @@ def test_a_moving_surface_takes_the_tool_along_and_does_work_on_it() -> None:
     assert found.extra["work.environment"][-1] == pytest.approx(WEIGHT * 0.05 + 0.5 * 3.0 * 0.1**2, rel=2e-3)
 
 
+@pytest.mark.long
 def test_events_change_friction_in_both_engines_alike() -> None:
     floor = taut.RigidContact(constraint=FLOOR, friction=MU)
     push = [0.5 * MU * WEIGHT, 0.0, 0.0]
@@ -286,6 +288,7 @@ class Feels(taut.Law):
         return taut.Torque(P=ref.a), {"felt": x.tau_meas}
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("name", DRIVES)
 def test_every_drive_presses_as_asked_and_its_torque_sensor_tells(name: str) -> None:
     """It falls on the floor first, which takes up the play; what the motor gives less the weight is what presses."""
@@ -410,6 +413,7 @@ def test_an_impact_whose_normal_and_friction_are_strongly_coupled_ends_in_its_st
     assert (gaps > -1e-9).all()
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("friction", [None, 0.4])
 @pytest.mark.parametrize("kind", ["cylinder", "sphere"])
 def test_a_run_may_start_on_the_axis_of_a_hollow_where_the_distance_has_no_gradient(kind: str, friction: Any) -> None:

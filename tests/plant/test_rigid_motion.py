@@ -38,6 +38,7 @@ SWINGS = {
 }
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("name", SWINGS)
 def test_a_free_swing_is_what_scipy_says(name: str) -> None:
     duration, most = SWINGS[name]
@@ -59,6 +60,7 @@ def test_viscous_friction_and_rotor_inertia_are_what_scipy_says() -> None:
 class TestTheOrderOfConvergence:
     """Errors fall by 2 and by 16 when the step is halved, whoever halves it: the rate or the sub-steps."""
 
+    @pytest.mark.part(2)
     @pytest.mark.parametrize(("integrator", "order", "within"), [("semi-implicit-euler", 1, 0.1), ("rk4", 4, 0.3)])
     @pytest.mark.parametrize("friction", [None, "arm"])
     def test_by_substeps(self, integrator: str, order: int, within: float, friction: str | None) -> None:

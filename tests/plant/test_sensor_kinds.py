@@ -127,6 +127,7 @@ class TestAnEncoder:
 class TestBehindAnElasticGear:
     K = np.array([300.0, 150.0])  # [N m/rad]
 
+    @pytest.mark.long
     def test_motor_and_link_are_seen_apart_and_the_spring_between_them_is_the_torque_at_the_link(self) -> None:
         spring = taut.drives.Actuation(transmission=taut.drives.Transmission(stiffness=self.K))
         steps = 2.0 * np.pi / 2**20
@@ -282,6 +283,7 @@ class TestAnAccelerometer:
         falling["a"][z] = gantry.gravity[2] / x.J()[2, z]
         np.testing.assert_allclose(read(tip, falling, gantry)["a_tip"], 0.0, atol=1e-12)
 
+    @pytest.mark.part(2)
     @pytest.mark.parametrize("substeps", [1, 3])
     @pytest.mark.parametrize("integrator", ["semi-implicit-euler", "rk4"])
     def test_in_a_run_reads_the_second_derivative_of_the_tools_path(self, integrator: Any, substeps: int) -> None:

@@ -177,6 +177,7 @@ class TestAWall:
         assert (out.q[:, 2] < -0.05 - 1e-4).all()
         np.testing.assert_allclose(out.q[:, 2] - rest, expected, rtol=0.0, atol=3.0 * omega * dt * abs(y0))
 
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("stiffness", [3e3, 3e4])
     def test_gives_back_no_more_than_it_got(self, stiffness: float) -> None:
         """Any speed and any place in a step at which it is met; without damping, as much as its docstring says."""

@@ -34,6 +34,7 @@ def pulled(case: Pulled, rate: float, substeps: int) -> taut.Run:
     return taut.run(ctrl, taut.RigidPlant(arm, substeps=substeps), ramp, duration=UNTIL, q0=[0.0])
 
 
+@pytest.mark.part(2)
 @pytest.mark.bars
 @pytest.mark.parametrize("name", CASES)
 def test_times_of_sticking_and_slipping_are_those_of_event_accurate_integration(name: str, bar: Any) -> None:
@@ -74,6 +75,7 @@ def loaded(share: float, arm_of: Callable[[], taut.Arm] = lambda: taut.load_arm(
     return taut.run(idle, taut.RigidPlant(arm), duration=60.0 if share < 1.0 else 0.5)
 
 
+@pytest.mark.part(2)
 @pytest.mark.bars
 @pytest.mark.parametrize("model", ["panda", "ur10", "so101"])
 def test_an_arm_that_friction_can_hold_does_not_creep_in_a_minute(model: str, bar: Any) -> None:
@@ -86,6 +88,7 @@ def test_an_arm_that_friction_can_hold_does_not_creep_in_a_minute(model: str, ba
     assert np.abs(run.extra["friction_residual"]).max() < 1e-9
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("model", ["panda", "ur10", "so101"])
 def test_it_slips_when_gravity_is_a_hundredth_more_than_friction_holds(model: str) -> None:
     assert np.abs(loaded(0.99, lambda: taut.load_arm(model)).v).max() < 1e-12

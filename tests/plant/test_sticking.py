@@ -61,6 +61,7 @@ class TestALoadedLink:
 
 
 class TestACoupledArm:
+    @pytest.mark.part(2)
     @pytest.mark.parametrize("name", ["planar3", "ur10", "panda"])
     @pytest.mark.parametrize("share", [0.49, 0.99])
     def test_stays_from_the_first_tick_on(self, name: str, share: float) -> None:
@@ -84,6 +85,7 @@ class TestACoupledArm:
         assert moved[0] > 1.0
         assert moved[1:].max() < 1e-6
 
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("seed", range(3))
     def test_only_loses_energy(self, seed: int) -> None:
         rng = np.random.default_rng(seed)

@@ -238,6 +238,7 @@ class TestPlay:
         law = taut.compile(taut.laws.PID(kp=kp, kd=kd), GEARED, rate=rate)
         return taut.run(law, plant, taut.JointMotion(q=[0.0]), duration=12.0, q0=[0.2])
 
+    @pytest.mark.long
     def test_the_limit_cycle_under_pd_is_that_of_event_accurate_integration(self) -> None:
         kp, kd, B, M, half = 40.0, 2.0, 0.25, 0.5, 0.5 * self.PLAY
 

@@ -108,6 +108,7 @@ def test_the_plot_shows_the_numbers_of_the_run(panda_run: taut.Run) -> None:
     assert title.startswith("ComputedTorque(kp=100, kd=20)  on  RigidPlant(panda)\ncompleted: 501 ticks")
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("n", [1, 2, 7, 30])
 def test_a_plot_is_legible_for_any_number_of_joints(many: Any, n: int) -> None:
     figure = many(n).plot()
@@ -155,6 +156,7 @@ def test_a_velocity_command_is_plotted_as_one(many: Any) -> None:
     assert axes_titled(figure, "velocity command").get_ylabel() == "command [rad/s]"
 
 
+@pytest.mark.long
 def test_figures_can_be_saved_in_any_format_without_a_warning(panda_run: taut.Run) -> None:
     figure = panda_run.plot(joints=["panda_joint1", "panda_joint4"])
     for kind in ("png", "pdf", "svg"):
@@ -271,6 +273,7 @@ def test_names_of_runs_stand_whole_beside_their_bars(many: Any) -> None:
     assert {"torque sensor and\ninner loop", "current alone"} <= set(names)
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("count", [1, 2, 8])
 def test_joints_in_rad_and_in_m_are_compared_each_with_their_own(many: Any, count: int) -> None:
     units = ("rad", "m", "rad")

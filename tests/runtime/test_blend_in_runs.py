@@ -100,7 +100,7 @@ def test_a_sensor_that_gets_worse_is_felt_at_once() -> None:
         ARM, adds=("gravity", "coriolis"), sensors=taut.sensors.Sensors(position=taut.sensors.Encoder(noise=1e-4))
     )
     ctrl = taut.compile(LAW, ARM, limits=taut.Limits(blend=0.05), adds=plant.adds)
-    worse = {"sensors.position.noise": 0.05}
+    worse = {"sensors.position.noise": 0.1}
     both, sensor = (
         taut.run(ctrl, plant, GOAL, duration=0.15, events=[taut.Event(t=0.1, set=values)], seed=3)
         for values in ({**worse, "law.kp": 60.0}, worse)

@@ -52,6 +52,7 @@ ENVIRONMENTS: dict[str, Any] = {
 
 
 class TestBothPlants:
+    @pytest.mark.part(2)
     @pytest.mark.parametrize("name", ENVIRONMENTS)
     def test_agree(self, name: str) -> None:
         ours, theirs = (run(make(PANDA, environment=ENVIRONMENTS[name])) for make in PLANTS.values())

@@ -56,6 +56,7 @@ def loaded(mass: float) -> taut.Event:
 # -------------------------------------------------------------------- MATHS, section 1
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("name", ARMS)
 def test_the_error_falls_with_the_pole_kfi_over_one_plus_kfp_and_not_with_the_chapters(name: str) -> None:
     out = run(name, [loaded(0.5)])  # which the law does not know: a wrong gravity model
@@ -77,6 +78,7 @@ def test_what_g_does_not_know_stays_without_feedback_and_with_that_of_joint_torq
         np.testing.assert_allclose(left, share * missing, atol=0.03), feedback
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("name", ARMS)
 def test_joint_torques_serve_as_feedback_where_the_model_is_right(name: str) -> None:
     out = run(name, feedback="joint_torque")
@@ -151,12 +153,14 @@ def within_the_bound(name: str, plant: Any, rate: float = 1000.0, **more: Any) -
     return float(worst)
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("name", EVERY)
 def test_the_bound_of_the_speed_holds_in_the_sampled_loop_along_every_axis(name: str) -> None:
     worst = within_the_bound(name, taut.RigidPlant(arm_of(name), friction=None))
     assert 0.95 < worst < 1.001  # and it is no more than what the tool reaches
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize(("name", "rate"), [("ur10", 250.0), ("xarm7", 250.0), ("panda", 4000.0), ("z1", 4000.0)])
 def test_so_it_does_at_other_rates(name: str, rate: float) -> None:
     worst = within_the_bound(name, taut.RigidPlant(arm_of(name), friction=None), rate, duration=0.5)

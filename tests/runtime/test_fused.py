@@ -93,6 +93,7 @@ CASES: dict[str, Case] = {
 
 @pytest.mark.parametrize("name", CASES)
 class TestAFusedRun:
+    @pytest.mark.part(2)
     @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
     def test_is_the_loop_that_a_person_would_write(self, name: str) -> None:
         law, arm, control, options = CASES[name]
@@ -106,6 +107,7 @@ class TestAFusedRun:
             got = getattr(out, column)
             assert np.abs(got - expected).max() <= SAME * np.abs(expected).max(), column
 
+    @pytest.mark.part(2)
     @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
     def test_is_the_same_in_the_float_engine(self, name: str) -> None:
         law, arm, control, options = CASES[name]

@@ -33,6 +33,7 @@ def shaken(arm: taut.Arm, law: taut.Law, q: Any, duration: float = 4.0, **shaker
     return taut.Loop(taut.compile(law, arm), plant, at(arm, q), duration=duration)
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("name", ARMS)
 def test_a_constant_wrench_moves_the_tool_by_the_wrench_over_the_stiffness(name: str) -> None:
     arm = taut.load_arm(name)
@@ -93,6 +94,7 @@ def test_a_swept_sine_meets_the_sampled_impedance_in_every_direction(name: str) 
             assert np.abs(measured[part] - wanted[part]).max() <= SWEPT * np.abs(wanted[part]).max()
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("name", ARMS)
 def test_the_damping_ratio_is_the_asked_one_in_every_mode_at_five_poses(name: str) -> None:
     arm = taut.load_arm(name)
@@ -124,6 +126,7 @@ def test_the_damping_ratio_is_the_asked_one_in_every_mode_at_five_poses(name: st
             assert wanted == pytest.approx(zeta, rel=0.1)
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("error", ["decoupled", "body", "space"])
 def test_a_wrist_sensor_makes_any_inertia_felt(error: str) -> None:
     arm = taut.load_arm("panda")
@@ -276,6 +279,7 @@ def work_on_the_arm(run: taut.Run) -> Any:
     return run.extra["work.environment"]
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("name", ARMS)
 @pytest.mark.parametrize("frame", ["world", "tool"])
 def test_it_gives_back_no_more_than_it_got(name: str, frame: str) -> None:

@@ -51,6 +51,7 @@ def both(arm: taut.Arm, drives: dict[str, Any], *, limits: Any = None, **options
     return one, other
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_an_arm_moves_as_in_a_rigid_plant(name: str) -> None:

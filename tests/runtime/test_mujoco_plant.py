@@ -32,6 +32,7 @@ def largest(a: taut.Run, b: taut.Run) -> float:
 # -------------------------------------------------------------------- free swing
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("name", ["one_joint", "planar3", "gantry3", "panda", "ur10", "torso"])
 def test_a_free_swing_is_rigid_plants_to_rounding(name: str) -> None:
     arm = load(name)
@@ -68,6 +69,7 @@ def test_dry_friction_is_rigid_plants_where_joints_stick_and_slip_together() -> 
     assert largest(ours, theirs) < 1e-6
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("model", ["z1", "so101", "panda", "xarm7", "kinova"])
 def test_joints_that_all_break_away_at_once_move_as_in_mujoco(model: str) -> None:
     """Gravity is a hundredth more than static friction in every joint; which of them slip decides the others."""

@@ -224,6 +224,7 @@ print(out.outcome.kind)
 # -------------------------------------------------------------------- how far a log is behind
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("period", [0.0005, 0.06, 0.19, 3.0])  # [s] of computing for a tick
 @pytest.mark.parametrize("plant", PLANTS.values(), ids=PLANTS)
 def test_a_log_is_a_tick_or_a_fifth_of_a_second_behind(

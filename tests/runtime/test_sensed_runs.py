@@ -201,6 +201,7 @@ class TestARecord:
 # -------------------------------------------------------------------- parameters
 
 
+@pytest.mark.part(2)
 @every
 @engines
 def test_its_numbers_change_in_a_run_without_a_compile(

@@ -89,6 +89,7 @@ def frequency_and_damping(poles: Array) -> Array:
 
 
 class TestPoles:
+    @pytest.mark.part(2)
     @pytest.mark.parametrize("arm", ARMS)
     @pytest.mark.parametrize("error", ["decoupled", "body", "space"])
     def test_of_each_direction_are_those_of_the_sampled_loop(self, error: Any, arm: str) -> None:

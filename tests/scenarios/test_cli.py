@@ -359,7 +359,7 @@ def test_every_command_that_prints_a_result_takes_json() -> None:
     commands = actions[0].choices
     assert set(commands) == {
         "run", "scenarios", "export", "arms", "laws", "check", "doctor", "design", "compare", "report", "repair",
-        "replay", "bench", "book",
+        "replay", "bench", "book", "bringup", "sweep",
     }  # fmt: skip
     assert all("--json" in command._option_string_actions for command in commands.values())
 
@@ -415,6 +415,7 @@ def taut_to(out: int, words: list[str], folder: Path) -> subprocess.CompletedPro
     )
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("words", COMMANDS.values(), ids=COMMANDS)
 def test_an_output_that_cannot_be_written_is_one_sentence(words: list[str], tmp_path: Path) -> None:
     if not Path("/dev/full").exists():

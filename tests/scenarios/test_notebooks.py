@@ -61,6 +61,7 @@ def test_there_is_one_for_each_section() -> None:
     assert [next(name for name in NAMES if name.startswith(f"{section}_")) for section in sections] == NAMES
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("name", NAMES)
 def test_each_says_what_to_change_runs_and_shows_a_picture(name: str) -> None:
     kept = nbformat.read(FOLDER / f"{name}.ipynb", 4)

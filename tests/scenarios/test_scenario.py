@@ -428,6 +428,7 @@ width = 4
 """
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize(
     ("written", "made"),
     [

@@ -64,6 +64,7 @@ def marks(name: str) -> list[pytest.MarkDecorator]:
     return [pytest.mark.xdist_group(name), *([pytest.mark.long] if name in LONG else [])]
 
 
+@pytest.mark.part(3)
 @pytest.mark.bars
 @pytest.mark.parametrize("name", [pytest.param(name, marks=marks(name)) for name in STORIES])
 def test_a_story_reaches_its_pass_figures(name: str, told: Any) -> None:

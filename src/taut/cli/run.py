@@ -31,7 +31,7 @@ def _run(arguments: argparse.Namespace, say: Say) -> Answer:
         if arguments.robot is not None:
             from taut.scenarios.on_robot import robot_of
 
-            robot = stack.enter_context(robot_of(scenario, arguments.robot))
+            robot = stack.enter_context(robot_of(scenario, arguments.robot, folder / "robot"))
         result = run_scenario(scenario, folder, say=say, engine=arguments.engine, robot=robot)
     return Answer(text=str(result), data=result.json(), status=DONE if result.ok else FAILED)
 

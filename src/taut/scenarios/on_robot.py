@@ -4,29 +4,31 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from taut.analysis.comparison import Experiment
 from taut.arm.description import Arm
-from taut.base.errors import UsageError
+from taut.base.errors import FileError, UsageError
 from taut.base.types import Float64Array
 from taut.control.law import Law
 from taut.control.tasks.task import Task
 from taut.controller import Controller, compile
 from taut.loop import state_at_start
+from taut.record.log.reading import MAGIC, load_run
 from taut.record.run import Run
 from taut.runtime.realtime.bringup import SPEED, passed_before
 from taut.runtime.realtime.connect import connect
-from taut.runtime.realtime.robot import Robot
+from taut.runtime.realtime.robot import LOOK, Robot
 from taut.scenarios.scenario import Scenario
 
-LAST: Final = 0.05  # [s] before the end of a law's time, in which its record is taken
+LOGGED: Final = 10.0  # [s] for a log to be whole, once its law has stopped
 
 
-def robot_of(scenario: Scenario, address: str) -> Robot:
-    """The robot at an address, connected, for a scenario whose arm has passed a bring-up there.
+def robot_of(scenario: Scenario, address: str, log: Path) -> Robot:
+    """The robot at an address, connected, with a folder of logs, for a scenario whose arm has passed a bring-up.
 
     Raises:
         UsageError: No bring-up has passed for this address, Arm and load; or the scenario needs its plant.
@@ -42,7 +44,7 @@ def robot_of(scenario: Scenario, address: str) -> Robot:
         )
     if scenario.experiment.preparation is not None:
         raise UsageError(f"scenario '{scenario.name}' prepares its runs on its plant, which a robot cannot do")
-    return connect(address, arm)
+    return connect(address, arm, log=log)
 
 
 def controller_for(robot: Robot, experiment: Experiment, law: Law | Task) -> Controller:
@@ -60,13 +62,14 @@ def start_of(experiment: Experiment) -> Float64Array:
     return q
 
 
-def run_on_robot(robot: Robot, experiment: Experiment, law: Law | Task) -> Run:
-    """Move slowly to the start of a scenario, let the law act for its duration, and stop: the record."""
+def run_on_robot(robot: Robot, experiment: Experiment, law: Law | Task, log: Path) -> Run:
+    """Move slowly to the start of a scenario, let the law act for its duration, and stop: its log, read again."""
     ctrl = controller_for(robot, experiment, law)
     events = sorted(experiment.events, key=lambda event: event.t)
     for event in events:
         _check(ctrl, event.set, experiment.arm)
     robot.move_to(start_of(experiment), speed=SPEED)
+    others = set(log.iterdir())
     robot.start(ctrl, None if ctrl.side.task is not None else experiment.reference, duration=experiment.duration)
     begun = time.monotonic()
     for event in events:
@@ -74,7 +77,19 @@ def run_on_robot(robot: Robot, experiment: Experiment, law: Law | Task) -> Run:
         for path, value in event.set.items():
             robot.parameters[path] = value
     robot.wait(max(0.0, begun + experiment.duration - time.monotonic()))
-    return robot.stop().between(0.0, experiment.duration)
+    robot.stop()
+    return _logged(log, others).between(0.0, experiment.duration)
+
+
+def _logged(log: Path, others: set[Path]) -> Run:
+    """The law's file among those that have come, as soon as it is whole; the holder's has another name."""
+    until = time.monotonic() + LOGGED
+    while time.monotonic() < until:
+        files = sorted(file for file in set(log.iterdir()) - others if not file.stem.endswith("-hold"))
+        if files and files[0].read_bytes().endswith(MAGIC):
+            return load_run(files[0])
+        time.sleep(LOOK)
+    raise FileError(f"the log of the run is not whole after {LOGGED:g} s; what there is, is in {log}", name=str(log))
 
 
 def _check(ctrl: Controller, values: Mapping[str, Any], arm: Arm) -> None:

@@ -211,7 +211,7 @@ def run_scenario(
 ) -> ScenarioResult:
     """Run every law of a scenario and write its files to a folder; the result lists files that could not be made.
 
-    On a robot, if one is given, in place of the scenario's plant.
+    On a robot, if one is given, in place of the scenario's plant; its logs are in the folder's `robot`.
 
     Raises ScenarioError, and FileError before the first run where something stands in the way of a file. `say` takes
     lines of progress.
@@ -224,7 +224,7 @@ def run_scenario(
         with _blamed(one, trial), warnings.catch_warnings():
             warnings.simplefilter("ignore", StabilityWarning)  # the outcome has its sentence
             if robot is not None:
-                done = run_on_robot(robot, one.experiment, one.laws[trial.law])
+                done = run_on_robot(robot, one.experiment, one.laws[trial.law], folder / "robot")
                 runs[trial] = dataclasses.replace(
                     done, info=dataclasses.replace(done.info, scenario=_info(one, trial))
                 )

@@ -20,7 +20,7 @@ RATE = 100.0  # [Hz] at which also a busy machine keeps the time
 
 @pytest.fixture(autouse=True)
 def shorter(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in {"READ": 0.5, "SHADOW": 0.2, "PROBE_STEP": 0.03, "REST": 0.1, "SPEED": 0.3}.items():
+    for name, value in {"READ": 0.5, "SHADOW": 0.2, "PROBE_STEP": 0.03, "AVERAGED": 0.1, "SPEED": 0.3}.items():
         monkeypatch.setattr(bringup, name, value)
 
 

@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,9 @@ from udp_arm import delays, simulated
 
 import taut
 from taut.base.errors import RangeError, UsageError
+from taut.cli.main import main
 from taut.robots import DriverError, RobotError
+from taut.runtime.realtime.bringup import remember
 from taut.runtime.robots.udp import BUSY, COMMAND, COUNTS, HEAD, HELLO, INFO, LISTEN, STATE, UdpDriver
 
 ARMS = {"planar2": 2, "ur5": 6, "ur10": 6, "panda": 7}
@@ -337,6 +340,42 @@ def test_a_robot_that_keeps_the_time_paces_the_loop_and_nan_stops_it() -> None:
         assert (fault.name, fault.joint) == ("sensor_not_finite", arm.joint_names[-1])
         assert np.isfinite(run.command).all()
         assert robot.call("counts")["received"] > 100
+
+
+def test_a_scenario_runs_on_a_robot_whose_bring_up_has_passed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    arm, file = taut.load_arm("planar2"), tmp_path / "reach.toml"
+    file.write_text(
+        """
+        title = "A joint sine, on a robot"
+        arm = { model = "planar2" }
+        laws.stiff = { law = "ComputedTorque", kp = 400.0, kd = 40.0 }
+        laws.soft = { law = "ComputedTorque", kp = 25.0, kd = 10.0 }
+        plant = { kind = "rigid" }
+        reference = { kind = "set-point", q = [0.5, 0.5] }
+        run = { duration = 0.4, q0 = [0.45, 0.55] }
+        outputs = { log = "reach.mcap", shown = "stiff" }
+        [[event]]
+        t = 0.2
+        set = { "law.kp" = 100.0 }
+        [[pass]]
+        law = "stiff"
+        metric = "final_error"
+        max = 0.02
+        """
+    )
+    with simulated("planar2", info={"rate": 100.0}) as (_, port):
+        address = f"udp://127.0.0.1:{port}"
+        remember(address, arm)
+        assert main(["run", str(file), "--robot", address, "--out", str(tmp_path / "out")]) == 0
+    run = taut.load_run(tmp_path / "out" / "reach.mcap")
+    assert len(run) == 41
+    assert run.info.plant.startswith("simulated planar2")
+    assert np.abs(run.q[0] - [0.45, 0.55]).max() < 5e-3
+    laws = {taut.load_run(file).info.law for file in (tmp_path / "out" / "robot").iterdir()}
+    assert laws >= {"ComputedTorque(kp=400.0, kd=40.0)", "ComputedTorque(kp=25.0, kd=10.0)"}
 
 
 @pytest.mark.long

@@ -34,22 +34,22 @@ from taut.trace import math as tm
 
 READ: Final = 2.0  # [s] in which a robot is only read
 SHADOW: Final = 1.0  # [s] in which a law runs and nothing is sent
-LATE: Final = 0.05  # [-] of the periods that may be missed, and by which the rate may be off
+MISSED: Final = 0.05  # [-] of the periods that may be missed, and by which the rate may be off
 SAME_PLACE: Final = 1e-3  # [m], [rad] between the tool that the robot reports and a frame of the arm
 SAME_LOAD: Final = 0.05  # [kg]
-PROBE: Final = 0.5  # [N m | N] largest torque beside gravity in the test of signs
+PUSH: Final = 0.5  # [N m | N] largest torque beside gravity in the test of signs
 PROBE_STEPS: Final = 10  # in which it is reached
 PROBE_STEP: Final = 0.05  # [s]
 PROBE_BANDWIDTH: Final = 10.0  # [rad/s] by which joints are held meanwhile
 MOVED: Final = 2e-3  # [rad | m] a joint has broken away
 DRIFT: Final = 0.03  # [rad | m] a joint that moves so far is given back to the robot
 SPEED: Final = 0.1  # [-] of the speed limits, of every motion
-POSES: Final = 3  # at which torques are compared
+COMPARED: Final = 3  # at which torques are compared
 EXCURSION: Final = 0.4  # [rad | m] of them around the start
 RESIDUAL: Final = (0.5, 0.01)  # [N m | N], [-] of the effort limit, allowed between measured torque and the model's
-STILL: Final = 2e-3  # [rad/s | m/s] a joint that was pushed has come to rest again
+PUSH_OVER: Final = 2e-3  # [rad/s | m/s] a joint that was pushed has come to rest again
 SETTLE: Final = 3.0  # [s] that this may take
-REST: Final = 0.3  # [s] over which a torque at rest is averaged
+AVERAGED: Final = 0.3  # [s] over which a torque at rest is averaged
 Ask = Callable[[str], bool]
 
 
@@ -60,7 +60,7 @@ class Probe(Law):
     Closed loop:  of a held joint, M diagonal and no clip: e_ddot + 20 e_dot + 100 e = 0
     """
 
-    torque: Gain = Gain(unit="N m | N", minimum=-PROBE, maximum=PROBE)
+    torque: Gain = Gain(unit="N m | N", minimum=-PUSH, maximum=PUSH)
     held: Gain = Gain(minimum=0.0, maximum=1.0)
 
     def command(self, x: Snapshot, ref: JointMotion) -> Command:
@@ -68,7 +68,7 @@ class Probe(Law):
         hold: Vector = tm.array([x.M[i, i] for i in range(x.n)]) * (
             omega**2 * x.difference(ref.q) - 2.0 * omega * x.v
         )
-        probe = tm.clip(self.held @ hold + self.torque.as_array(), -PROBE, PROBE)
+        probe = tm.clip(self.held @ hold + self.torque.as_array(), -PUSH, PUSH)
         return Torque(Terms(nonlinear=x.h, probe=probe))
 
 
@@ -157,7 +157,7 @@ def _steps(
     yield "compare its torques with the arm's gravity; nothing is sent", partial(_gravity, measured, rivals, False)
     yield f"let the law run in shadow for {SHADOW:g} s; nothing is sent", partial(_shadow, robot, ctrl, ref)
     yield (
-        f"test the sign of each joint with at most {PROBE:g} N m; it moves by some {1e3 * MOVED:g} mrad, keep clear",
+        f"test the sign of each joint with at most {PUSH:g} N m; it moves by some {1e3 * MOVED:g} mrad, keep clear",
         partial(_signs, robot),
     )
     yield (
@@ -167,7 +167,7 @@ def _steps(
     )
     if rivals:
         yield (
-            f"move slowly to {POSES} poses within {EXCURSION:g} rad of the start, at which {_named(rivals)} would "
+            f"move slowly to {COMPARED} poses within {EXCURSION:g} rad of the start, at which {_named(rivals)} would "
             "need other torques; keep clear",
             partial(_poses, measured, rivals, goal),
         )
@@ -192,8 +192,8 @@ def _read(robot: Robot) -> Step:
         ["std of q, largest [rad | m]", float(run.q[last].std(axis=0).max())],
         ["std of v, largest", float(run.v[last].std(axis=0).max())],
     ]
-    told = {name: value for name, value in robot.info.facts.items() if isinstance(value, str | float | int)}
-    rows += [[name.replace("_", " "), value] for name, value in told.items()]
+    known = {name: value for name, value in robot.info.facts.items() if isinstance(value, str | float | int)}
+    rows += [[name.replace("_", " "), value] for name, value in known.items()]
     outside = [
         name for name, q, low, high in zip(arm.joint_names, run.q[-1], arm.lower, arm.upper, strict=True)
         if not low <= q <= high
@@ -201,7 +201,7 @@ def _read(robot: Robot) -> Step:
     found = f"{rate:.1f} states a second, {lost} of {round(READ * robot.rate)} missed"
     if outside:
         found += f"; outside the arm's limits: {', '.join(outside)}"
-    ok = abs(rate / robot.rate - 1.0) <= LATE and lost <= LATE * READ * robot.rate and not outside
+    ok = abs(rate / robot.rate - 1.0) <= MISSED and lost <= MISSED * READ * robot.rate and not outside
     return Step(name="states", found=found, ok=ok, table=Table(columns=["state", "value"], rows=rows))
 
 
@@ -250,8 +250,8 @@ class _Torques:
 
     def take(self) -> None:
         """Those of the pose where the arm rests."""
-        self.robot.wait(REST)
-        run, count = self.robot.run(), round(REST * self.robot.rate)
+        self.robot.wait(AVERAGED)
+        run, count = self.robot.run(), round(AVERAGED * self.robot.rate)
         self.poses.append(run.q[-count:].mean(axis=0))
         self.torques.append(run.tau[-count:].mean(axis=0))
 
@@ -342,7 +342,7 @@ def _signs(robot: Robot) -> Step:
     stuck = [str(row[0]) for row in rows if row[1] is None and row[2] is None]
     found = f"{len(rows) - len(stuck)} of {arm.n} joints gave way to the side they were pushed to"
     if stuck:
-        found += f"; {', '.join(stuck)} did not move: more friction than {PROBE:g} N m, signs not known"
+        found += f"; {', '.join(stuck)} did not move: more friction than {PUSH:g} N m, signs not known"
     if wrong:
         found = f"joint '{wrong[0]}' moves against its torque: check the sign of its torque or of its encoder"
     table = Table(title="torque of break-away", columns=["joint", "to + [N m | N]", "to - [N m | N]"], rows=rows)
@@ -356,7 +356,7 @@ def _push(robot: Robot, path: str, base: Float64Array, i: int, sign: float) -> t
     push, here = 1.0 - others, robot.q
     robot.parameters[f"{path}.held"] = others
     found: tuple[float | None, float] = None, 0.0
-    for torque in np.linspace(0.0, PROBE, PROBE_STEPS + 1)[1:]:
+    for torque in np.linspace(0.0, PUSH, PROBE_STEPS + 1)[1:]:
         robot.parameters[f"{path}.torque"] = sign * torque * push
         until = time.monotonic() + PROBE_STEP
         while time.monotonic() < until:
@@ -380,9 +380,9 @@ def _push(robot: Robot, path: str, base: Float64Array, i: int, sign: float) -> t
     robot.parameters[f"{path}.torque"] = 0.0 * push
     robot.parameters[f"{path}.held"] = np.ones(robot.arm.n)
     until = time.monotonic() + SETTLE
-    robot.wait(REST)
-    while np.abs(robot.v).max() > STILL and time.monotonic() < until:
-        robot.wait(REST)
+    robot.wait(AVERAGED)
+    while np.abs(robot.v).max() > PUSH_OVER and time.monotonic() < until:
+        robot.wait(AVERAGED)
     return found
 
 
@@ -395,6 +395,10 @@ def _move(robot: Robot, goal: Float64Array) -> Step:
     found = (
         f"the largest error on the way was {error[i]:.2g} {robot.arm.units[i]} at joint '{robot.arm.joint_names[i]}'"
     )
+    if "success_rate" in robot.info.facts:  # of the last commands: there is one only while they are sent
+        found += (
+            f"; {100.0 * robot.call('state')['success_rate']:.0f} % of the last commands reached the robot in time"
+        )
     return Step(name="slow motion", found=found)
 
 
@@ -414,7 +418,7 @@ def _poses(measured: _Torques, rivals: dict[str, Arm], goal: Float64Array) -> St
         g = snapshot(arm, q).g
         return min(float(np.abs(snapshot(one, q).g - g).max()) for one in rivals.values())
 
-    for q in sorted(tried, key=apart)[-POSES:]:
+    for q in sorted(tried, key=apart)[-COMPARED:]:
         robot.move_to(q, speed=SPEED)
         measured.take()
     robot.move_to(goal, speed=SPEED)

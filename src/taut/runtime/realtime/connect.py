@@ -33,7 +33,11 @@ from taut.runtime.robots.can import CanMotors
 from taut.runtime.robots.driver import RobotDriver, RobotInfo
 
 OBSERVER: Final = (50.0, 0.1)  # [1/s], and of the rate: bandwidth where a threshold of contact is stated
-HOLD: Final = {"kp": 225.0, "kd": 30.0, "ki": 500.0}  # of the law by which move_to moves
+HOLD: Final = {
+    "kp": 400.0,
+    "kd": 40.0,
+    "ki": 400.0,
+}  # of the law by which move_to moves: stable with 40 times the inertia
 
 
 def connect(

@@ -40,7 +40,8 @@ from taut.runtime.robots.driver import DriverError, RobotInfo
 
 BLEND: Final = 0.2  # [s] in which another law, or new parameters, come in
 THERE: Final = 2e-3  # [rad | m] from the goal of move_to
-SETTLE: Final = 3.0  # [s] for a controlled stop, and for the last part of move_to
+SETTLE: Final = 3.0  # [s] for a controlled stop
+ARRIVAL: Final = 10.0  # [s] for the last part of move_to: dry friction gives way to an integral
 STANDING: Final = 0.01  # [rad/s | m/s]
 LOOK: Final = 0.02  # [s] between two looks at what is latched
 SAME_LOAD: Final = 0.05  # [kg]
@@ -217,7 +218,7 @@ class Robot:
         """Move the joints to q (n,) [rad | m], at most at `speed` times their speed limits; returns when there.
 
         Raises:
-            DriverError: They are not there 3 s after they should be.
+            DriverError: They are not there 10 s after they should be.
         """
         self.check()
         arm = self.arm
@@ -238,7 +239,7 @@ class Robot:
             ref = Trapezoidal(q0=here, q1=there, velocity=v_max, acceleration=2.0 * v_max)
         self.start(self.holder, ref)
         self.wait(float(getattr(ref, "duration", 0.0)))
-        until = time.monotonic() + SETTLE
+        until = time.monotonic() + ARRIVAL
         while (apart := np.abs(self.q - there)).max() > THERE:
             if time.monotonic() > until:
                 name = arm.joint_names[int(np.argmax(apart))]

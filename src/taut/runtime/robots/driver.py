@@ -54,7 +54,9 @@ class RobotInfo:
     at_rest: float = 0.0  # [rad/s | m/s] what its velocities show at rest, by their resolution
     joint_names: tuple[str, ...] = ()  # where it knows them
     load: tuple[float, tuple[float, float, float]] | None = None  # that it compensates: [kg], centre at the tool [m]
-    facts: Mapping[str, Any] = field(default_factory=dict)  # further plain values, for bring-up and messages
+    facts: Mapping[str, Any] = field(
+        default_factory=dict
+    )  # further plain values, for bring-up: q and T_BE (16,), ...
 
     def __post_init__(self) -> None:
         instance_of("name", self.name, str, "a text")

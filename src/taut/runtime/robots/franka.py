@@ -19,7 +19,7 @@ from taut.base.types import Float64Array
 from taut.runtime.robots.driver import DriverError, RobotDriver, RobotInfo
 
 N: Final = 7
-START: Final = 10.0  # [s] for the process beside the loop's, which takes 0.1 s
+BESIDE_START: Final = 10.0  # [s] for the process beside the loop's, which takes 0.1 s
 FIRST_ANSWER: Final = 1.0  # [s] for a robot to take a client, which takes 3 ms
 MAX_TORQUE: Final = 100.0  # [N m], the largest joints take 87; a command beyond is an error
 SILENCE: Final = 0.02  # [s] without commands after which it brakes: 20 in a row, by libfranka's documentation
@@ -81,7 +81,7 @@ class FrankaDriver(RobotDriver):
         except ImportError as cause:
             raise missing_extra("franka://", "pylibfranka", "franka") from cause
         self._beside = Beside(self._address)
-        self._beside.answer(START)
+        self._beside.answer(BESIDE_START)
         self._beside.ask("arm", [])
         answer = self._beside.answer(FIRST_ANSWER)
         if answer is None:
