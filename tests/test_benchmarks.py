@@ -68,6 +68,7 @@ def test_a_peer_is_timed_only_when_it_computes_the_same(driver: Any, task: Path,
     assert "differs" in driver.compared(changed, other, TICK)["error"]
     assert "KeyError" in driver.compared(own, other, {"kind": "no such case"})["error"]
     other.stop()
+    assert "ended" in driver.compared(own, other, TICK)["error"]
 
 
 def test_a_peer_that_does_not_start_is_recorded_in_its_words(

@@ -51,12 +51,14 @@ class Peer:
         packages: For pip, by name and version.
         kinds: Of cases.
         chains: It is also asked for chains of 1 to 30 joints.
+        reals: Types of numbers in which it runs many loops.
     """
 
     title: str
     packages: Mapping[str, str]
     kinds: Sequence[str] = ("tick", "impedance", "loop")
     chains: bool = False
+    reals: Sequence[str] = ("float64",)
 
 
 MUJOCO: Final = {"mujoco": "4.0.0", "numpy": "2.4.6"}
@@ -69,7 +71,7 @@ PEERS: Final[Mapping[str, Peer]] = {
     "roboticstoolbox": Peer("Robotics Toolbox", {"roboticstoolbox-python": "1.5.0", "numpy": "2.4.6"}),
     "modern_robotics": Peer("modern_robotics", {"modern_robotics": "1.1.1", "numpy": "2.4.6"}, ("tick", "loop")),
     "mjx": Peer("MJX", {"mujoco-mjx": "3.17.0", **MUJOCO, **JAX}, ("tick", "loop", "sweep")),
-    "jax": Peer("JAX", JAX, ("tick", "loop", "sweep")),
+    "jax": Peer("JAX", JAX, ("tick", "loop", "sweep"), reals=("float64", "float32")),
 }
 
 
@@ -153,7 +155,7 @@ def cases_of(peer: Peer) -> list[dict[str, Any]]:
         "tick": [{"robot": "panda"}],
         "impedance": [{}],
         "loop": [{"robot": "panda"}],
-        "sweep": [{"samples": 1024, "ticks": 100, "real": real} for real in ("float64", "float32")],
+        "sweep": [{"samples": 1024, "ticks": 20, "real": real} for real in peer.reals],
     }
     cases = [{"kind": kind, **form} for kind in peer.kinds for form in forms[kind]]
     chains = [{"kind": kind, "robot": f"chain{n}"} for n in CHAINS for kind in ("tick", "loop")]

@@ -57,7 +57,7 @@ def one_loop(task: Task, robot: str, ticks: int) -> Callable[..., tuple[Array, A
 
 
 def closed_loop(task: Task, robot: str) -> Case:
-    steps = 100
+    steps = 10
     run = jax.jit(one_loop(task, robot, steps))
     par = (np.float64(task.kp), np.float64(task.kd), np.float64(task.payload["mass"]))
     return Case(
