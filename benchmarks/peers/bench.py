@@ -30,7 +30,7 @@ HERE = Path(__file__).parent
 REPOSITORY = HERE.parents[1]
 ENVIRONMENTS = REPOSITORY / ".peers"
 ROUNDS: Final = 7
-LIMIT: Final = 300.0  # [s] that a peer may take for an answer; pip may take six times as long
+LIMIT: Final = 180.0  # [s] that a peer may take for an answer; pip may take ten times as long
 LANES: Final = {"kind": "sweep", "samples": SAMPLES, "ticks": 1000}
 ALONE: Final = {"JAX_PLATFORMS": "cpu", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 TOLERANCES: Final = {  # of a peer's numbers against taut's, relative to the largest of these
@@ -140,9 +140,9 @@ def installed(name: str, peer: Peer) -> Path:
     pip = [str(python), "-m", "pip", "--disable-pip-version-check", "install", "--quiet", "--prefer-binary"]
     wanted = [f"{package}=={number}" for package, number in peer.packages.items()]
     try:
-        subprocess.run([*pip, *wanted], check=True, capture_output=True, timeout=6.0 * LIMIT, text=True)
+        subprocess.run([*pip, *wanted], check=True, capture_output=True, timeout=10.0 * LIMIT, text=True)
     except subprocess.TimeoutExpired as cause:
-        raise PeerError(f"pip took more than {6.0 * LIMIT:.0f} s") from cause
+        raise PeerError(f"pip took more than {10.0 * LIMIT:.0f} s") from cause
     except subprocess.CalledProcessError as cause:
         raise PeerError(next((x for x in cause.stderr.splitlines() if "ERROR" in x), "pip failed")[:200]) from cause
     stamp.write_text(json.dumps(peer.packages))
