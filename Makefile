@@ -1,6 +1,7 @@
 # make demo   set up, run the main job, print what it made and where
 # make test   set up, run lint, types and tests
-# make test-extras   logs in the readers of Rerun and rosbags, which it installs (0.5 GB)
+# make test-extras   arrays and gradients of torch, JAX and Warp, logs in the readers of Rerun and rosbags: in an
+#                    environment of its own, .venv-extras (3.4 GB)
 # make lock   write locked.txt anew: what taut needs, with versions and hashes
 # make bars   the long counts;  make bench  figures against Pinocchio and MuJoCo;  make docs  the site
 # make bench-peers   docs/benchmarks.md: the same tasks in Drake, MuJoCo, JAX and others, each installed apart (3 GB)
@@ -13,6 +14,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
+EXTRAS := .venv-extras
 
 .PHONY: demo test test-extras lock bars fuzz scorecard soak bench bench-peers firmware docs clean
 
@@ -25,9 +27,8 @@ test: $(VENV)/test.stamp
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2 --dist loadgroup
 
-test-extras: $(VENV)/test.stamp
-	$(PIP) install --quiet -c constraints.txt -e ".[viewers]"
-	$(BIN)/pytest tests/record/test_viewers.py
+test-extras: $(EXTRAS)/test.stamp
+	$(EXTRAS)/bin/pytest tests/extras "tests/test_docs.py::test_the_python_on_the_page_runs[tensors.md]"
 
 lock: $(BIN)/python
 	$(BIN)/python tools/lock.py
@@ -44,6 +45,7 @@ scorecard: $(VENV)/test.stamp
 
 bench: $(VENV)/test.stamp
 	cd benchmarks && ../$(BIN)/python run.py
+	cd benchmarks && ../$(BIN)/python batch.py
 
 bench-peers: $(VENV)/test.stamp
 	cd benchmarks/peers && ../../$(BIN)/python bench.py
@@ -60,7 +62,7 @@ docs: $(VENV)/test.stamp
 	@echo "site/index.html"
 
 clean:
-	rm -rf $(VENV) .wheels out site .mypy_cache .ruff_cache .pytest_cache
+	rm -rf $(VENV) $(EXTRAS) .wheels out site .mypy_cache .ruff_cache .pytest_cache
 
 $(BIN)/python:
 	$(PYTHON) -c 'import sys; sys.exit("taut needs Python 3.11 or newer" if sys.version_info < (3, 11) else 0)'
@@ -74,8 +76,13 @@ $(VENV)/demo.stamp: $(BIN)/python pyproject.toml constraints.txt
 # another reads the servo files and the friction of better-actuator-models, which itself needs Python 3.12, and another
 # compares the frames of motors with those of damiao-motor, which itself needs a web server.
 $(VENV)/test.stamp: $(BIN)/python pyproject.toml constraints.txt
-	$(PIP) install --quiet -c constraints.txt -e ".[arms,can,control,franka,oracles,ruckig,sweep,ur,dev,docs]"
+	$(PIP) install --quiet -c constraints.txt -e ".[arms,can,control,franka,gym,oracles,ruckig,sweep,ur,dev,docs]"
 	$(PIP) download --quiet --dest .wheels -c constraints.txt $$($(BIN)/python tools/core_requirements.py)
 	$(PIP) download --quiet --dest .wheels -c constraints.txt --no-deps --python-version 3.12 better-actuator-models
 	$(PIP) download --quiet --dest .wheels -c constraints.txt --no-deps damiao-motor
+	@touch $@
+
+$(EXTRAS)/test.stamp: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(EXTRAS)
+	$(EXTRAS)/bin/python -m pip --disable-pip-version-check install --quiet -c constraints.txt pytest -e ".[arms,gym,tensors,viewers]"
 	@touch $@

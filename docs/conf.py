@@ -35,7 +35,7 @@ autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 napoleon_google_docstring = True
 napoleon_custom_sections = ["Frames", "Model"]
-EQUATIONS = ("Law:", "Closed loop:", "Model:")
+EQUATIONS = ("Law:", "Closed loop:", "Model:", "Action:")
 
 
 def keep_equations(_app: Any, _what: str, _name: str, _object: Any, _options: Any, lines: list[str]) -> None:

@@ -84,7 +84,7 @@ def left_out(items: list[pytest.Item]) -> Iterator[pytest.Item]:
     """Of the cases of a test marked `part(n)`, all but n: a draw by their names."""
     cases: dict[str, list[pytest.Item]] = defaultdict(list)
     for item in items:
-        if item.get_closest_marker("part"):
+        if item.get_closest_marker("part") and not item.get_closest_marker("long"):
             cases[item.nodeid.partition("[")[0]].append(item)
     for some in cases.values():
         some.sort(key=lambda item: hashlib.sha256(item.nodeid.encode()).digest())

@@ -43,10 +43,12 @@ DOORS = [
     "environments",
     "errors",
     "guards",
+    "gym",
     "laws",
     "math",
     "robots",
     "sensors",
+    "tensors",
     "textbook",
     "trajectories",
 ]

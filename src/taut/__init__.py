@@ -17,10 +17,12 @@ if TYPE_CHECKING:
     from taut import environments as environments
     from taut import errors as errors
     from taut import guards as guards
+    from taut import gym as gym
     from taut import laws as laws
     from taut import math as math
     from taut import robots as robots
     from taut import sensors as sensors
+    from taut import tensors as tensors
     from taut import textbook as textbook
     from taut import trajectories as trajectories
     from taut.analysis.design.design import design as design

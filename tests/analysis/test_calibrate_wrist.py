@@ -133,6 +133,7 @@ def plant_of(kind: str, arm: taut.Arm, wrench: taut.sensors.WrenchSensor) -> Any
     return taut.RigidPlant(arm, sensors=sensors, friction=None)
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize(("name", "kind"), [("panda", "rigid"), ("xarm7", "mujoco")])
 def test_a_noisy_sensor_is_calibrated_and_its_law_then_feels_contact_alone(name: str, kind: str) -> None:
     arm = taut.load_arm(name)

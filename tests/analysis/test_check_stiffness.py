@@ -29,7 +29,7 @@ def grows(arm: taut.Arm, ctrl: taut.Controller, factor: float, q: Any) -> bool:
     return not run.outcome.ok or bool(parts[9] > parts[5])
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ["panda", "ur10", "xarm7"])
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_runs_begin_to_grow_at_the_limit(name: str) -> None:
@@ -53,7 +53,7 @@ AWKWARD = {
 }
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize("case", AWKWARD)
 @pytest.mark.parametrize(
     "velocity", ["measured", taut.sensors.Difference(cutoff=60.0)], ids=["measured", "difference"]
@@ -100,6 +100,7 @@ def test_a_change_of_a_gain_and_the_payload_of_now_count() -> None:
     assert np.linalg.norm(loaded.M) > 1.1 * mass
 
 
+@pytest.mark.long
 def test_axes_and_errors_of_the_law_count() -> None:
     arm = taut.load_arm("panda")
     six = [500.0, 1000.0, 3000.0, 20.0, 40.0, 80.0]
@@ -211,6 +212,7 @@ def test_bad_input_is_refused_by_name(case: str) -> None:
     assert caught.value.name == name
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ["panda", "xarm7"])
 def test_redundant_arms_are_passive_in_a_band_without_damping_of_the_null_space(name: str) -> None:
     arm = taut.load_arm(name).with_friction(taut.Friction())

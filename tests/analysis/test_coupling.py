@@ -47,6 +47,7 @@ def test_a_gantry_has_no_coupling() -> None:
     assert found.ok
 
 
+@pytest.mark.long
 def test_gears_decouple_and_a_payload_couples(pandas: dict[tuple[str, str, float], taut.analysis.Coupling]) -> None:
     for gravity in ("weight", "no weight"):
         for mass in (0.0, 2.0):

@@ -47,6 +47,7 @@ def test_gains_of_a_single_joint_are_those_of_the_chapter() -> None:
     assert d.met
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize(
     "asked",
     [{"overshoot": 10.0, "settling": 0.4}, {"zeta": 1.0, "settling": 0.3}, {"overshoot": 0.0, "omega_n": 10.0},
@@ -97,6 +98,7 @@ def test_coupled_joints_miss_what_matrices_meet() -> None:
     assert alike.got("zeta") == pytest.approx(0.7, rel=SAMPLED)
 
 
+@pytest.mark.long
 def test_impedance_keeps_its_stiffness_and_stiffness_control_gets_damping_for_every_mode() -> None:
     arm = taut.load_arm("panda")
     x = taut.snapshot(arm, arm.home)
@@ -152,6 +154,7 @@ def off_in_simulation(d: taut.analysis.Design, arm: taut.Arm, q: np.ndarray, joi
     return float(np.abs(1.0 - y - d.steps.e[:count, joint]).max())
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize(("name", "make", "arm_name", "asked"), SIMULATED, ids=[row[0] for row in SIMULATED])
 def test_steps_of_the_nonlinear_loop_are_those_that_the_design_reports(
     name: str, make: Callable[[], Any], arm_name: str, asked: dict[str, Any]

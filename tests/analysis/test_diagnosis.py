@@ -468,6 +468,7 @@ def pressed(plant: Callable[[taut.Arm, taut.Pose], Any], stroke: list[float], du
     )
 
 
+@pytest.mark.long
 def test_a_board_that_leans_is_found_with_its_angle() -> None:
     def plant(arm: taut.Arm, T: taut.Pose) -> Any:
         board = taut.Constraint.plane(point=T.p, normal=[np.sin(0.12), 0.0, np.cos(0.12)])
@@ -478,6 +479,7 @@ def test_a_board_that_leans_is_found_with_its_angle() -> None:
     assert found.evidence["tilt along the path"].value == pytest.approx(np.degrees(0.12), rel=0.02)
 
 
+@pytest.mark.long
 def test_a_contact_that_bounces_is_found_and_its_remedy_ends_it() -> None:
     def wiped(contact: str) -> taut.Run:
         def plant(arm: taut.Arm, T: taut.Pose) -> Any:

@@ -129,20 +129,21 @@ def test_a_panda_with_2_kg_gives_payload_and_friction_back(kind: Any) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("name", ["planar2", "ur10", "panda"])
 def test_intervals_of_95_percent_cover_95_percent(
-    share: Callable[[int], int], bar: Callable[[str, object], None]
+    name: str, share: Callable[[int], int], bar: Callable[[str, object], None]
 ) -> None:
-    arm = arm_of("panda")
-    plant, motion = plant_of(loaded(arm)), motion_of("panda")
+    arm = arm_of(name)
+    plant, motion = plant_of(loaded(arm)), motion_of(name)
     runs = (recorded(arm, plant, motion, seed=100 + seed) for seed in range(share(60)))
     errors = [deviations(taut.analysis.identify(run, arm)) for run in runs]
     covered = float(np.mean(np.abs(errors) < 1.96))
-    bar("identify: coverage of the 95 % intervals", round(covered, 3))
+    bar(f"identify: coverage of the 95 % intervals on a {name}", round(covered, 3))
     assert 0.89 < covered < 0.99
     assert np.sqrt(np.mean(np.square(errors))) < 1.25
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ["ur10", "kinova", "planar2"])
 def test_other_arms_give_payload_and_friction_back(name: str) -> None:
     arm = arm_of(name)
@@ -228,6 +229,7 @@ def test_where_in_its_period_a_torque_acts_does_not_bias_friction(options: Any) 
     assert found.arm.viscous[0] == pytest.approx(0.3, abs=2.5 * found.estimates["joint1.viscous"].std)
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize(("kp", "kd"), [(400.0, 40.0), (2500.0, 100.0)])
 def test_a_start_in_which_the_payload_drops_biases_nothing(kp: float, kd: float) -> None:
     """At t = 0 the acceleration jumps, which filtered positions do not show: I_xx was off by 5 and 7 deviations."""

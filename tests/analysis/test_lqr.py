@@ -23,7 +23,7 @@ def sampled_model(arm, q, rate):
     return whole[: 2 * n, : 2 * n], whole[: 2 * n, 2 * n :]
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", CASES)
 def test_the_gain_is_that_of_python_control_on_a_model_of_its_own(name):
     arm, rate, rng = taut.load_arm(name), CASES[name], np.random.default_rng(4)
@@ -44,6 +44,7 @@ def test_the_gain_is_that_of_python_control_on_a_model_of_its_own(name):
         np.testing.assert_array_equal(np.hstack([found.law.K_q, found.law.K_v]), found.K)
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", CASES)
 def test_a_run_is_judged_stable_and_costs_what_it_says(name):
     arm, rate, n = taut.load_arm(name), CASES[name], taut.load_arm(name).n

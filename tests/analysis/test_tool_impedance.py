@@ -54,6 +54,7 @@ def test_an_impedance_law_gives_what_it_promises(impedance: taut.Loop) -> None:
         assert np.abs(tip.Z(omega) / tip.specified_Z(omega) - 1.0).max() < 0.02
 
 
+@pytest.mark.long
 def test_a_sweep_measures_what_is_predicted(impedance: taut.Loop) -> None:
     tip = taut.analysis.tool_impedance(impedance, direction=Z_AXIS)
     omega = np.array([5.0, 40.0, 400.0])
@@ -126,6 +127,7 @@ def test_what_no_force_moves_is_infinitely_hard() -> None:
     assert np.isfinite(integral.Z(1e-3)[0])
 
 
+@pytest.mark.long
 def test_motion_control_is_hard_to_move_and_force_control_easy() -> None:
     arm = taut.load_arm("panda")
     free = Plant(arm, friction=None, environment=taut.environments.Push())
@@ -180,6 +182,7 @@ MISUSE: dict[str, tuple[Callable[[], object], str]] = {
 }  # fmt: skip
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("case", MISUSE)
 def test_bad_input_is_refused_by_name(case: str) -> None:
     call, name = MISUSE[case]

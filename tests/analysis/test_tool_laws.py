@@ -195,6 +195,7 @@ def test_the_derivative_in_native_code_is_that_of_plain_python(share: Callable[[
     bar(f"the derivative of a period, {len(off)} laws: native code against plain Python", f"{max(off):.1e}")
 
 
+@pytest.mark.long
 def test_an_admittance_that_stays_put_at_rest_gives_way_all_the_same() -> None:
     """At the very point both of its energies are zero, and its body stays: the model is of what it does beside it."""
     tip = taut.analysis.tool_impedance(loop_of("Admittance, drives", taut.load_arm("panda")), direction=Z_AXIS)
@@ -202,6 +203,7 @@ def test_an_admittance_that_stays_put_at_rest_gives_way_all_the_same() -> None:
     assert pytest.approx(tip.Z(OMEGA[:1]), rel=SWEPT) == measured_Z(tip, OMEGA[:1])
 
 
+@pytest.mark.long
 def test_an_admittance_over_joints_is_what_a_sweep_measures() -> None:
     """At rest inverse kinematics takes the length of an error that is zero, to the last bit."""
     tip = taut.analysis.tool_impedance(loop_of("Admittance, joints", taut.load_arm("ur10")), direction=Z_AXIS)
@@ -236,7 +238,7 @@ def closed_form(arm: taut.Arm, omega: Float64Array, kfp: float, kdamp: float) ->
     return np.array(out), damping
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ["planar3", "gantry3", "ur10"])
 @pytest.mark.parametrize("kfp", [0.0, 1.0])
 def test_hybrid_control_is_motion_along_its_constraint_and_force_against_it(name: str, kfp: float) -> None:
@@ -268,6 +270,7 @@ def test_a_force_loop_adds_nothing_to_the_stiffness_of_what_it_presses_on() -> N
     assert pytest.approx(tip.Z(OMEGA), rel=SWEPT) == measured_Z(tip, OMEGA)
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("law", ["Impedance", "Impedance with D"])
 def test_directions_are_those_of_the_world_however_the_arm_is_mounted(law: str) -> None:
     turn = taut.Pose([0.1, 0.2, 0.3], rpy=(0.0, 0.0, 0.5 * np.pi))
@@ -302,6 +305,7 @@ class Wave(taut.environments.Environment):
         return self.force * tm.sin(self.omega * t), {}
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("law", ["GravityPID", "Impedance", "Admittance"])
 def test_a_run_against_a_swinging_force_has_the_predicted_admittance(law: str) -> None:
     """Delta X = Y Delta F, with the tool's motion out of the joints' by forward kinematics."""

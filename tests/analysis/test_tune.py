@@ -117,6 +117,7 @@ def test_the_integral_of_the_squared_error_is_least_at_half_damping(loop: taut.L
     assert tuned.ratios == {"loop": pytest.approx(tuned.cost)}
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_constraints_are_kept(noisy: tuple[taut.Loop, taut.Arm]) -> None:
     loop, arm = noisy
@@ -131,6 +132,7 @@ def test_constraints_are_kept(noisy: tuple[taut.Loop, taut.Arm]) -> None:
     assert free.after[0].chatter > free.before[0].chatter  # so that the constraint did something
 
 
+@pytest.mark.long
 def test_a_limit_of_the_torque_rate_is_kept_where_the_controller_has_none(loop: taut.Loop) -> None:
     """Next to the start it is kd kp / M, 200 N m/s; without a limit the best takes 4000."""
     limits = taut.Limits(tau_dot=[1500.0])
@@ -146,6 +148,7 @@ def test_a_limit_of_the_torque_rate_is_kept_where_the_controller_has_none(loop: 
 # -------------------------------------------------------------------- what goes wrong on the way
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize(
     ("asked", "words"),
     [

@@ -169,6 +169,7 @@ class TestPassiveEnvironments:
             f"0 of {total}; {above} of {total}",
         )
 
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("name", HANDS)
     def test_the_worst_one_does_just_above_it(self, name: str) -> None:
         """One per cent, three for a damper without filter: at half the rate 40 resonances leave 0.5 % of the sum."""
@@ -187,6 +188,7 @@ class TestPassiveEnvironments:
         assert radius(dataclasses.replace(hand, differenced=True), worst) < 1.0
         assert wall_of(hand).damping_margin == -np.inf
 
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("name", ["spring", "one period late"])
     @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
     def test_runs_of_taut_with_it_have_their_border_there(self, name: str) -> None:

@@ -134,6 +134,7 @@ def test_the_list_of_arms_has_all_of_them_with_joints_and_commands() -> None:
 # -------------------------------------------------------------------- reach
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ["panda", "kinova", "so101", "z1", "gantry3", "ur5"])
 def test_no_pose_reaches_further_than_the_reach(name: str) -> None:
     arm = load_arm(name)

@@ -16,7 +16,7 @@ from refusals import refused
 
 from taut import math as tm
 from taut.errors import ShapeError, TraceError
-from taut.trace.derivative import jacobian
+from taut.trace.derivative import adjoints, jacobian
 from taut.trace.graph import Graph
 from taut.trace.scalar import Scalar, to_node, tracing
 
@@ -95,6 +95,56 @@ def test_every_rule_agrees_with_casadi_and_with_differences(rule: str) -> None:
         )
         second = jacobian(lambda x: jacobian(function_of(rule), x), point)
         np.testing.assert_allclose(second, hessian, rtol=10.0 * EXACT, atol=10.0 * EXACT)
+
+
+def reverse(function: Callable[[Any], Any], point: Any, weights: Any = (1.0,)) -> Any:
+    """The derivative of weights @ function, in reverse mode."""
+    graph = Graph()
+    with tracing(graph):
+        marks = [graph.input() for _ in point]
+        results = np.atleast_1d(np.asarray(function(tm.array([Scalar(graph, mark) for mark in marks])), dtype=object))
+        nodes = [to_node(graph, y) for y in results]
+        found = adjoints(graph, nodes, [graph.const(w) for w in weights], marks)
+    return graph.evaluate(found, list(point))
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_reverse_mode_agrees_with_forward_mode(rule: str) -> None:
+    for point in POINTS:
+        forward = jacobian(function_of(rule), point)
+        np.testing.assert_allclose(reverse(function_of(rule), point), forward, rtol=EXACT, atol=EXACT)
+
+
+def several(x: Any) -> Any:
+    """Results that share nodes, with each other and with themselves; one is a constant, one an argument."""
+    a, b = tm.sin(x[0] * x[1]), x[1] / (1.0 + x[2] * x[2])
+    y = tm.where(a > b, a * a - b, tm.sqrt(2.0 + b) * a)
+    return tm.array([y, y + a, y, a * y * a, 3.0, x[2], tm.maximum(a, x[2]) - x[0]])
+
+
+def test_reverse_mode_adds_up_what_results_share() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        point, weights = rng.uniform(-1.0, 1.0, 3), rng.standard_normal(7)
+        forward = weights @ jacobian(several, point)
+        np.testing.assert_allclose(reverse(several, point, weights), forward, rtol=1e-12, atol=1e-12)
+
+
+BRANCHES: dict[str, tuple[Callable[[Any], Any], list[float], list[float]]] = {
+    "the length of nothing": (lambda x: tm.sqrt(x[0] * x[0] + x[1] * x[1]), [0.0, 0.0], [0.0, 0.0]),
+    "a root that is not taken": (lambda x: tm.where(x[0] > 0.0, x[1] * tm.sqrt(x[0]), x[0]), [-1.0, 2.0], [1.0, 0.0]),
+    "a quotient that is not taken": (
+        lambda x: tm.where(x[0] == 0.0, x[1], x[1] * (x[1] / x[0]) * tm.exp(x[1] / x[0])), [0.0, 2.0], [0.0, 1.0],
+    ),
+    "an end of the arc": (lambda x: tm.asin(x[0]) * x[1], [1.0, 2.0], [0.0, 0.5 * math.pi]),
+    "a logarithm that is not taken": (lambda x: tm.where(x[0] > 0.0, tm.log(x[0]), 3.0 * x[1]), [0.0, 1.0], [0.0, 3.0]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", BRANCHES)
+def test_reverse_mode_takes_nothing_from_what_is_not_taken_or_infinite(what: str) -> None:
+    function, point, wanted = BRANCHES[what]
+    np.testing.assert_array_equal(reverse(function, point), wanted)
 
 
 @pytest.mark.parametrize("rule", RULES)

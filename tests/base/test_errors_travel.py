@@ -117,6 +117,7 @@ def test_what_holds_machine_code_refuses_to_be_copied(copied: Callable[[Any], An
     assert dict(ctrl.parameters).keys() == ctrl.parameters.keys()
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("copied", COPIES.values(), ids=COPIES)
 def test_a_copy_of_a_mujoco_plant_runs_as_it_does_and_is_another_one(copied: Callable[[Any], Any]) -> None:
     box = '<body name="box" pos="0.5 0 2"><freejoint/><geom type="box" size="0.1 0.1 0.1" mass="1"/></body>'

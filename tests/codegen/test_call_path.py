@@ -281,6 +281,7 @@ def test_builtins_work_when_everything_else_is_gone() -> None:
     np.testing.assert_array_equal(command, wanted.step(3.0 * Q, V, REF))
 
 
+@pytest.mark.long
 def test_controllers_in_cycles_are_collected() -> None:
     """CPython reads a builtin's definition when it goes; it must not have gone before."""
     code = (

@@ -15,6 +15,7 @@ from taut.errors import MissingExtraError, UsageError
 AGREED = 1e-12  # relative to the largest torque
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("name", ["planar2", "gantry3", "kinova"])
 def test_a_tick_as_a_casadi_function_gives_the_native_numbers(name: str, law: str) -> None:

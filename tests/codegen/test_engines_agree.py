@@ -60,6 +60,7 @@ def test_native_code_agrees_with_plain_python(name: str, law: str) -> None:
         np.testing.assert_allclose(sum(got_terms.values()), got, rtol=0.0, atol=NATIVE * scale)
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("law", PI_LAWS)
 @pytest.mark.parametrize("name", NAMES)
 def test_the_law_written_on_pinocchio_gives_the_same_torques(name: str, law: str) -> None:

@@ -85,6 +85,7 @@ def test_a_function_is_right_to_its_last_bits(name: str) -> None:
     assert ulps(ours(x), true(np.longdouble(x))).max() <= FEW
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize(
     ("function", "x", "wanted"),
     [

@@ -77,7 +77,7 @@ def test_single_precision_is_double_precision_to_its_own_rounding() -> None:
         assert np.abs(few - many).max() <= 1.0 + 1e-5
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize(
     ("function", "low", "high"),
     [

@@ -69,6 +69,7 @@ def test_native_code_against_pinocchio(share: Share, bar: Bar) -> None:
     assert worst <= PINOCCHIO
 
 
+@pytest.mark.long
 def test_forward_dynamics_undoes_inverse_dynamics(share: Share, bar: Bar) -> None:
     """Inverse dynamics of what forward dynamics gives, relative to the largest torque: 2000 states of each arm."""
     worst, states = 0.0, 0

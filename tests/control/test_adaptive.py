@@ -81,6 +81,7 @@ def test_planar2_with_a_payload_picked_up_has_the_errors_of_the_table() -> None:
     assert np.linalg.norm(h) == pytest.approx(0.809, rel=0.005)  # along the link
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize(
     ("gamma", "wanted"), [(5.0, [0.49, 58.0, 33.0, 17.0, 140.0]), (20.0, [0.42, 25, 19, 7.0, 65])]
 )
@@ -125,7 +126,7 @@ def masses(arm: taut.Arm, q: Float64Array) -> Float64Array:
     return over_rows(lambda q: {"M": mass_matrix(model, q, load)}, q=arm.n)(q=q)["M"]
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ["planar2", "ur10", *(["z1"] if WHOLE else [])])
 @pytest.mark.parametrize("links", ["payload", "all"])
 def test_the_lyapunov_function_falls_at_the_rate_of_the_proof(name: str, links: Any) -> None:
@@ -164,9 +165,12 @@ def test_composite_adaptation_is_faster_and_changes_nothing_without_an_error(nam
     np.testing.assert_allclose(before, before[0], rtol=5e-3)
 
 
-@pytest.mark.parametrize("links", ["payload", "all"])
-def test_composite_adaptation_lets_v_fall(links: Any) -> None:
-    arm = taut.load_arm("planar2")
+@pytest.mark.parametrize(
+    ("name", "links"),
+    [("planar2", "payload"), ("planar2", "all"), pytest.param("ur10", "payload", marks=pytest.mark.long)],
+)
+def test_composite_adaptation_lets_v_fall(name: str, links: Any) -> None:
+    arm = taut.load_arm(name)
     true, which = arm.with_payload(**cube(1.0, 0.0)), list(adapted(model_of(arm), links))
     last = []
     for composite in (None, 1.0):
@@ -193,6 +197,7 @@ def test_no_weight_of_composite_adaptation_is_too_large() -> None:
     assert run.extra["law.estimate"][-1, 0, 0] == pytest.approx(3.0, rel=0.02)
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ["planar2", "ur10", "z1"])
 def test_the_error_tends_to_zero(name: str) -> None:
     arm = taut.load_arm(name)
@@ -207,6 +212,7 @@ def divergence(P: Float64Array, estimate: Float64Array) -> float:
     return float(np.trace(ratio) - 4.0 - np.linalg.slogdet(ratio)[1])
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ["ur10", "xarm7"])
 def test_estimates_stay_possible_under_any_measurement(
     name: str, share: Callable[[int], int], bar: Callable[[str, object], None]
@@ -279,6 +285,7 @@ def test_a_payload_taken_up_at_rest_leaves_no_error_and_a_wrong_estimate() -> No
     assert found.excited.tolist() == [True] + [False] * 9  # two torques: the mass, and no first moment alone
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ["panda", "ur10"])
 @pytest.mark.parametrize("prior", [0.0, 1.5])
 def test_a_loop_with_an_unknown_payload_is_judged_at_an_equilibrium_of_possible_bodies(
@@ -299,6 +306,7 @@ def test_the_prior_is_a_cube_at_the_tool() -> None:
     )
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("adds", [("gravity",), ("gravity", "coriolis")])
 def test_a_plant_that_adds_gravity_is_given_only_the_rest(adds: tuple[str, ...]) -> None:
     arm = taut.load_arm("panda")

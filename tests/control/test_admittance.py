@@ -97,6 +97,7 @@ def felt(run: taut.Run, frequency: float) -> complex:
 
 @pytest.mark.parametrize("mode", ["velocity", "position", "torque"])
 class TestAUR10LedByAHand:
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("frequency", [0.2, 0.6, 2.0])
     def test_feels_like_the_mass_that_was_asked_for(self, mode: str, frequency: float) -> None:
         w = 2.0 * math.pi * frequency
@@ -106,7 +107,7 @@ class TestAUR10LedByAHand:
         assert Z.imag / w == pytest.approx(D, rel=WITHIN)
         assert abs(Z) == pytest.approx(abs(1j * w * D + B), rel=WITHIN)
 
-    @pytest.mark.part(2)
+    @pytest.mark.part(1)
     def test_feels_like_the_damper_and_the_spring_that_were_asked_for(self, mode: str) -> None:
         push = steady(6.0, 0.0, -3.0, 0.0, 0.5, 0.0)
         run = led(mode, push, 6.0, K=(300.0, 30.0), B=(160.0, 16.0))
@@ -118,6 +119,7 @@ class TestAUR10LedByAHand:
         late = poses(run)[-1].p - poses(run)[-501 if mode != "torque" else -1001].p
         np.testing.assert_allclose(late, [0.0, 4.0 / B, 0.0], atol=2e-2 * 4.0 / B)
 
+    @pytest.mark.part(1)
     def test_follows_a_reference_that_moves(self, mode: str) -> None:
         class Line:
             def at(self, t: float) -> taut.TaskMotion:
@@ -138,7 +140,7 @@ class TestAUR10LedByAHand:
 class TestAContact:
     """A spring k that a UR10 in velocity mode leans on needs B > k t, with t the lags between hand and motion."""
 
-    @pytest.mark.part(2)
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("D", [10.0, 40.0])
     @pytest.mark.parametrize(
         ("cutoff", "led", "lag"),

@@ -180,7 +180,7 @@ def on_soft_board(motion: taut.Law, depth: float) -> Array:
     return np.asarray(run.task.p[-1, :2] - T.p[:2])
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize(
     "motion",
     [

@@ -19,7 +19,7 @@ def tool_speeds(arm, run, every=4):
     return np.array([np.asarray(taut.snapshot(arm, q).J()) @ v for q, v in rows])
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ["ur10", "panda", "kinova"])
 @pytest.mark.parametrize("part", [0, 3])
 def test_without_contact_the_tool_goes_no_faster_than_stated(name, part, share):
@@ -54,6 +54,7 @@ def test_the_motion_without_the_bound_is_much_faster():
     assert tool_speeds(arm, run)[:, :3].min() < -0.3
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("engine", ["native", "float"])
 def test_in_contact_the_environment_gets_the_wrench(engine):
     """On a wall that the law does not know, 2 cm below, met at the stated speed."""
@@ -136,6 +137,7 @@ def test_what_has_no_meaning_is_refused(make, kind):
         make()
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize(
     ("forces", "kind"),
     [

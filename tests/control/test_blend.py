@@ -82,6 +82,7 @@ CHANGES: dict[str, dict[str, Any]] = {
 @engines
 @pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
 class TestAChangeOfParameters:
+    @pytest.mark.part(1)
     def test_is_not_felt_in_its_tick_and_acts_in_full_after_its_time(
         self, engine: Any, change: dict[str, Any]
     ) -> None:
@@ -102,6 +103,7 @@ class TestAChangeOfParameters:
         assert np.abs(tau - unchanged.step(moved, V, REF)).max() > 0.1
         np.testing.assert_allclose(tau, law, rtol=1e-12)
 
+    @pytest.mark.part(1)
     def test_in_the_middle_of_another_one_takes_up_what_is_left(self, engine: Any, change: dict[str, Any]) -> None:
         ctrl, unchanged = blending(engine), blending(engine)
         for k in range(70):

@@ -29,6 +29,7 @@ def test_the_page_has_a_line_for_every_kind_of_robot() -> None:
     assert set(headings) >= {"Torques: free motion", "Torques: contact", *DRIVES}
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize(("heading", "code"), lines(), ids=lambda text: text[:60])
 def test_a_line_of_the_page_makes_a_law_that_runs(heading: str, code: str) -> None:
     arm = taut.load_arm("ur10" if heading in DRIVES else "panda")
@@ -54,7 +55,7 @@ OF_ONE_JOINT = re.compile(r"laws\.PID\(")  # whose gains are for one_joint, as t
 TOUCHING = taut.environments.Push(peak=[0.0, 0.0, 0.0])  # nothing, but the wrench is measured
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.bars
 @pytest.mark.parametrize(
     "code", [code for heading, code in lines() if heading not in DRIVES], ids=lambda text: text[:60]

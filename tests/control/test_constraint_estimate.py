@@ -51,7 +51,7 @@ def estimated(
     return tilt
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize("mu", [0.0, 0.2, 0.5])
 @pytest.mark.parametrize("degrees", [3.0, 10.0, 15.0])
 def test_one_second_of_sliding_one_way_shows_any_tilt_to_a_degree_whatever_the_friction(
@@ -71,6 +71,7 @@ def test_the_error_falls_at_the_stated_rate() -> None:
         assert np.allclose(left, -true * np.exp(-5.0 * seconds), rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.long
 def test_noise_of_the_sensors_is_averaged_as_stated() -> None:
     rng, d_F, d_v, rate = np.random.default_rng(1), 0.3, 0.005, 8.0
     errors = []

@@ -58,7 +58,7 @@ def stopped(run: taut.Run) -> bool:
     return [window.name for window in run.phases] != ["move"]
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ["planar2", "ur10", "panda"])
 @pytest.mark.parametrize("frictionless", [True, False])
 def test_the_energy_is_the_work_of_the_torque_less_what_lifted_the_arm(name: str, frictionless: bool) -> None:
@@ -100,6 +100,7 @@ def test_a_passive_law_never_gives_more_than_its_springs_held(
     bar("energy that GravityPID gives planar2, ur10 and panda under pushes, beyond its springs'", f"0 of {count}")
 
 
+@pytest.mark.part(1)
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 @pytest.mark.parametrize("name", ["planar2", "panda"])
 @pytest.mark.parametrize("law", [NegativeDamping(kp=100.0, kd=2.0), LateSpring(kp=300.0, kd=0.5)])

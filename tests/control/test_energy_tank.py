@@ -36,6 +36,7 @@ def test_arm_springs_and_tank_never_gain_energy(
     )
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("tank", [True, False])
 def test_a_spring_that_is_switched_with_the_motion_gains_energy_only_without_a_tank(
     tmp_path: Path, tank: bool

@@ -40,6 +40,7 @@ def response(part: Any, frequencies: Array, ticks: int = 2**14) -> Array:
 
 
 class TestLowPass:
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("order", [1, 2])
     @pytest.mark.parametrize("cutoff", [2.0, 30.0, 200.0, 480.0])
     def test_is_three_decibels_down_at_its_cutoff_exactly(self, order: Any, cutoff: float) -> None:
@@ -91,6 +92,7 @@ class TestNotch:
         got = through(taut.sensors.Notch(frequency=18.0, width=4.0, depth=400.0), signal)
         np.testing.assert_allclose(got, wanted, rtol=0.0, atol=EXACT)
 
+    @pytest.mark.part(1)
     @pytest.mark.parametrize(
         ("frequency", "width", "depth"), [(18.0, 4.0, 40.0), (120.0, 60.0, 6.0), (3.0, 1.0, 20.0)]
     )

@@ -167,6 +167,7 @@ class TestFigures:
         ("linearised 30", lambda K: linearising(30.0, K), (0.277, None), (1.34, None), 1.10),
     )
 
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("row", [pytest.param(row, id=row[0], marks=LONG.get(row[0], ())) for row in ROWS])
     def test_of_a_two_link_arm_and_of_a_panda(self, row: Any) -> None:
         _, law, slow, quick, panda = row
@@ -185,6 +186,7 @@ class TestFigures:
             errors = followed(CT, arm, stiffer * K, ref, seen=LINKS_ALONE, duration=2.0)
             assert not np.isfinite(errors).all() or np.abs(errors).max() > 1.0
 
+    @pytest.mark.long
     def test_a_payload_that_is_not_known(self) -> None:
         expected = {
             (0.1, 15.0): 454.0, (0.5, 15.0): math.inf, (0.1, 30.0): 7.2, (0.5, 30.0): 38.3, (0.1, None): 26.0,
@@ -194,6 +196,16 @@ class TestFigures:
             law = motor_side(K2) if omega is None else linearising(omega, K2)
             found = figures(followed(law, PLANAR2, K2, of_planar2(), true=LOADED[mass]))[0]
             assert found == pytest.approx(figure, rel=ROW)
+
+    @pytest.mark.long
+    def test_the_error_of_the_fast_torque_loop_falls_with_its_bandwidth_on_a_ur10(self) -> None:
+        arm, K, ref = (
+            UR10.with_payload(3.0),
+            np.array([4000.0] * 3 + [1000.0] * 3),
+            reference(UR10, [0.4] * 6, [0.5] * 6),
+        )
+        errors = [figures(followed(fast(w, K), arm, K, ref, duration=2.0))[0] for w in (100.0, 200.0)]
+        assert errors[0] / errors[1] == pytest.approx(2.0, abs=0.05)
 
     def test_the_error_of_the_fast_torque_loop_falls_with_its_bandwidth(self) -> None:
         errors = [figures(followed(fast(w, K2), PLANAR2, K2, of_planar2(), duration=2.0))[0] for w in (100.0, 200.0)]
@@ -235,6 +247,7 @@ class TestResonance:
         assert held[1] == pytest.approx(free[1], rel=1e-6)
         assert held[0].max() != pytest.approx(free[0].max(), rel=1e-3)
 
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("arm", [UR10, PANDA], ids=lambda arm: arm.name)
     def test_the_zeros_are_the_links_behind_locked_motors(self, arm: taut.Arm, share: Callable[[int], int]) -> None:
         rng = np.random.default_rng(1)
@@ -285,6 +298,7 @@ class TestSetPoints:
         assert a > 0.0
         assert np.linalg.eigvalsh(matrix)[0] == pytest.approx(0.0, abs=1e-9 * 1000.0)
 
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("arm", [UR10, PANDA], ids=lambda arm: arm.name)
     def test_where_the_condition_holds_every_start_ends_at_the_set_point(
         self, arm: taut.Arm, share: Callable[[int], int]
@@ -317,6 +331,7 @@ class TestSetPoints:
 
 
 class TestClosedLoops:
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("arm", [PLANAR2, UR10, PANDA], ids=lambda arm: arm.name)
     def test_linearised_joints_are_four_integrators_each(self, arm: taut.Arm, share: Callable[[int], int]) -> None:
         """(d/dt + w)^4 e = 0 from rest at a small error: e = e0 (1 + wt + (wt)^2/2 + (wt)^3/6) exp(-wt)."""
@@ -332,7 +347,9 @@ class TestClosedLoops:
             form = 0.02 * (1.0 + t + t**2 / 2.0 + t**3 / 6.0) * np.exp(-t)
             np.testing.assert_allclose(errors, np.outer(form, np.ones(arm.n)), rtol=0.0, atol=0.05 * 0.02)
 
-    @pytest.mark.parametrize(("omega", "stable"), [(600.0, True), (1500.0, False)])
+    @pytest.mark.parametrize(
+        ("omega", "stable"), [pytest.param(600.0, True, marks=pytest.mark.long), (1500.0, False)]
+    )
     def test_linearisation_needs_a_rate_above_the_frequency_of_a_link_on_its_spring(
         self, omega: float, stable: bool
     ) -> None:
@@ -342,6 +359,7 @@ class TestClosedLoops:
         loop = taut.Loop(taut.compile(linearising(30.0, K), arm), elastic(arm, K, substeps=10), duration=1.0)
         assert taut.linearise(loop).stable is stable
 
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("arm", [UR10, PANDA], ids=lambda arm: arm.name)
     def test_motor_side_feedforward_is_exact_but_for_the_period(
         self, arm: taut.Arm, share: Callable[[int], int]
@@ -385,6 +403,7 @@ class TestClosedLoops:
         law = taut.laws.FullStateFeedback.placed(arm, stiffness=K, poles=poles, rate=1000.0)
         assert np.abs(followed(law, arm, K, ref)).max() < 2e-4
 
+    @pytest.mark.part(1)
     @pytest.mark.parametrize(("K", "limit"), [(2000.0, 12.0), (5000.0, 9.5), (10000.0, 4.1)])
     def test_torque_feedback_has_the_limits_of_a_sampled_loop(self, K: float, limit: float) -> None:
         """Section 10.6's figures, found again within 5 %: M 0.5, B 0.2, D 1, one tick of delay, PD 70 and 14."""
@@ -405,6 +424,7 @@ class TestClosedLoops:
         assert stable(0.95 * limit)
         assert not stable(1.05 * limit)
 
+    @pytest.mark.long
     def test_a_law_of_the_tool_runs_inside_the_fast_torque_loop(self) -> None:
         K = K7.tolist()
         law = taut.laws.FastTorqueLoop(
@@ -453,6 +473,7 @@ class TestSeriesElastic:
         held = taut.run(law, loaded, taut.JointMotion(q=[0.0]), duration=15.0, q0=[0.0])
         return float(since[: int(np.argmin(since > 0.0))].max()), float(held.q[-1, 0])
 
+    @pytest.mark.part(1)
     @pytest.mark.parametrize(
         ("K", "impact", "inertia"),
         [(50.0, 31.7, 0.5), (430.0, 32.3, None), (2000.0, 38.4, None), (4300.0, 48.5, None), (2e4, 53.3, 1.5)],
@@ -575,6 +596,7 @@ class TestMessages:
         assert "joint '" in found.direction
         assert sum(found.joints.values()) == pytest.approx(1.0, abs=0.01)
 
+    @pytest.mark.long
     def test_its_spring_is_no_gain_to_lower(self) -> None:
         """The spring's stiffness is what the joint has: a wrong one would hide the growth, and spoil the motion."""
         for rotor, stiffness, omega, gains in ((0.6, 4000.0, 30.0, []), (0.2, 2000.0, 600.0, ["law.omega"])):

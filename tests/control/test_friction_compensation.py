@@ -87,6 +87,7 @@ def test_at_the_measured_speed_it_is_never_more_than_the_friction_that_is_there(
     assert tau * v >= 0.0
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("stribeck", [0.0, 0.2])
 def test_along_the_reference_static_friction_is_given_where_it_starts(stribeck: float) -> None:
     arm = LINK.with_friction(Friction(coulomb=0.5, static=1.5, stribeck=stribeck))

@@ -37,6 +37,7 @@ def on(constraint: Constraint, arm: taut.Arm, seed: int = 0) -> tuple[Array, Arr
     return q, v - np.linalg.lstsq(A, A @ v, rcond=None)[0]
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("engine", ["native", "float"])
 @pytest.mark.parametrize("name", ["panda", "ur10"])
 def test_the_law_is_equation_10_45_with_the_curvature_term(name: str, engine: Any) -> None:
@@ -122,6 +123,7 @@ def test_a_constraint_of_joints_goes_with_a_motion_of_joints() -> None:
     assert abs(A @ a).max() < 1e-9
 
 
+@pytest.mark.long
 def test_a_closed_chain_is_moved_by_one_arm_and_squeezed_as_asked() -> None:
     arm = taut.load_arm("baxter").subset([name for name in taut.load_arm("baxter").joint_names if "head" not in name])
     x0 = taut.snapshot(arm, arm.home)
@@ -225,6 +227,7 @@ def test_the_integral_rests_where_it_would_pull_or_limits_cut_it() -> None:
         assert (limited.memory["law.e_int"][0] - held) * other > 0.0  # the way back is free
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("adds", [(), ("gravity",)])
 def test_joint_torques_measure_the_contact_whatever_the_plant_adds_itself(adds: tuple[str, ...]) -> None:
     """Torque sensors have all that acts on the links: gravity that the plant compensates is in what they tell."""
@@ -242,7 +245,7 @@ def test_joint_torques_measure_the_contact_whatever_the_plant_adds_itself(adds: 
     assert abs(run.extra["contact.lam"][-1, 0] + 10.0) < 0.1
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize(
     ("kfp", "kfi", "settles"), [(0.95, 1.0, True), (1.05, 1.0, False), (0.5, 900.0, True), (0.5, 1100.0, False)]
 )

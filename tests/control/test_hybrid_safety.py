@@ -58,6 +58,7 @@ def test_with_nothing_to_press_on_the_force_is_taken_back_and_the_run_tells(fade
     assert out.t[np.argmax(lost)] == pytest.approx(0.05)
 
 
+@pytest.mark.long
 def test_with_kdamp_the_speed_stays_below_what_the_damping_holds() -> None:
     """|D^-1 ((1 + kfp) F_d + kfi e_int_max)| with D^-1 = 1 / kdamp + dt A Lambda^-1 A^T."""
     ctrl = taut.compile(law(kdamp=KDAMP, e_int_max=E_INT_MAX), ARM)
@@ -95,6 +96,7 @@ def test_damping_beside_the_tool_is_stable_off_contact_on_light_directions_too(n
     assert (np.einsum("ti,ij,tj->t", rate, np.linalg.inv(inverse), rate) < 1.01 * lam @ inverse @ lam).all()
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize(("kfp", "stable"), [(0.55, True), (0.66, False)])
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_joint_torques_off_contact_bear_kfp_as_far_as_the_damping_leaves_it(kfp: float, stable: bool) -> None:
@@ -125,6 +127,7 @@ def test_the_damping_against_a_row_is_that_of_the_end_of_the_tick() -> None:
     np.testing.assert_allclose(ctrl.terms["force_D"], -D * (A @ x.v) @ A, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_contact_that_comes_back_is_taken_up_within_the_rate_limit(faded: taut.Controller) -> None:
     """A wall that was off for a while; the force comes back to what was asked for, and no torque jumps."""
@@ -195,7 +198,7 @@ def test_a_stream_into_the_surface_is_told_and_followed_along_it(faded: taut.Con
     assert quiet.outcome.message == "completed: 301 ticks, 0.3 s"
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize(
     ("forces", "told"),
     [
@@ -237,6 +240,7 @@ def test_gains_that_swing_up_on_a_rigid_contact_are_refused_there_and_told_elsew
 # -------------------------------------------------------------------- rows that become dependent
 
 
+@pytest.mark.long
 def test_rows_that_become_dependent_are_left_out() -> None:
     """A plane and a saddle z = 10 x y meet along x = 0, and at y = 0 they touch: their gradients are one."""
     centre = T.p + np.array([0.0, 0.05, 0.0])

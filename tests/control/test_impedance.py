@@ -73,6 +73,7 @@ SPRINGS = [
 ]
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("options", SPRINGS, ids=lambda o: "-".join(str(v) for v in o.values() if isinstance(v, str)))
 @pytest.mark.parametrize("name", ["panda", "ur10"])
 def test_the_spring_is_the_gradient_of_its_energy(name: str, options: dict[str, Any]) -> None:

@@ -138,6 +138,7 @@ def test_gains_have_a_unit_for_joints_that_turn_and_one_for_those_that_slide(nam
         assert slide == ("" if expected == turn else expected), (name, gain)
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ["ur10", "kinova"])
 @pytest.mark.parametrize(("share", "stable"), [(0.97, True), (1.03, False)])
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")

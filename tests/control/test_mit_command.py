@@ -50,6 +50,7 @@ def test_the_linear_model_of_the_two_rates_is_that_of_the_matrix_exponential(rat
     np.testing.assert_allclose(ours, exact, atol=2e-8)
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ["ur10", "panda"])
 def test_a_pd_in_the_motors_is_the_pd_at_the_motors_rate(name, share):
     """With the reference at rest both are the same torques at the same times."""
@@ -64,6 +65,7 @@ def test_a_pd_in_the_motors_is_the_pd_at_the_motors_rate(name, share):
         np.testing.assert_allclose(two.q, one.q[::10], atol=1e-9)
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("engine", ["native", "float"])
 def test_the_five_numbers_give_the_torque_of_the_law_in_the_tick(engine):
     arm = taut.load_arm("panda")
@@ -101,6 +103,7 @@ def test_both_plants_and_all_engines_move_alike():
     assert runs[0].extra["mit"].shape == (31, 5, 6)
 
 
+@pytest.mark.long
 def test_the_run_judges_the_two_rates_as_they_are():
     """100 Hz are too slow for these gains, and so is an inner loop of 500 Hz for a Z1's wrist; 5 kHz are not."""
     arm = taut.load_arm("z1")
@@ -210,6 +213,7 @@ def test_a_record_keeps_the_five_numbers(tmp_path):
     np.testing.assert_allclose(run.tau, run.command, atol=1e-12)  # of the first step of each tick
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize(("rate", "taps"), [(500.0, 3), (100.0, 1)])
 def test_of_a_pd_in_the_motors_a_delay_of_the_commands_is_cancelled(rate, taps):
     """The motors' targets are what the torque was computed of: the poles are those without delay, and zeros."""

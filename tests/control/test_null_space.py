@@ -119,7 +119,7 @@ class TestTheTaskIsLeftInPeace:
         R = max(float(np.abs(rotation_log(each.R @ T.R.T)).max()) for each in poses)
         return float(np.abs(out.q - arm.home).max()), p, R
 
-    @pytest.mark.part(1)
+    @pytest.mark.long
     @pytest.mark.parametrize("arm", TASKS)
     def test_by_a_posture(self, arm: str) -> None:
         made, task = TASKS[arm]
@@ -145,7 +145,7 @@ class TestTheTaskIsLeftInPeace:
             bar(f"null space, {arm}: {joints:.2f} rad of it move the tool, {substeps} steps a tick", f"{p:.1e} m")
             assert p < 1e-6
 
-    @pytest.mark.part(1)
+    @pytest.mark.long
     @pytest.mark.parametrize("arm", ["panda", "kinova"])
     def test_by_manipulability(self, arm: str) -> None:
         made, task = TASKS[arm]
@@ -156,6 +156,7 @@ class TestTheTaskIsLeftInPeace:
         if made.n == 7:
             assert R < 1e-6
 
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("arm", ["panda", "xarm7"])
     def test_by_limit_avoidance(self, arm: str) -> None:
         made, task = TASKS[arm]
@@ -165,6 +166,7 @@ class TestTheTaskIsLeftInPeace:
         assert p < 1e-6
         assert R < 1e-6
 
+    @pytest.mark.long
     def test_but_not_where_the_projector_is_another_one(self) -> None:
         wrong = PseudoInverse(task=full(None), posture=L.Posture(q=away(PANDA)))
         right = self.moved(PANDA, full(L.Posture(q=away(PANDA))), 1e3)
@@ -225,6 +227,7 @@ class TestTheLaws:
         out = taut.run(taut.compile(full(L.Posture()), PANDA), taut.RigidPlant(PANDA), goal, duration=0.2, q0=q0)
         assert np.abs(out.q - q0).max() < 1e-9
 
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("seed", range(3))
     def test_manipulability_climbs_its_own_slope(self, seed: int) -> None:
         """M^-1 tau is gain times d/dq log sqrt(det(J J^T)), each entry bounded."""

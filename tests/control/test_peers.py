@@ -98,6 +98,7 @@ def test_the_states_are_those_of_the_arm(k: int) -> None:
 # -------------------------------------------------------------------- robosuite
 
 
+@pytest.mark.part(1)
 @every_state
 def test_robosuites_full_law_is_ours_with_its_sine_and_no_velocity_term(page: ModuleType, k: int) -> None:
     s = At(k)
@@ -107,6 +108,7 @@ def test_robosuites_full_law_is_ours_with_its_sine_and_no_velocity_term(page: Mo
     assert off(s.tau(plain, R_des=R_des, a=s.Jdot_v), s.told("robosuite", "full")) < EXACT
 
 
+@pytest.mark.part(1)
 @every_state
 def test_robosuites_null_space_torque_is_that_of_our_posture(page: ModuleType, k: int) -> None:
     s = At(k)
@@ -147,6 +149,7 @@ def test_robosuites_default_does_not_make_the_acceleration_that_it_asks_for() ->
     assert np.max(asked, axis=0) == pytest.approx([10.2, 38.0], abs=0.1)
 
 
+@pytest.mark.long
 def test_what_robosuite_leaves_out_is_less_than_the_page_says(page: ModuleType) -> None:
     worst = max(off(s.tau(page.robosuite_full, a=s.Jdot_v), s.tau(page.robosuite_full)) for s in map(At, range(5)))
     assert worst == pytest.approx(0.29, abs=0.01)  # [N m]
@@ -155,6 +158,7 @@ def test_what_robosuite_leaves_out_is_less_than_the_page_says(page: ModuleType) 
 # -------------------------------------------------------------------- libfranka
 
 
+@pytest.mark.part(1)
 @every_state
 def test_libfrankas_cartesian_example_is_ours_with_half_the_rotational_stiffness(page: ModuleType, k: int) -> None:
     s = At(k)
@@ -194,6 +198,7 @@ def test_frankys_defaults_are_those_of_the_page(page: ModuleType) -> None:
     assert np.array_equal(np.asarray(page.franky.K.as_array()).ravel()[[0, -1]], [500.0, 50.0])
 
 
+@pytest.mark.part(1)
 @every_state
 def test_crisps_law_is_ours(page: ModuleType, k: int) -> None:
     s = At(k)

@@ -132,10 +132,12 @@ class TestLawsGiveThePseudocodesTorquesTickByTick:
         got = torques_of(taut.laws.PID(kp=20.0, ki=3.0, kd=2.0), arm, engine)
         assert_same(got, pseudocode_10_8(arm.n, 20.0, 3.0, 2.0))
 
+    @pytest.mark.part(1)
     def test_feedforward_control_of_figure_10_9(self, arm: taut.Arm, engine: str) -> None:
         got = torques_of(taut.laws.FeedForward(), arm, engine)
         assert_same(got, pseudocode_10_9(arm.n, Mhat_of(arm), hhat_of(arm)))
 
+    @pytest.mark.part(1)
     def test_feedback_linearisation_of_figure_10_13(self, arm: taut.Arm, engine: str) -> None:
         got = torques_of(taut.laws.ComputedTorque(kp=20.0, ki=3.0, kd=2.0), arm, engine)
         assert_same(got, pseudocode_10_13(arm.n, 20.0, 3.0, 2.0, Mhat_of(arm), hhat_of(arm)))

@@ -40,6 +40,7 @@ def test_the_acceptance_figures_of_planar2() -> None:
     assert last(followed(usual, arm.with_payload(0.5), true)) == pytest.approx(185.96 * MRAD, rel=0.01)
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ["planar2", "ur10", "xarm7"])
 def test_no_arm_of_the_set_errs_by_more_than_rho(name: str, share: Callable[[int], int]) -> None:
     arm, rng = taut.load_arm(name), np.random.default_rng(7)

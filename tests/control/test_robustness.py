@@ -37,6 +37,13 @@ def test_the_layer_of_planar2() -> None:
 
 def test_the_certificate_of_planar2() -> None:
     """Acceptance 1c; that of the level set was found there from random states, and here from its extremes."""
+    arm = taut.load_arm("planar2")
+    law = taut.laws.Robust(lam=10.0, k=10.0, phi=[0.051259, 0.230643], uncertainty=planar_set())
+    x = UncertainArm(arm, law).bounds(reference(arm).rows(np.linspace(0.0, 4.0, 401)))
+    V = (
+        x.c.max() * (x.rho.max(axis=0) @ law.phi.as_array()) / (8.0 * 10.0)
+    )  # rho on the reference, which proves nothing
+    assert np.sqrt(2.0 * V * x.mobility) / 10.0 == pytest.approx([0.02943, 0.09714], rel=0.03)
     found = certificate("planar2", planar_set(), phi=[0.051259, 0.230643])
     assert found.certified == pytest.approx([0.036, 0.118], rel=0.08)
     assert found.ok
@@ -162,6 +169,7 @@ def test_a_reference_that_is_not_known_beforehand_is_refused() -> None:
     assert refused.value.name == "reference"
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize(("name", "integrator"), [("planar2", "rk4"), ("ur10", "semi-implicit-euler")])
 def test_a_plant_whose_links_carry_payloads_moves_as_an_arm_of_those_links(name: str, integrator: str) -> None:
     """The simulations of a set are of one compiled loop."""

@@ -132,7 +132,7 @@ def test_forces_and_torques_have_low_passes_of_their_own(engine: Any) -> None:
 # -------------------------------------------------------------------- joints that turn without end
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ["difference and second order", "kalman", "notch", "notch and kalman"])
 def test_a_joint_that_turns_without_end_is_sensed_as_if_it_were_not_wrapped(name: str) -> None:
     kinova = taut.load_arm("kinova")
@@ -167,7 +167,7 @@ def test_a_joint_that_turns_without_end_is_sensed_as_if_it_were_not_wrapped(name
 # -------------------------------------------------------------------- engines, parameters
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @every
 def test_native_code_sees_what_plain_python_sees(sensing: taut.Sensing) -> None:
     q, v = walk(3)
@@ -189,6 +189,7 @@ NEW: dict[str, Any] = {
 }
 
 
+@pytest.mark.part(1)
 @every
 @engines
 def test_its_numbers_are_parameters_that_act_without_a_compile(

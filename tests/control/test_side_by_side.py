@@ -30,6 +30,7 @@ def both(arm: taut.Arm, shift: float = 0.02) -> Any:
     )
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("engine", ["native", "float"])
 def test_each_arm_gets_the_torque_that_it_would_get_alone(baxter: taut.Arm, engine: Any) -> None:
     law = taut.SideBySide(left=held("left"), right=held("right", K=(200.0, 10.0)))

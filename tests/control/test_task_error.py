@@ -133,6 +133,7 @@ class TestTheError:
 
 
 class TestTheRates:
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("arm", ARMS)
     @pytest.mark.parametrize("name", KINDS)
     def test_of_velocity_errors_are_what_a_law_takes_them_for(self, name: str, arm: str) -> None:

@@ -112,10 +112,11 @@ def test_it_ends_in_a_state_that_moves():
 
 
 @pytest.mark.part(1)
+@pytest.mark.parametrize("name", ["ur10", "panda"])
 @pytest.mark.parametrize("tool", [False, True])
-def test_a_new_goal_in_mid_motion_makes_no_jump_of_torque(tool):
+def test_a_new_goal_in_mid_motion_makes_no_jump_of_torque(tool, name):
     """Against the same change of goal by a motion that begins at rest."""
-    arm = taut.load_arm("panda")
+    arm = taut.load_arm(name)
     if tool:
         law = taut.laws.TaskComputedTorque(kp=400.0, kd=40.0)
         T = taut.snapshot(arm, arm.home).T()
@@ -133,10 +134,10 @@ def test_a_new_goal_in_mid_motion_makes_no_jump_of_torque(tool):
     moving = Transition(start=first.at(t), goal=at[2], **limits)
     here = first.at(t)
     rest = TaskMotion(pose=here.pose) if tool else JointMotion(q=here.q)
-    jumps = []
+    ctrl, plant, jumps = taut.compile(law, arm), taut.RigidPlant(arm), []
     for second in (moving, Transition(start=rest, goal=at[2], **limits)):
         ref = taut.stream(period=0.001, source=lambda x, m=second: first.at(x.t) if x.t < t - 5e-4 else m.at(x.t - t))
-        run = taut.run(taut.compile(law, arm), taut.RigidPlant(arm), ref, duration=0.8)
+        run = taut.run(ctrl, plant, ref, duration=0.8)
         k = round(1000 * t)
         steps = np.abs(np.diff(run.tau, axis=0)).max(axis=1)
         jumps.append(steps[k - 2 : k + 2].max() / np.median(steps[: k - 5]))

@@ -128,7 +128,7 @@ SMOOTH = {
 
 
 class TestTheMotionOfTheJoints:
-    @pytest.mark.part(2)
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("name", ["planar3", "panda", "ur10", "z1"])
     def test_is_the_inverse_kinematics_of_the_target(self, name: str) -> None:
         """Equation 10.28, after one step a tick: rounding is all that is left once the start has died away."""
@@ -140,6 +140,7 @@ class TestTheMotionOfTheJoints:
             assert np.linalg.norm(T.p - wanted.p) < 1e-10
             assert np.linalg.norm(pin.log3(np.array(wanted.R.T @ T.R))) < 1e-10
 
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("name", ["planar3", "panda", "ur10", "z1"])
     def test_has_velocities_and_accelerations_that_are_its_own(self, name: str) -> None:
         """Equations 10.29 and 10.30, with the free motion of redundant arms, are the rates of q_des."""
@@ -178,7 +179,7 @@ class TestTheMotionOfTheJoints:
 
 
 class TestTheClosedLoop:
-    @pytest.mark.part(2)
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("name", ["planar3", "panda", "ur10"])
     def test_is_that_of_the_law_inside(self, name: str) -> None:
         """From 5 mm off, joint errors fall as e_ddot + kd e_dot + kp e = 0, sampled: within 1 %."""
@@ -273,6 +274,7 @@ class TestLimits:
 class TestSingularPoses:
     ARM = taut.load_arm("ur10")
 
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("axis", [0, 1, 2])
     def test_of_the_wrist_are_passed(self, axis: int) -> None:
         arm, way = self.ARM, 0.25 * np.eye(3)[axis]

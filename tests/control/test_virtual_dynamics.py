@@ -163,6 +163,7 @@ class TestTheStepItself:
 
 @pytest.mark.parametrize("frame", FRAMES)
 class TestEnergy:
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("kind", ["pair", "diagonal", "full"])
     def test_never_grows_without_a_wrench_however_long_the_tick(self, frame: str, kind: str) -> None:
         rng = np.random.default_rng([1, len(kind), len(frame)])

@@ -46,7 +46,7 @@ def test_an_underdamped_step_is_that_of_the_closed_form(zeta: float) -> None:
     assert abs(e) == pytest.approx(0.02, rel=1e-9)
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize("ki", [0.0, 40.0])
 @pytest.mark.parametrize("rate", [None, 200.0])
 def test_python_control_has_the_same_poles_step_and_margins(rate: float | None, ki: float) -> None:

@@ -64,7 +64,7 @@ def assert_same_as_pinocchio(arm: taut.Arm, oracle: Oracle, tolerance: float = S
 
 @pytest.mark.parametrize("name", NAMES)
 class TestEachArmOfTheCatalogueAgreesWithPinocchio:
-    @pytest.mark.part(2)
+    @pytest.mark.part(1)
     def test_as_its_file_says(self, name: str) -> None:
         arm = taut.load_arm(name)
         assert_same_as_pinocchio(arm, catalogue_oracle(name, arm))

@@ -71,6 +71,7 @@ class TestTheOrderOfConvergence:
         coarse, fine = (error(arm, expected, 0.5, v0, substeps=s, **options) for s in (8, 16))
         assert np.log2(coarse / fine) == pytest.approx(order, abs=within)
 
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("integrator", ["semi-implicit-euler", "rk4"])
     def test_sub_steps_at_a_lower_rate_are_steps_at_a_higher_one(self, integrator: str) -> None:
         arm = taut.load_arm("panda")

@@ -160,18 +160,20 @@ def test_the_bound_of_the_speed_holds_in_the_sampled_loop_along_every_axis(name:
     assert 0.95 < worst < 1.001  # and it is no more than what the tool reaches
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize(("name", "rate"), [("ur10", 250.0), ("xarm7", 250.0), ("panda", 4000.0), ("z1", 4000.0)])
 def test_so_it_does_at_other_rates(name: str, rate: float) -> None:
     worst = within_the_bound(name, taut.RigidPlant(arm_of(name), friction=None), rate, duration=0.5)
     assert 0.9 < worst < 1.001
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ["xarm7", "z1"])
 def test_so_it_does_with_the_friction_of_the_arm(name: str) -> None:
     assert within_the_bound(name, taut.RigidPlant(arm_of(name)), duration=0.5) < 1.0
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ["panda", "ur10"])
 def test_so_it_does_in_mujoco(name: str) -> None:
     worst = within_the_bound(name, taut.MujocoPlant(arm_of(name), friction=None), duration=0.3)
@@ -322,6 +324,7 @@ def test_the_weight_of_the_tool_is_an_error_of_force_until_sensing_takes_it_out(
 # -------------------------------------------------------------------- rigid contacts
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("frame", ["world", "tool"])
 def test_on_a_rigid_contact_a_force_that_swings_up_is_refused_and_one_that_settles_is_not(frame: Any) -> None:
     """Only directions that the contact bears count: a plane bears no moment."""

@@ -94,7 +94,7 @@ def test_a_swept_sine_meets_the_sampled_impedance_in_every_direction(name: str) 
             assert np.abs(measured[part] - wanted[part]).max() <= SWEPT * np.abs(wanted[part]).max()
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ARMS)
 def test_the_damping_ratio_is_the_asked_one_in_every_mode_at_five_poses(name: str) -> None:
     arm = taut.load_arm(name)

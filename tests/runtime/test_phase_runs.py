@@ -264,6 +264,7 @@ def test_the_law_and_reference_of_a_phase_are_checked_where_it_begins() -> None:
     assert run(lambda x: taut.pressing(taut.TaskMotion(pose=x.T()), 5.0)).outcome.ok
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize(("kind", "off", "tolerance"), [("fused", 0.02, 0.01), ("hosted", -0.003, 0.001)])
 def test_a_phase_that_begins_off_its_surface_states_the_distance_and_the_tolerance(
     kind: str, off: float, tolerance: float

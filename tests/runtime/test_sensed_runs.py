@@ -201,7 +201,7 @@ class TestARecord:
 # -------------------------------------------------------------------- parameters
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @every
 @engines
 def test_its_numbers_change_in_a_run_without_a_compile(

@@ -41,7 +41,7 @@ def table(way: str, kind: str, count: int, name: str = "ur10") -> list[Measured]
     return [measured(loop(name, way).run(line), arm, line) for line in lines(arm, kind)[:count]]
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.bars
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_ur10_goes_through_its_singularities_within_its_limits_and_comes_back(

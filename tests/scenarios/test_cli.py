@@ -415,7 +415,7 @@ def taut_to(out: int, words: list[str], folder: Path) -> subprocess.CompletedPro
     )
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize("words", COMMANDS.values(), ids=COMMANDS)
 def test_an_output_that_cannot_be_written_is_one_sentence(words: list[str], tmp_path: Path) -> None:
     if not Path("/dev/full").exists():
@@ -517,6 +517,7 @@ class BrokenOff(taut.Law):
 """
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize(("name", "status"), [("SIGINT", 1), ("SIGKILL", -9)])
 def test_a_run_that_is_broken_off_leaves_its_log(name: str, status: int, tmp_path: Path) -> None:
     law = tmp_path / "law.py"

@@ -61,7 +61,7 @@ def test_there_is_one_for_each_section() -> None:
     assert [next(name for name in NAMES if name.startswith(f"{section}_")) for section in sections] == NAMES
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", NAMES)
 def test_each_says_what_to_change_runs_and_shows_a_picture(name: str) -> None:
     kept = nbformat.read(FOLDER / f"{name}.ipynb", 4)
@@ -102,6 +102,7 @@ def test_an_integral_above_its_bound_never_rests() -> None:
     assert pid < -1.5
 
 
+@pytest.mark.long
 def test_the_error_of_the_body_leads_aside() -> None:
     straight, body = (
         numbers(execute("10_2_3_task_space", *change).text, r"# mm aside")[0]
@@ -110,6 +111,7 @@ def test_the_error_of_the_body_leads_aside() -> None:
     assert body > 50.0 * straight
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_a_soft_joint_swings_without_damping() -> None:
     text = execute("10_6_other_topics", "2000.0, 5.0", "2000.0, 1.0").text
@@ -138,6 +140,7 @@ def test_the_pole_of_the_force() -> None:
     assert numbers(execute("10_3_force").text, r"pole # 1/s")[0] == pytest.approx(-2.0, rel=0.01)
 
 
+@pytest.mark.long
 def test_motion_and_force_at_once() -> None:
     text = execute("10_4_hybrid").text
     assert "in contact: 3 free motions and 3 free forces" in text
@@ -145,6 +148,7 @@ def test_motion_and_force_at_once() -> None:
     assert numbers(text, r"largest error along the board # mm")[0] < 0.2
 
 
+@pytest.mark.long
 def test_both_kinds_of_control_move_as_equation_10_48() -> None:
     moved = numbers(execute("10_5_impedance").text, r"moves # mm")
     t = np.linspace(0.0, 0.9, 9001)

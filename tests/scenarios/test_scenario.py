@@ -183,6 +183,7 @@ class TestFilesAreWholeOrNotThere:
         assert self.run(tmp_path, "--out", "a" * 5000) == 2
         assert "File name too long" in capsys.readouterr().err
 
+    @pytest.mark.part(1)
     @WITHOUT_OPENGL
     @pytest.mark.parametrize(("kind", "name"), [("plot", "x.png"), ("log", "x.mcap")])
     def test_a_full_disk_leaves_what_was_there_and_the_result_is_told(
@@ -428,7 +429,7 @@ width = 4
 """
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize(
     ("written", "made"),
     [
@@ -522,6 +523,7 @@ UNSTABLE = pytest.param(
 )  # it shows that
 
 
+@pytest.mark.part(12)
 @pytest.mark.parametrize(
     "name", [UNSTABLE if n == "gain_bounds" else n for n in built_in_scenarios() if n not in ELSEWHERE]
 )

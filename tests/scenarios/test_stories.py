@@ -46,6 +46,7 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return run
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ["so101_servo", "panda_geared"])
 def test_the_table_on_the_page_is_the_one_that_is_printed(name: str, told: Any) -> None:
     _, _, after = PAGE.read_text(encoding="utf-8").partition(f"$ taut run {name}\n```\n\n```text\n")

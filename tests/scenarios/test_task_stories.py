@@ -64,7 +64,7 @@ def marks(name: str) -> list[pytest.MarkDecorator]:
     return [pytest.mark.xdist_group(name), *([pytest.mark.long] if name in LONG else [])]
 
 
-@pytest.mark.part(3)
+@pytest.mark.part(1)
 @pytest.mark.bars
 @pytest.mark.parametrize("name", [pytest.param(name, marks=marks(name)) for name in STORIES])
 def test_a_story_reaches_its_pass_figures(name: str, told: Any) -> None:
@@ -124,6 +124,7 @@ def test_deflections_are_as_one_to_the_stiffness(told: Any) -> None:
     assert np.array(ways) / ways[2] == pytest.approx([4.0, 2.0, 1.0], rel=0.01)
 
 
+@pytest.mark.long
 @pytest.mark.xdist_group("cabinet_door")
 def test_the_real_door_is_open_by_60_degrees_and_a_motion_alone_would_jam_it(told: Any) -> None:
     plant = told("cabinet_door").scenario.experiment.plant
@@ -135,6 +136,7 @@ def test_the_real_door_is_open_by_60_degrees_and_a_motion_alone_would_jam_it(tol
     assert out.metrics.force_rms > 50.0
 
 
+@pytest.mark.long
 @pytest.mark.xdist_group("two_arms_bar")
 def test_the_bar_itself_is_turned_and_squeezed_along_its_axis(told: Any) -> None:
     result = told("two_arms_bar")
@@ -156,6 +158,7 @@ def test_the_wheel_rolls_along_the_curve_by_friction_alone(told: Any) -> None:
     assert 0.02 * abs(data.joint("axle").qpos[0]) == pytest.approx(length, abs=2e-3)
 
 
+@pytest.mark.long
 @pytest.mark.xdist_group("policy_10hz")
 def test_a_blended_reference_is_that_of_the_chunk_when_the_next_one_comes(told: Any) -> None:
     runs = told("policy_10hz").runs

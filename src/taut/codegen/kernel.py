@@ -188,6 +188,8 @@ class Kernel:
     def start(self) -> None:
         """Start memory from the inputs."""
         blocks, none = self.blocks, np.zeros(0)
+        if self._time is not None:  # that of the last tick of the run before
+            blocks.views("inputs")[self._time][...] = 0.0
         self._starter(blocks.inputs, blocks.parameters, none, none, blocks.memory)
         self._words["count"] = 0
         self.resume()

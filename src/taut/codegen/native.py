@@ -41,6 +41,11 @@ def available() -> bool:
     return importlib.util.find_spec("llvmlite") is not None
 
 
+def cores() -> int:
+    """Processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def warn_of_plain_python() -> None:
     """The one line about running without native code."""
     warn("llvmlite is not installed, so laws run as plain Python, about 1000 times slower; pip install llvmlite")

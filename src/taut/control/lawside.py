@@ -271,12 +271,12 @@ class LawSide:
         """Sentence of a run's outcome where a recorded entry of the memory is not zero, by path."""
         return {f"{path}.{name}": text for path, law in self.laws for name, text in law.notices}
 
-    @property
+    @cached_property
     def needs(self) -> tuple[str, ...]:
         """Measurements that the law side needs, beyond positions."""
         return tuple(name for name in self.takes if name in self.probe.used)
 
-    @property
+    @cached_property
     def takes(self) -> tuple[str, ...]:
         """What a tick is given, beyond positions: all that is needed, and velocities where sensing reads them."""
         velocity, used = ("v",) if self.sensing.needs_velocity else (), self.probe.used

@@ -23,6 +23,7 @@ from taut.maths.model import Adds
 if TYPE_CHECKING:
     from taut.control.tasks.feed import TaskSteps
     from taut.control.tasks.task import Task
+    from taut.controller.batch import Batch, Device, RealName
 
 
 class Controller:
@@ -218,6 +219,35 @@ class Controller:
                 name="bind",
             )
         return BoundKernel(self._kernel, self.law.reference)
+
+    def batch(
+        self, n: int, *, device: Device = "cpu", real: RealName = "double", threads: int | None = None
+    ) -> Batch:
+        """Controllers of this law for n arms, stepped together on arrays of NumPy, torch, JAX or Warp.
+
+        It is for simulators of your own, whose arrays it reads and writes where they are. It starts with the
+        parameters that this controller has now.
+
+        Args:
+            n: Number of lanes.
+            device: Where arrays are and code runs; "cuda" is refused in this version.
+            real: Type of all numbers, "double" for float64 or "float" for float32.
+            threads: At most so many; as many as there are cores if left out. Where there is little to do, fewer run.
+
+        Raises:
+            UsageError: Another device or type, a controller of a task, or one in the float engine.
+
+        Example:
+            >>> import numpy as np, taut
+            >>> ctrl = taut.compile(taut.laws.PID(kp=10.0), taut.load_arm("planar2"))
+            >>> batch = ctrl.batch(3)
+            >>> batch.parameters["law.kp"] = [1.0, 2.0, 3.0]
+            >>> batch.step(np.zeros((3, 2)), np.zeros((3, 2)), taut.JointMotion(q=[1.0, 2.0])).tolist()
+            [[1.0, 2.0], [2.0, 4.0], [3.0, 6.0]]
+        """
+        from taut.controller.batch import Batch
+
+        return Batch(self, n, device, real, threads)
 
     @property
     def phase(self) -> str:

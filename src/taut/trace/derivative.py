@@ -13,7 +13,7 @@ import numpy as np
 from taut.base.errors import ShapeError
 from taut.base.types import Array, Matrix
 from taut.trace.array import has_symbols, traced_array
-from taut.trace.graph import BOOLEAN_OPS, Graph, Op
+from taut.trace.graph import BOOLEAN_OPS, LARGEST, Graph, Op
 from taut.trace.scalar import Condition, Scalar, active_graph, to_node, to_symbol, tracing
 
 
@@ -63,6 +63,39 @@ def _tangent(g: Graph, i: int, known: Mapping[int, int], zero: int) -> int:
     return g.div(g.sub(g.mul(b, da), g.mul(a, db)), g.add(g.mul(a, a), g.mul(b, b)))
 
 
+def adjoints(graph: Graph, outputs: Sequence[int], weights: Sequence[int], wanted: Sequence[int]) -> list[int]:
+    """Nodes of the derivative of sum(weight output) by each node of `wanted`. The graph grows.
+
+    In reverse mode, so that all of them together cost two to five times the function. Infinite slopes at a constant
+    argument count as 0; what a branch that is not taken would give, finite or not, does not count.
+    """
+    zero, one, depends = graph.const(0.0), graph.const(1.0), set(wanted)
+    live, wild = graph.live(outputs), set[int]()  # wild: infinite at some finite arguments, or made of such a node
+    for i in live:
+        operands = graph.operands(i)
+        if not depends.isdisjoint(operands) and graph.ops[i] not in BOOLEAN_OPS:
+            depends.add(i)
+        if graph.ops[i] in _WILD or not wild.isdisjoint(operands):
+            wild.add(i)
+    total: dict[int, int] = {}
+    for i, weight in zip(outputs, weights, strict=True):
+        total[i] = graph.add(total.get(i, zero), weight)
+    for i in reversed(live):
+        weight, operands = total.get(i, zero), graph.operands(i)
+        for x in dict.fromkeys(operands) if i in depends and weight != zero else ():
+            if x not in depends:
+                continue
+            slope = _tangent(graph, i, {y: one if y == x else zero for y in operands}, zero)
+            if graph.ops[i] in _STEEP:
+                finite = graph.compare(int(Op.LE), graph.unary(int(Op.ABS), slope), graph.const(LARGEST))
+                slope = graph.select(finite, slope, zero)
+            part = graph.mul(weight, slope)
+            if i in wild and graph.value[slope] is None:
+                part = graph.select(graph.compare(int(Op.EQ), weight, zero), zero, part)
+            total[x] = graph.add(total.get(x, zero), part)
+    return [total.get(i, zero) for i in wanted]
+
+
 def _inverse_root(g: Graph, a: int) -> int:
     """1 / sqrt(1 - a^2)."""
     one = g.const(1.0)
@@ -82,6 +115,7 @@ _CHAIN: Final[dict[Op, Callable[[Graph, int, int], int]]] = {
 }
 
 _STEEP: Final = frozenset({int(Op.SQRT), int(Op.ASIN), int(Op.ACOS)})  # infinite slopes at the ends of what they take
+_WILD: Final = frozenset({*_STEEP, int(Op.DIV), int(Op.LOG), int(Op.EXP), int(Op.ATAN2)})
 
 
 def jacobian(function: Callable[[Array], Any], x: Any) -> Matrix:

@@ -31,11 +31,6 @@ Chunk = tuple[int, int]
 """First sample and number of samples."""
 
 
-def cores() -> int:
-    """Processor cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 class Died(Exception):  # noqa: N818  # a result of a sample
     """A process ended or was ended in the middle of a chunk."""
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import ctypes
 import dataclasses
-import platform
 from collections.abc import Callable, Mapping
 from typing import Any, Final, TypeAlias
 
@@ -17,8 +16,8 @@ from numpy.typing import NDArray
 
 from taut.base.types import Float64Array
 from taut.codegen.engine import Steps
-from taut.codegen.functions import SINGLE
-from taut.codegen.llvm import CACHE_LINE, Lanes, Writer, declarations, kernel, products_in_sums, spread
+from taut.codegen.lanes.writer import LaneWriter
+from taut.codegen.llvm import CACHE_LINE, Lanes, declarations, kernel, products_in_sums
 from taut.codegen.loop import COMMAND, TracedSteps
 from taut.codegen.native import compiled
 from taut.codegen.noise import NOISE, key, noise_text
@@ -30,9 +29,6 @@ Reduce: TypeAlias = Callable[[Values, Values, Values, Values], Values]
 
 LANE_ALIVE: Final = "lane.alive"  # 1.0 until memory or command is not finite
 LANE_TICKS: Final = "lane.ticks"  # that ended in finite memory and command
-FLUSH: Final = (
-    0x8040  # bits of MXCSR: what is smaller than normal numbers is zero; it would take a hundred times longer
-)
 
 
 class NotInLanes(Exception):  # noqa: N818  # no error
@@ -168,7 +164,7 @@ class LaneLoop:
 
     def _text(self, recorded: bool) -> str:
         """LLVM text of `advance`."""
-        lanes, steps, w = self.lanes, self._steps, _LaneWriter(self.lanes)
+        lanes, steps, w = self.lanes, self._steps, LaneWriter(self.lanes)
         own, real = steps.memory.size, self.lanes.real.name
         alive, ticks = (self.memory.field(path).offset for path in (LANE_ALIVE, LANE_TICKS))
         one, zero, truth = lanes.number(1.0), lanes.number(0.0), lanes.of("i1")
@@ -236,99 +232,6 @@ class LaneLoop:
         numbers_in = "i64 %ticks, i64 %first, i64 %groups, i64 %stride"
         arguments = f"{numbers_in}, ptr %rows, ptr %keys, ptr %parameters, ptr %memories, ptr %outputs"
         return w.function(f"void @advance({arguments}) {lanes.attributes}")
-
-
-class _LaneWriter:
-    """Writes a function that goes over groups of lanes; a writer, with what the two of them share."""
-
-    def __init__(self, lanes: Lanes) -> None:
-        self._lanes, self._writer = lanes, Writer()
-        self.put, self.line, self.sum = self._writer.put, self._writer.line, self._writer.sum
-
-    def enter(self, inputs: int) -> None:
-        """The head of the function: room for the inputs of a group, and the loop over groups."""
-        self.line("entry:", f" %own = alloca [{max(inputs, 1)} x {self._lanes.type}], align {CACHE_LINE}")
-        if self._flushes:
-            self.line(" %mode = alloca i32", " %flush = alloca i32", " call void @llvm.x86.sse.stmxcsr(ptr %mode)")
-            old = self.put("load i32, ptr %mode")
-            self.line(f" store i32 {self.put(f'or i32 {old}, {FLUSH}')}, ptr %flush")
-            self.line(" call void @llvm.x86.sse.ldmxcsr(ptr %flush)")
-        self.line(
-            " %shared = icmp eq i64 %stride, 0",
-            " %starts = icmp eq i64 %first, 0",
-            " %none = icmp sle i64 %groups, 0",
-            " br i1 %none, label %end, label %next_group",
-        )
-
-    @property
-    def _flushes(self) -> bool:
-        return self._lanes.real is SINGLE and platform.machine() in ("x86_64", "AMD64")
-
-    def group(self, parameters: int, memory: int) -> None:
-        """The head of the loop over groups: where its blocks are."""
-        t, word = self._lanes.type, self._lanes.of("i32")
-        self.line("next_group:", " %g = phi i64 [0, %entry], [%g1, %done]", " %shift = mul i64 %g, %stride")
-        self.line(f" %first_row = getelementptr {self._lanes.real.name}, ptr %rows, i64 %shift")
-        self.line(f" %parameter = getelementptr [{parameters} x {t}], ptr %parameters, i64 %g")
-        self.line(f" %memory = getelementptr [{memory} x {t}], ptr %memories, i64 %g")
-        self.line(f" %key = getelementptr [2 x {word}], ptr %keys, i64 %g")
-        for i in range(2):
-            self.line(f" %keyp{i} = getelementptr {word}, ptr %key, i64 {i}")
-            self.line(f" %key{i} = load {word}, ptr %keyp{i}, align 4")
-
-    def fill(self, row: str, size: int, after: str) -> None:
-        """The inputs of a tick but noise: one row for all lanes, or a row of each; then the label `after`."""
-        real = self._lanes.real.name
-        self.line(f" br i1 %shared, label %same_{after}, label %each_{after}", f"same_{after}:")
-        for i in range(size):
-            value = self.put(f"load {real}, ptr {self.put(f'getelementptr {real}, ptr {row}, i64 {i}')}")
-            self.line(*spread(f"{value}.l", value, real, self._lanes))
-            self.store(f"{value}.l", "%own", i)
-        self.line(f" br label %{after}", f"each_{after}:")
-        for i in range(size):
-            self.store(self.load(row, i), "%own", i)
-        self.line(f" br label %{after}", f"{after}:")
-
-    def noise(self, name: str, tick: str) -> None:
-        """The noise of a tick."""
-        word = self._lanes.of("i32")
-        self.line(*spread(name, tick, "i32", self._lanes))
-        self.line(f" call void @noise(ptr %own, {word} %key0, {word} %key1, {word} {name})")
-
-    def load(self, block: str, i: int) -> str:
-        """The numbers of all lanes."""
-        t = self._lanes.type
-        return self.put(
-            f"load {t}, ptr {self.put(f'getelementptr {t}, ptr {block}, i64 {i}')}, align {self._lanes.align}"
-        )
-
-    def store(self, value: str, block: str, i: int) -> None:
-        """Write the numbers of all lanes."""
-        t = self._lanes.type
-        place = self.put(f"getelementptr {t}, ptr {block}, i64 {i}")
-        self.line(f" store {t} {value}, ptr {place}, align {self._lanes.align}")
-
-    def itself_away(self, block: str, i: int) -> str:
-        """x - x: zero but of what is not finite."""
-        value = self.load(block, i)
-        return self.put(f"fsub {self._lanes.type} {value}, {value}")
-
-    def leave(self) -> None:
-        """The end of the loop over groups, and of the function."""
-        self.line(
-            " %g1 = add i64 %g, 1",
-            " %next = icmp slt i64 %g1, %groups",
-            " br i1 %next, label %next_group, label %end",
-        )
-        self.line("end:")
-        if self._flushes:
-            self.line(" call void @llvm.x86.sse.ldmxcsr(ptr %mode)")
-        self.line(" ret void")
-
-    def function(self, head: str) -> str:
-        """The text of the function, and of what it declares."""
-        flush = ["declare void @llvm.x86.sse.stmxcsr(ptr)", "declare void @llvm.x86.sse.ldmxcsr(ptr)"]
-        return "\n".join([*(flush if self._flushes else []), self._writer.function(head)])
 
 
 def _aligned(shape: tuple[int, ...], dtype: type[np.floating[Any]]) -> Rows:

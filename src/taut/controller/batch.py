@@ -1,0 +1,278 @@
+"""Batch: n controllers of one law, stepped together in lanes on the arrays of a simulator; made by `ctrl.batch`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Final, Literal, NoReturn, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taut.base.checks import float_array, one_of, whole_number
+from taut.base.errors import ShapeError, TautError, UsageError, unknown_name
+from taut.base.paths import Named, Parameters
+from taut.codegen.functions import DOUBLE, SINGLE
+from taut.codegen.lanes.loop import LANE_TICKS
+from taut.codegen.lanes.rows import LANE_FRESH, TIME, RowArrays, RowCode
+from taut.codegen.llvm import Lanes
+from taut.codegen.native import cores, host_lanes
+from taut.codegen.program import Block, trace
+from taut.control.lawside import LawSide
+from taut.control.trajectories.reference import Sample
+from taut.controller.calls import sample_arguments, step_arguments
+from taut.controller.kernel import DT, SideFunctions
+
+if TYPE_CHECKING:
+    from taut.controller.controller import Controller
+
+Rows: TypeAlias = NDArray[Any]
+Device = Literal["cpu", "cuda"]
+RealName = Literal["double", "float"]
+HOST: Final = (1, 3)  # of DLPack's kinds of memory: that of the CPU, as it is and pinned
+KINDS: Final = {2: "cuda", 4: "opencl", 7: "vulkan", 8: "metal", 10: "rocm", 13: "cuda", 14: "oneapi"}
+
+
+class Batch:
+    """n controllers of one law, stepped together. Made by `ctrl.batch`.
+
+    Arrays have a row for each lane, as simulators have them: q (n, joints). They are read and written where they
+    are, be they NumPy's, torch's, JAX's or Warp's. Rows may lie any distance apart, and an array without lanes,
+    (joints,), serves all. In double precision each lane has the bits of `ctrl.step`.
+
+    A lane in which a number is not finite gets NaN for its command, its memory stays as it was before the tick, and
+    `finite` is False for it. No other lane sees it.
+
+    What `ctrl.step` checks where a run begins is left out: angles in degrees, gains too large for the pose, rotations
+    that are none. A blend of limits takes up no change of parameters.
+    """
+
+    finite: NDArray[np.bool_]
+    """(n,) whether all numbers of each lane were finite in the last tick."""
+    memory: Mapping[str, Rows]
+    """The memory of the lanes itself by path, (n, ...), to read and to write. lane.ticks counts ticks since the
+    start; where lane.fresh is 1 the next tick starts the rest from what is measured then."""
+    parameters: Parameters
+    """Parameters by path, (n, ...) of each lane or (...) of all. What is set is checked, and copied."""
+
+    def __init__(self, ctrl: Controller, n: int, device: Device, real: RealName, threads: int | None) -> None:
+        self.n = whole_number("n", n, minimum=1)
+        self.threads = cores() if threads is None else whole_number("threads", threads, minimum=1)
+        one_of("device", device, ("cpu", "cuda"))
+        one_of("real", real, ("double", "float"))
+        self.side: LawSide = ctrl.side
+        if device == "cuda":
+            text = "this version has no code for a GPU; take device='cpu' and arrays in its memory"
+            raise UsageError(f"device='cuda': {text}", name="device")
+        if self.side.task is not None:
+            raise UsageError(
+                "a batch is for a law, whose reference is written from outside; the references of a task are made by "
+                "Python as its phases begin: make a batch of the law of each phase",
+                name="batch",
+            )
+        if ctrl.engine != "native":
+            raise UsageError("a batch is native code; compile the law with engine='native'", name="batch")
+        program = ctrl.program
+        start = trace(SideFunctions(self.side, record=False).start, program.inputs, program.parameters, Block())
+        real_kind = SINGLE if real == "float" else DOUBLE
+        self.dtype = np.dtype(real_kind.dtype)
+        code = RowCode(program, Lanes(host_lanes(real_kind), real_kind), start=start)
+        self._arrays = RowArrays(code, self.n)
+        self.finite = self._arrays.finite
+        rows = np.zeros((self.n, code.memory.size), dtype=self.dtype)
+        self._arrays.put("memory", rows)
+        self.memory = Named("the batch", "memory entry", code.memory.views(rows))
+        self._shapes = {**program.inputs.shapes, **program.outputs.shapes}
+        for path, shape in program.inputs.shapes.items():  # of a law that follows nothing; no torque is held
+            if path != TIME:
+                zero = np.eye(3, dtype=self.dtype) if shape == (3, 3) else np.zeros(shape, self.dtype)
+                self._arrays.put(path, zero, per_lane=False)
+        self._command, *others = program.outputs.fields
+        for field in others:
+            self._arrays.put(field.path, np.zeros((self.n, *field.shape), dtype=self.dtype))
+        self._arrays.put(DT, np.asarray(ctrl.dt, dtype=self.dtype), per_lane=False)
+        self.parameters = LaneParameters(self.side, self._arrays, self.dtype, dict(ctrl.parameters))
+        self.reset()
+
+    def __repr__(self) -> str:
+        return f"Batch(n={self.n}, {self.side.law!r}, {self.side.arm!r}, {self.dtype})"
+
+    def __reduce__(self) -> NoReturn:
+        raise UsageError("a batch cannot be copied or pickled; make another one: ctrl.batch(n)", name="batch")
+
+    def step(
+        self,
+        q: Any,
+        v: Any = None,
+        ref: Sample | Mapping[str, Any] | None = None,
+        *,
+        F_ext: Any = None,
+        tau_meas: Any = None,
+        q_motor: Any = None,
+        v_motor: Any = None,
+        a_tip: Any = None,
+        out: Any = None,
+    ) -> Any:
+        """One tick of all lanes.
+
+        Args:
+            q: (n, joints) measured positions [rad | m].
+            v: (n, joints) measured velocities [rad/s | m/s]; left out where sensing makes them from positions.
+            ref: One sample for all lanes, or arrays by the names of its fields, all of them: q, v and a (n, joints)
+                of a JointMotion; p (n, 3), R (n, 3, 3), twist and acceleration (n, 6) of a TaskMotion.
+            F_ext: (n, 6) as in `ctrl.step`; this and what follows where the law needs it.
+            tau_meas: (n, joints) [N m | N].
+            q_motor: (n, joints) [rad | m].
+            v_motor: (n, joints) [rad/s | m/s].
+            a_tip: (n, 3) [m/s^2].
+            out: (n, joints) where the command goes; a new array of NumPy's if left out.
+
+        Returns:
+            The command, `out`: (n, joints), or (n, 5, joints) of a law that gives a MitCommand.
+
+        Raises:
+            UsageError: An array in other memory, of another type, read-only as `out`, or with gaps in a row.
+            ShapeError: An array of another shape.
+        """
+        others = {"F_ext": F_ext, "tau_meas": tau_meas, "q_motor": q_motor, "v_motor": v_motor, "a_tip": a_tip}
+        given, _ = step_arguments(self.side, (), {"q": q, "v": v, **others})
+        for name, value in (given | reference_arrays(self.side, ref, self.dtype)).items():
+            self._take(name, value)
+        result = np.empty((self.n, *self._command.shape), dtype=self.dtype) if out is None else out
+        self._take(self._command.path, result, name="out")
+        self._arrays.run(self.threads)
+        return result
+
+    def reset(self, mask: Any = None) -> None:
+        """Start memory anew, in the next tick: in all lanes, or where the mask (n,) of truth values is True."""
+        lanes: Any = slice(None)
+        if mask is not None:
+            lanes = host_array("mask", mask)
+            if lanes.shape != (self.n,) or lanes.dtype != np.bool_:
+                raise ShapeError(
+                    f"mask must have shape ({self.n},) of truth values; got shape {lanes.shape} of {lanes.dtype}",
+                    name="mask",
+                )
+        self.memory[LANE_FRESH][lanes], self.memory[LANE_TICKS][lanes] = 1.0, 0.0
+
+    def _take(self, path: str, value: Any, name: str = "") -> None:
+        """Point the code to an array of a caller, which is checked; one of NumPy's that it has already stays."""
+        if value is self._arrays.kept.get(path):
+            return
+        array, shape, who = host_array(name or path, value), self._shapes[path], name or path
+        if array.dtype != self.dtype:
+            other = {"float32": "float", "float64": "double"}.get(str(array.dtype))
+            way = f", or make the batch with real='{other}'" if other else ""
+            raise UsageError(
+                f"{who} must be {self.dtype}, as this batch computes; got {array.dtype}; convert it{way}",
+                name=who,
+                value=str(array.dtype),
+            )
+        whole = (self.n, *shape)
+        if array.shape != whole and (name or array.shape != shape):
+            either = "" if name else f", or {shape} for all lanes"
+            raise ShapeError(f"{who} must have shape {whole}{either}; got shape {array.shape}", name=who)
+        if name and not array.flags.writeable:
+            raise UsageError(
+                f"{who} is read-only, or its library does not state that it is not (of Warp give out.numpy()); give "
+                "an array that can be written, or leave it out",
+                name=who,
+            )
+        lead = array.ndim - len(shape)
+        if not (array[0] if lead else array).flags.c_contiguous or not array.flags.aligned:
+            raise UsageError(
+                f"{who} has gaps within a row, or is not aligned: strides {array.strides} in bytes, of "
+                f"{array.itemsize} a number; rows may lie apart, but the numbers of each side by side: "
+                "make it contiguous",
+                name=who,
+                value=array.strides,
+            )
+        self._arrays.put(path, array, per_lane=bool(lead))
+
+
+def reference_arrays(side: LawSide, ref: Sample | Mapping[str, Any] | None, dtype: Any) -> dict[str, Any]:
+    """Arrays by the path of the input that they fill, of one sample or of arrays by the names of its fields."""
+    if not isinstance(ref, Mapping):
+        sample = sample_arguments(side, ref)
+        return {path: np.ascontiguousarray(value, dtype=dtype) for path, value in sample.items()}
+    fields = side.law.reference.fields(side.arm.n)
+    for name in ref:
+        if name not in fields:
+            raise unknown_name("ref", "field", name, fields)
+    missing = [name for name in fields if name not in ref]
+    if missing:
+        raise UsageError(
+            f"ref needs {', '.join(fields)}; got no {', '.join(missing)}; an array without lanes, such as zeros, "
+            "serves all",
+            name=f"ref.{missing[0]}",
+        )
+    return {f"ref.{name}": value for name, value in ref.items()}
+
+
+def host_array(name: str, value: Any) -> Rows:
+    """An array with DLPack as NumPy's, in the same memory. UsageError for one that is not in that of the CPU."""
+    if isinstance(value, np.ndarray):
+        return value
+    if not hasattr(value, "__dlpack_device__"):
+        raise UsageError(
+            f"{name} must be an array with DLPack, of NumPy, torch, JAX or Warp; got {type(value).__name__}",
+            name=name,
+        )
+    try:
+        kind, number = value.__dlpack_device__()
+        if kind in HOST:
+            array: Rows = np.from_dlpack(value)
+            return array
+    except (BufferError, RuntimeError, TypeError, ValueError) as cause:
+        raise UsageError(
+            f"{name} cannot be read where it is: {cause}; a tensor of float32 or float64 without a gradient can, "
+            "such as q.detach(); for gradients take taut.tensors.differentiable",
+            name=name,
+        ) from cause
+    raise UsageError(
+        f"{name} is in the memory of {KINDS.get(int(kind), f'device {int(kind)}')}:{number}, and this batch runs on "
+        "the CPU; copy it there, such as by q.cpu()",
+        name=name,
+    )
+
+
+class LaneParameters(Parameters):
+    """Parameters of a batch by path, of all lanes or of each; new values are checked as those of a controller."""
+
+    def __init__(self, side: LawSide, arrays: RowArrays, dtype: Any, values: dict[str, Any]) -> None:
+        super().__init__("the batch", {})
+        self._side, self._arrays, self._dtype, self._n = side, arrays, dtype, len(arrays.finite)
+        for path, value in values.items():
+            self._store(path, value, per_lane=False)
+
+    def __setitem__(self, path: str, value: Any) -> None:
+        shape = self._side.parameters[self._known(path)].shape
+        array = float_array(path, host_array(path, value) if hasattr(value, "__dlpack_device__") else value)
+        if array.shape == (self._n, *shape):
+            self._check_rows(path, array)
+            self._store(path, array, per_lane=True)
+        elif array.ndim > len(shape):
+            raise ShapeError(
+                f"{path} must have shape {(self._n, *shape)}, or {shape} for all lanes, as it was compiled; got "
+                f"shape {array.shape}",
+                name=path,
+            )
+        else:
+            self._store(path, self._side.checked_parameter(path, array), per_lane=False)
+
+    def _store(self, path: str, value: Any, *, per_lane: bool) -> None:
+        self._values[path] = array = np.array(value, dtype=self._dtype, order="C")
+        self._arrays.put(path, array, per_lane=per_lane)
+
+    def _check_rows(self, path: str, rows: Any) -> None:
+        """A parameter of each lane: entries by their smallest and largest, matrices one by one."""
+        check, entries = self._side.checked_parameter, rows.ndim < 3 and not path.endswith("inertia")
+        try:
+            for row in (rows.min(axis=0), rows.max(axis=0)) if entries else ():
+                check(path, row)
+        except TautError:
+            entries = False  # the lane that it is; ends of several lanes together need not be a value of one
+        for lane, row in enumerate(() if entries else rows):
+            try:
+                check(path, row)
+            except TautError as cause:
+                raise cause.about("", f"lane {lane}: ") from None
