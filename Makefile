@@ -4,6 +4,7 @@
 #                    readers of Rerun and rosbags: in an environment of its own, .venv-extras (3.8 GB)
 # make lock   write locked.txt anew: what taut needs, with versions and hashes
 # make bars   the long counts;  make bench  figures against Pinocchio and MuJoCo;  make docs  the site
+# make bench-peers   docs/benchmarks.md: the same tasks in Drake, MuJoCo, JAX and others, each installed apart (3 GB)
 # make firmware   exported C: time here, instructions on a Cortex-M7 in QEMU
 # make scorecard   the rows of docs/reliability.md and how many hold
 # make soak   a robot's loop for a minute beside a busy program; three laws on a Franka's test server
@@ -15,7 +16,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 EXTRAS := .venv-extras
 
-.PHONY: demo test test-extras lock bars fuzz scorecard soak bench firmware docs clean
+.PHONY: demo test test-extras lock bars fuzz scorecard soak bench bench-peers firmware docs clean
 
 demo: $(VENV)/demo.stamp
 	$(BIN)/taut run panda_payload --out out/demo
@@ -45,6 +46,9 @@ scorecard: $(VENV)/test.stamp
 bench: $(VENV)/test.stamp
 	cd benchmarks && ../$(BIN)/python run.py
 	cd benchmarks && ../$(BIN)/python batch.py
+
+bench-peers: $(VENV)/test.stamp
+	cd benchmarks/peers && ../../$(BIN)/python bench.py
 
 soak: $(VENV)/test.stamp
 	cd benchmarks && ../$(BIN)/python soak.py

@@ -1,6 +1,7 @@
-"""Draw docs/images/sweep.png, and print the tables of docs/sweep.md: sweeps against single runs and what others do.
+"""Sweeps against single runs, of one core and two, and docs/images/sweep.png.
 
-python sweep.py [rounds] [million]
+docs/benchmarks.md shows the figures, beside those of peers: `make bench-peers`.
+Here: python sweep.py ROUNDS, or python sweep.py million (seconds and megabytes).
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ import matplotlib as mpl
 mpl.use("Agg")
 
 import matplotlib.pyplot as plt
-import mujoco
 import numpy as np
 import rivals
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 import taut
 from taut.analysis.sweeps.chunks import runner_of
@@ -31,18 +32,18 @@ from taut.codegen.native import host_lanes
 from taut.runtime.events import Schedule
 from taut.runtime.ongoing import FusedRun
 
-TICKS = 1000
+TICKS, RUN_TICKS = 1000, 2000
 CHUNK = 1024
 VARY = {"law.kp": taut.uniform(50.0, 400.0), "law.kd": taut.uniform(10.0, 60.0)}
 VARY |= {"plant.payload.mass": taut.uniform(0.0, 2.0)}
 
 
-def panda() -> taut.Loop:
-    """Computed torque on a Panda with a payload that the law does not know: 1 kHz, 1 s, nothing in contact."""
+def panda(ticks: int = TICKS) -> taut.Loop:
+    """Computed torque on a Panda with a payload that the law does not know: 1 kHz, nothing in contact."""
     ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), rivals.ARM)
     ref = taut.trajectories.Sine(center=rivals.CENTER, amplitude=rivals.AMPLITUDE, frequency=rivals.FREQUENCY)
     loaded = rivals.ARM.with_payload(1.0, rivals.PAYLOAD_COM)
-    return taut.Loop(ctrl, taut.RigidPlant(loaded, friction=None), ref, duration=(TICKS - 1) * ctrl.dt)
+    return taut.Loop(ctrl, taut.RigidPlant(loaded, friction=None), ref, duration=(ticks - 1) * ctrl.dt)
 
 
 def scalar(loop: taut.Loop) -> Callable[[], object]:
@@ -73,23 +74,20 @@ def both(work: Callable[[], object]) -> None:
 
 def measured(rounds: int) -> dict[str, list[float]]:
     """Million steps a second of each case, round by round."""
-    loop, own = panda(), rivals.mujoco_model()
+    loop, longer = panda(), panda(RUN_TICKS)
     found = taut.sweep(loop, VARY, samples=CHUNK, q0=rivals.CENTER)
     plans = {real: dataclasses.replace(found.plan, real=real) for real in ("double", "float")}
     lanes = {real: runner_of(plan, loop) for real, plan in plans.items()}
     chunk = {real: lambda runner=runner: runner.results(0, CHUNK) for real, runner in lanes.items()}
-    bare, data = scalar(loop), mujoco.MjData(own)
     core, wall = time.thread_time, time.perf_counter
     cases = {
-        "scalar": (bare, TICKS, core),
+        "scalar": (scalar(loop), TICKS, core),
         "double": (chunk["double"], CHUNK * TICKS, core),
         "float": (chunk["float"], CHUNK * TICKS, core),
         "double, wall": (chunk["double"], CHUNK * TICKS, wall),
         "double, two threads, wall": (lambda: both(chunk["double"]), 2 * CHUNK * TICKS, wall),
         "double, two threads, each": (lambda: both(chunk["double"]), 2 * CHUNK * TICKS, time.process_time),
-        "taut.run": (lambda: taut.run(loop, q0=rivals.CENTER), TICKS, core),
-        "pinocchio": (lambda: rivals.pinocchio_loop(200), 200, core),
-        "mujoco": (lambda: rivals.mujoco_loop(own, data, 200), 200, core),
+        "taut.run": (lambda: taut.run(longer, q0=rivals.CENTER), RUN_TICKS, core),
     }
     for work, _, _ in cases.values():
         work()
@@ -116,35 +114,63 @@ def picture(file: Path) -> None:
     figure.savefig(file, dpi=130)
 
 
-def million() -> None:
+def answers(file: Path) -> None:
+    """A Panda that holds its pose under a payload that its law does not know: bands above shares."""
+    panda = taut.load_arm("panda")
+    kp, kd = [600.0, 600.0, 600.0, 600.0, 250.0, 150.0, 50.0], [50.0, 50.0, 50.0, 20.0, 20.0, 20.0, 10.0]
+    ctrl = taut.compile(taut.laws.GravityPID(kp=kp, kd=kd), panda)
+    loop = taut.Loop(ctrl, taut.RigidPlant(panda), taut.JointMotion(q=panda.home), duration=2.0)
+    vary = {
+        "plant.payload.mass": taut.uniform(0.0, 3.0),
+        "plant.payload.com": taut.uniform([-0.1, -0.1, 0.0], [0.1, 0.1, 0.2]),
+        "law.kp[3]": taut.uniform(200.0, 800.0),
+        "q0": taut.uniform(panda.home - 0.1, panda.home + 0.1),
+    }
+    bounds = {"final_error": (0.0, 0.03)}
+    found = taut.sweep(loop, vary, samples=2000, metrics=["final_error"], success=bounds)
+    print(found)
+    drawn = []
+    for draw in found.content().figures.values():
+        canvas = FigureCanvasAgg(draw())
+        canvas.figure.set_dpi(130)
+        canvas.draw()
+        drawn.append(np.asarray(canvas.buffer_rgba())[..., :3])
+    width = max(image.shape[1] for image in drawn)
+    padded = [np.pad(x, ((0, 0), (0, width - x.shape[1]), (0, 0)), constant_values=255) for x in drawn]
+    plt.imsave(file, np.vstack(padded))
+
+
+def ratios(found: dict[str, list[float]]) -> dict[str, float]:
+    """What lanes and threads bring, as medians over the rounds."""
+    return {
+        "double lanes over the scalar loop, one core": ratio(found, "double", "scalar"),
+        "float lanes over the scalar loop, one core": ratio(found, "float", "scalar"),
+        "two threads over one": ratio(found, "double, two threads, wall", "double, wall"),
+        "two threads over one, by processor time": 2.0 * ratio(found, "double, two threads, each", "double"),
+    }
+
+
+def million(samples: int = 1_000_000) -> tuple[float, float]:
+    """Time of a million loops of 1 s [s], and the peak memory of a process that does nothing else [MB]."""
     began = time.perf_counter()
-    found = taut.sweep(panda(), VARY, samples=1_000_000, q0=rivals.CENTER, metrics=["rms_error"])
-    seconds, peak = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-    done = int(found.completed.sum())
-    print(
-        f"a million loops of 1 s: {seconds:.1f} s, {1e-6 * done * TICKS / seconds:.1f} M steps/s, peak {peak:.0f} MB"
-    )
+    found = taut.sweep(panda(), VARY, samples=samples, q0=rivals.CENTER, metrics=["rms_error"])
+    assert found.completed.all()
+    return time.perf_counter() - began, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
 def main() -> None:
-    rounds = int(sys.argv[1]) if len(sys.argv) > 1 else 7
-    found = measured(rounds)
-    print(f"lanes of this processor: {host_lanes(DOUBLE)} double, {host_lanes(SINGLE)} float; {rounds} rounds\n")
+    if sys.argv[1:] == ["million"]:
+        print(*million())
+        return
+    found = measured(int(sys.argv[1]) if len(sys.argv) > 1 else 7)
+    print(f"lanes of this processor: {host_lanes(DOUBLE)} double, {host_lanes(SINGLE)} float\n")
     for name, values in found.items():
         print(f"{name:28s} {statistics.median(values):8.3f} M steps/s")
-    print()
-    print(f"double lanes over scalar, one core   {ratio(found, 'double', 'scalar'):6.2f}")
-    print(f"float lanes over scalar, one core    {ratio(found, 'float', 'scalar'):6.2f}")
-    print(f"two threads over one, by the clock   {ratio(found, 'double, two threads, wall', 'double, wall'):6.2f}")
-    cores = 2.0 * ratio(found, "double, two threads, each", "double")
-    print(f"two threads over one, by the time of the processor {cores:6.2f}")
-    for peer, words in (("pinocchio", "NumPy + Pinocchio"), ("mujoco", "MuJoCo + NumPy")):
-        one = ratio(found, "double", peer)
-        print(f"one core over {words:20s}  {one:6.0f}; two cores {cores * one:6.0f}")
-    print(f"taut.run, everything recorded, over the scalar loop {ratio(found, 'taut.run', 'scalar'):6.2f}")
-    if "million" in sys.argv:
-        million()
-    picture(Path(__file__).parents[1] / "docs" / "images" / "sweep.png")
+    for name, value in ratios(found).items():
+        print(f"{name:45s} {value:6.2f}")
+    images = Path(__file__).parents[1] / "docs" / "images"
+    picture(images / "sweep.png")
+    answers(images / "sweep_answers.png")
 
 
 if __name__ == "__main__":

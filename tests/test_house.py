@@ -154,11 +154,11 @@ def test_the_core_declares_what_it_imports() -> None:
 
 
 LIMITS = {  # the house as it is; a change that needs more says why in the commit that raises a number
-    "lines": (68_000, house.lines),
-    "lines of code": (47_500, house.code_lines),
-    "modules": (310, lambda: len(house.modules())),
+    "lines": (68_300, house.lines),
+    "lines of code": (47_300, house.code_lines),
+    "modules": (308, lambda: len(house.modules())),
     "modules in one folder": (16, house.largest_folder),
-    "modules with one importer": (36, lambda: len(house.slices())),
+    "modules with one importer": (35, lambda: len(house.slices())),
     "names in taut": (80, lambda: len(taut.__all__)),
     "modules loaded to compile a PID": (59, lambda: len(house.loaded_for(PID))),
     "modules of analysis that design(PID) loads": (12, lambda: len(house.loaded_for(DESIGN, "taut.analysis."))),

@@ -449,7 +449,12 @@ def test_the_command_sweeps_a_scenario(capsys: pytest.CaptureFixture[str], tmp_p
     assert "100 completed" in text
     row = data["tables"]["metrics of the runs that came to their end"][0]
     assert f"{row['50 %']:.4g}" in text
-    assert len(list((tmp_path / "a").iterdir())) == 3  # two chunks, and what the sweep is
+    names = sorted(file.name for file in (tmp_path / "a").iterdir())
+    assert [name for name in names if name.startswith("chunk")] == [
+        "chunk-0000000000.parquet",
+        "chunk-0000000064.parquet",
+    ]
+    assert {"report.html", "sweep.json", "worst.toml"} < set(names)
 
 
 @pytest.mark.parametrize(

@@ -63,6 +63,10 @@ if TYPE_CHECKING:
     from taut.analysis.stiffness import StiffnessCheck as StiffnessCheck
     from taut.analysis.stiffness import check_stiffness as check_stiffness
     from taut.analysis.stiffness import check_virtual_wall as check_virtual_wall
+    from taut.analysis.sweeps.answers import Bands as Bands
+    from taut.analysis.sweeps.answers import Rate as Rate
+    from taut.analysis.sweeps.answers import Share as Share
+    from taut.analysis.sweeps.sweep import Sweep as Sweep
     from taut.analysis.tuning import Trial as Trial
     from taut.analysis.tuning import Tuned as Tuned
     from taut.analysis.wrist_calibration import WristCalibration as WristCalibration

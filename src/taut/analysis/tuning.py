@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, TypeAlias
+from typing import Final, Literal, TypeAlias
 
 import numpy as np
 from scipy.optimize import Bounds, minimize
 
 from taut.analysis.run_gradient import RunGradient, RunSlopes
-from taut.base.checks import finite_array, positive_scalar, whole_number
+from taut.base.checks import finite_array, one_of, positive_scalar, whole_number
 from taut.base.errors import NumericalError, RangeError, ShapeError, UsageError, count_of, unknown_name
 from taut.base.paths import subtree
 from taut.base.result import Content, Result, Table
@@ -53,10 +53,12 @@ class Trial:
 
     Args:
         parameters: By path.
-        cost: Mean over all loops of the cost over that at the start; infinite where a run diverges.
+        cost: Mean over all loops of the cost over that at the start, or the largest cost of any loop over the largest
+            at the start; infinite where a run diverges.
         slacks: By constraint, what remains of it, relative: 0 at the limit, negative beyond.
         figures: Of each loop.
-        gradient: (m,) derivatives of the cost by the parameters as numbers from 0 to 1 between their bounds.
+        costs: (k,) the mean; of the worst, each loop's.
+        gradients: (k, m) their derivatives by the parameters as numbers from 0 to 1 between their bounds.
         slack_gradients: (c, m) of the slacks.
     """
 
@@ -64,7 +66,8 @@ class Trial:
     cost: float
     slacks: Mapping[str, float]
     figures: tuple[LoopFigures, ...]
-    gradient: Float64Array
+    costs: Float64Array
+    gradients: Float64Array
     slack_gradients: Float64Array
 
     @property
@@ -143,18 +146,21 @@ def tune(
     q0: ArrayLike | None = None,
     seeds: Sequence[int] = (0,),
     evaluations: int = 300,
+    over: Literal["mean", "worst"] = "mean",
 ) -> Tuned:
     """Gains, or any parameters, that minimise a cost of closed loops within constraints.
 
     Law:          minimise the mean over loops and seeds of cost / cost at the start, parameters between their bounds,
                   with |tau| <= limits.tau, |tau's change in a tick| <= limits.tau_dot dt, and a chatter of at most
                   `chatter` times that at the start
+                  over="worst": minimise s, with the cost of each loop <= s times the largest at the start
 
     SciPy's SLSQP minimises it, with the exact derivative of the simulated loop (forward mode, native code). Limits of
     the controller itself always hold; those given here are not set in it. Ctrl-C ends the search with the best.
 
     Args:
-        loops: One or more loops that share the parameters, and begin with them; they stay as they are.
+        loops: One or more loops that share the parameters, and begin with them; they stay as they are. Loops with
+            other plants are a set for which gains are chosen, such as samples of a sweep, `found.loop(i)`.
         paths: Such as ("law.kp", "law.kd"), "sensing.velocity.cutoff"; one number, or one per joint.
         cost: "tracking", "rotation", "effort" or "speed", the mean square of the error of joints or of the tool's
             position, of its rotation, of the torques or the velocities; or weights of them, {"tracking": 1.0,
@@ -165,6 +171,7 @@ def tune(
         q0: (n,) where runs start [rad | m]; home, or where a reference of joints starts, if left out.
         seeds: Of the noise in the runs.
         evaluations: Largest number of trials.
+        over: "mean" of the loops, or the "worst" of them, for gains that hold on each.
 
     Raises:
         UsageError, RangeError, ShapeError, UnknownNameError: An invalid argument; encoders or amplifiers with steps,
@@ -202,6 +209,7 @@ def tune(
         q0=q0,
         seeds=[whole_number("seeds", seed, maximum=MAX_SEED) for seed in seeds],
         evaluations=evaluations,
+        over=one_of("over", over, ("mean", "worst")),
     ).solved()
 
 
@@ -324,6 +332,7 @@ class _Problem:
     q0: ArrayLike | None
     seeds: Sequence[int]
     evaluations: int
+    over: str
 
     def __post_init__(self) -> None:
         paths = tuple(self.space.start)
@@ -335,23 +344,31 @@ class _Problem:
     def solved(self) -> Tuned:
         """The best parameters."""
         space, x0, notes = self.space, self.space.scaled(self.space.start), []
-        constraints: list[Any] = []
-        if self._trial(x0).slacks:
-            constraints = [
-                {
-                    "type": "ineq",
-                    "fun": lambda x: np.array(list(self._trial(x).slacks.values())),
-                    "jac": lambda x: self._trial(x).slack_gradients,
-                }
-            ]
+        worst, m, slacks = len(self._trial(x0).costs) > 1, len(x0), len(self._trial(x0).slacks)
 
-        def cost(x: Float64Array) -> tuple[float, Float64Array]:
+        def cost(x: Float64Array) -> tuple[float, Float64Array]:  # x, and s behind it where the worst is minimised
+            if worst:
+                return float(x[m]), np.eye(m + 1)[m]
             trial = self._trial(x)
-            return min(trial.cost, NO_COST), trial.gradient
+            return min(trial.cost, NO_COST), trial.gradients[0]
 
+        def room(x: Float64Array) -> Float64Array:
+            trial = self._trial(x[:m])
+            left = x[m] - np.minimum(trial.costs, NO_COST) if worst else []
+            return np.array([*left, *trial.slacks.values()])
+
+        def room_slopes(x: Float64Array) -> Float64Array:
+            trial = self._trial(x[:m])
+            if not worst:
+                return trial.slack_gradients
+            rows = np.vstack([-trial.gradients, trial.slack_gradients])
+            return np.hstack([rows, np.r_[np.ones(len(trial.costs)), np.zeros(slacks)][:, np.newaxis]])
+
+        ends = Bounds(np.zeros(m + worst), np.r_[np.ones(m), [NO_COST] * worst])
+        constraints = [{"type": "ineq", "fun": room, "jac": room_slopes}] if worst or slacks else []
         try:
             minimize(
-                cost, x0, jac=True, method="SLSQP", bounds=Bounds(0.0, 1.0), constraints=constraints,
+                cost, np.r_[x0, [1.0] * worst], jac=True, method="SLSQP", bounds=ends, constraints=constraints,
                 options={"ftol": COST_TOLERANCE, "maxiter": 200},
             )  # fmt: skip
         except _Stopped:
@@ -402,7 +419,8 @@ class _Problem:
             self._failures.append(str(cause).split(";")[0])
             trial = Trial(
                 parameters=self.space.values(x), cost=math.inf, slacks=dict.fromkeys(start.slacks, -1.0), figures=(),
-                gradient=0.0 * start.gradient, slack_gradients=0.0 * start.slack_gradients,
+                costs=np.full(len(start.costs), np.inf), gradients=0.0 * start.gradients,
+                slack_gradients=0.0 * start.slack_gradients,
             )  # fmt: skip
         self._trials[x.tobytes()] = trial
         return trial
@@ -417,15 +435,20 @@ class _Problem:
             if not math.isfinite(each.cost) or first.cost <= 0.0:
                 raise RangeError(f"the cost of '{name}' is {each.cost:g}")
             figures.append(each)
-            costs.append(_scaled(_mean([run.mean_cost() for run in runs]), 1.0 / first.cost))
+            costs.append(_mean([run.mean_cost() for run in runs]))
             slacks |= {f"{what} of '{name}'": slack for what, slack in self._slacks(loop, runs, first)}
-        cost, gradient = _mean(costs)
+        scales = [each.cost for each in self._first.values()]
+        if self.over == "worst":
+            scales = [max(scales)] * len(scales)
+        costs = [_scaled(each, 1.0 / scale) for each, scale in zip(costs, scales, strict=True)]
+        judged = costs if self.over == "worst" else [_mean(costs)]
         return Trial(
             parameters=self.space.values(x),
-            cost=cost,
+            cost=max(value for value, _ in judged),
             slacks={what: value for what, (value, _) in slacks.items()},
             figures=tuple(figures),
-            gradient=gradient,
+            costs=np.array([value for value, _ in judged]),
+            gradients=np.array([slopes for _, slopes in judged]),
             slack_gradients=np.array([slopes for _, slopes in slacks.values()]).reshape(len(slacks), len(x)),
         )
 

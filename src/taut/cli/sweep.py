@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import json
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from taut.base.errors import UsageError
 from taut.cli.command import DONE, FAILED, GAIN, STATUS, Answer, ByName, Command, Say, numbers
 from taut.cli.run import scenario_with_law
 
@@ -46,40 +47,37 @@ def _count(text: str) -> int:
     return int(number)
 
 
-def _sweep(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
-    from taut.analysis.sweeps.sweep import sweep
-    from taut.loop import Loop, ModelPlant
+def _sweep(arguments: argparse.Namespace, say: Say) -> Answer:
+    from taut.control.law import Law
+    from taut.scenarios.sweep import ScenarioSweep, sweep_scenario, written
 
     scenario, name = scenario_with_law(arguments, arguments.set)
-    law, where = scenario.laws[name], scenario.experiment.prepared(scenario.laws[name])
-    if where.events:
-        raise UsageError(f"scenario '{scenario.name}' has events, which a sweep does not have; use another scenario")
-    ctrl, plant, known = where.controller(law), where.plant, dict(where.parameters)
-    given: dict[str, Any] = {"plant": plant, "ref": where.reference, "duration": where.duration}
-    if ctrl.side.task is not None:
-        del given["ref"]
-    subject: Any = ctrl
-    if isinstance(plant, ModelPlant):
-        subject, given = Loop(ctrl, plant, given.get("ref"), duration=where.duration), {}
-        for path, value in known.items():
-            subject.parameters[path] = value
-    else:
-        for path in known.keys() & set(ctrl.parameters):
-            ctrl.parameters[path] = known.pop(path)
-        plant.set_parameters(known)
-    found = sweep(
-        subject, _varied(arguments.vary or ()), **given, samples=arguments.samples, seed=arguments.seed, q0=where.q0,
-        v0=where.v0, metrics=arguments.metric, out=arguments.out, workers=arguments.workers, ray=arguments.ray,
+    found = sweep_scenario(
+        scenario, name, _varied(arguments.vary or ()), samples=arguments.samples, seed=arguments.seed,
+        metrics=arguments.metric, out=arguments.out, workers=arguments.workers, ray=arguments.ray,
         progress=False if arguments.json else None,
     )  # fmt: skip
-    data = {"scenario": scenario.name, "law": name, "samples": found.samples, "complete": found.complete}
-    text = str(found) if arguments.out is None else f"{found}\nsamples  {arguments.out}"
-    return Answer(text=text, data={**data, **found.json()}, status=DONE if found.complete else FAILED)
+    made = ScenarioSweep(found=found, outputs={}, skipped={})
+    if arguments.out is not None:
+        say(f"writing to {arguments.out} ...")
+        law = scenario.laws[name]
+        own = {name: law} if ":" in name and isinstance(law, Law) else None
+        made = written(scenario, name, found, arguments.out, own=own, more=_own_law(arguments) if own else "")
+    data = {"scenario": scenario.name, "law": name, **made.json()}
+    return Answer(text=str(made), data=data, status=DONE if found.complete else FAILED)
+
+
+def _own_law(arguments: argparse.Namespace) -> str:
+    """The words that name a law of the user's own again."""
+    words = ["--law", arguments.law]
+    for gain, value in (arguments.gain or {}).items():
+        words += ["--gain", f"{gain}={json.dumps(value)}"]
+    return f" {shlex.join(words)}"
 
 
 SWEEP: Final = Command(
     name="sweep",
-    help="Run a scenario many times over ranges of its parameters, and print percentiles of its metrics.",
+    help="Run a scenario many times over ranges of its parameters: success, percentiles, what matters, the worst.",
     run=_sweep,
     arguments={
         "scenario": {"metavar": "SCENARIO", "help": "a name that `taut scenarios` lists, or a path"},
@@ -97,7 +95,7 @@ SWEEP: Final = Command(
         "--out": {
             "type": Path,
             "metavar": "DIR",
-            "help": "a Parquet file for each chunk; an interrupted sweep goes on",
+            "help": "folder for samples (Parquet), pictures, a report, the worst case; an interrupted sweep goes on",
         },
         "--ray": {
             "metavar": "ADDRESS",
@@ -113,6 +111,9 @@ SWEEP: Final = Command(
     more=f"""examples:
   taut sweep one_joint_pid --law PD --vary law.kp=1:9 --vary plant.payload.mass=0:0.5 --samples 1e5
   taut sweep panda_robust --law robust --vary plant.payload.mass=0:3 --out out/sweep
+  taut run out/sweep/worst.toml
+
+A run succeeds that comes to its end and meets the scenario's pass criteria of the law.
 
 {STATUS}""",
 )

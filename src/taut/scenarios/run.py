@@ -183,14 +183,10 @@ def _metrics_by_case(runs: Mapping[Trial, Run]) -> dict[str, Any]:
 
 def _shortfall(figure: PassFigure, one: Run) -> str:
     """Sentence on how a pass criterion is missed: the run, a law beside others, or a phase; empty if not."""
-    if figure.part is not None and one.info.phases:
-        if figure.part not in (window.name for window in one.phases):
-            return "the phase did not act"
-        one = one.phase(figure.part)
-    elif figure.part is not None:
-        one = one.part(figure.part)
     what = figure.metric if figure.joint is None else f"{figure.metric} of joint '{figure.joint}'"
-    values = list(_within(one, figure.span).by_unit(figure.metric, figure.joint).values())
+    values = _values(figure, one)
+    if not values:
+        return "the phase did not act"
     if len(values) > 1:
         return f"{what} has no one number for joints in rad and joints in m together; add joint"
     low, high = figure.bounds
@@ -199,6 +195,23 @@ def _shortfall(figure: PassFigure, one: Run) -> str:
     if low <= values[0] <= high:
         return ""
     return f"{what} must be {f'<= {high:g}' if values[0] > high else f'>= {low:g}'}; got {values[0]:.6g}"
+
+
+def _values(figure: PassFigure, one: Run) -> list[float]:
+    """What a pass criterion is about, by unit; nothing where its phase did not act."""
+    if figure.part is not None and one.info.phases:
+        if figure.part not in (window.name for window in one.phases):
+            return []
+        one = one.phase(figure.part)
+    elif figure.part is not None:
+        one = one.part(figure.part)
+    return list(_within(one, figure.span).by_unit(figure.metric, figure.joint).values())
+
+
+def value_of(figure: PassFigure, one: Run) -> float:
+    """The one number that a pass criterion is about; NaN where a run has none."""
+    values = _values(figure, one)
+    return values[0] if len(values) == 1 else math.nan
 
 
 def run_scenario(

@@ -184,6 +184,7 @@ class Scenario:
     experiment: Experiment
     outputs: Outputs
     figures: tuple[PassFigure, ...]
+    root: Table  # the file with the values given
     cases: Mapping[str, Scenario]  # the scenario with some keys replaced; where there are any, only they are run
     spread: Spread | None = None  # what chance does to it; its runs are the cases
 
@@ -243,6 +244,7 @@ def load_scenario(
         "title": root.text("title", path.stem),
         "outputs": read(Outputs, outputs),
         "figures": tuple(read(PassFigure, table) for table in figures),
+        "root": root,
     }
 
     def read_one(table: Table) -> Scenario:

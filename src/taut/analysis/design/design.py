@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 
@@ -36,11 +38,14 @@ if TYPE_CHECKING:
 
 __all__ = ["Design", "Limit", "Requirement", "design"]
 
+Plants: TypeAlias = RigidPlant | Sequence[RigidPlant] | Mapping[str, RigidPlant]
 HEIGHT: Final = 3.2  # [inch] of a picture
 ANYWHERE: Final = 1e3  # [rad | m] from the reference: an equilibrium is taken wherever it is
 DRIVE: Final = 1e4  # [rad/s] bandwidth of drives that are as good as ideal
 ACCURATE: Final = 0.3  # [-] of a step of rk4 times the fastest rate in it: its error is below 1e-4
 MAX_DESIGN_SUBSTEPS: Final = 50
+UPPER: Final = ("settling", "overshoot")  # numbers that may be less than asked
+PLACED: Final = (1.0, 0.8, 0.5)  # of settling time and overshoot asked for: what is tried in turn for several plants
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,6 +64,7 @@ class Design(Result):
         directions: Names of the directions.
         steps: Unit steps of the reference; None for an unstable loop.
         unstable: Why the loop is unstable; empty where it is stable.
+        members: Of a design for several plants: that with each, by name. All other fields are of the worst of them.
     """
 
     law: Law
@@ -72,16 +78,22 @@ class Design(Result):
     directions: tuple[str, ...]
     steps: Steps | None
     unstable: str
+    members: Mapping[str, Design] = field(default_factory=dict)
 
     @property
     def stable(self) -> bool:
-        """Whether the sampled loop is stable."""
+        """Whether the sampled loop is stable, with each plant."""
         return not self.unstable
 
     @property
     def met(self) -> bool:
-        """Whether the loop is stable and meets the specification."""
+        """Whether the loop is stable and meets the specification, with each plant."""
         return self.stable and all(each.met for each in self.requirements)
+
+    @property
+    def _badness(self) -> tuple[bool, bool, float]:
+        """Larger for a worse loop: unstable ones, then what misses its specification, then by the largest excess."""
+        return not self.stable, not self.met, max((_excess(each) for each in self.requirements), default=0.0)
 
     def got(self, name: str) -> Float64Array:
         """Achieved values of a specified number, in each direction."""
@@ -128,6 +140,11 @@ class Design(Result):
                 for i, row in enumerate(np.asarray(value) if np.ndim(value) == 2 else [value])
             ],
         )
+        members = Table(
+            title="plants, the worst of which is described here",
+            columns=("plant", "stable", "met", "worst number", "direction", "asked", "got"),
+            rows=[(name, each.stable, each.met, *_worst_row(each)) for name, each in self.members.items()],
+        )
         words = ", ".join(
             f"{name} = {np.asarray(value).tolist()}" for name, value in self.specification.given.items()
         )
@@ -135,7 +152,7 @@ class Design(Result):
             title=f"{type(self.law).__name__} on {self.arm} at {self.rate:g} Hz, for {words}",
             faults=faults,
             summary=[f"pose [rad | m]: {np.round(self.q, 4).tolist()}"],
-            tables=[gains, asked, *([limits] if self.limits else [])],
+            tables=[gains, *([members] if self.members else []), asked, *([limits] if self.limits else [])],
             figures={} if self.steps is None else {"steps": self._steps},
             settings={"pose": str(np.round(self.q, 4).tolist()), "rate [Hz]": f"{self.rate:g}"},
         )
@@ -165,6 +182,20 @@ class Design(Result):
         return figure
 
 
+def _excess(each: Requirement) -> float:
+    """By what fraction a number is worse than asked; negative where it is better."""
+    if not math.isfinite(each.got):
+        return math.inf
+    if each.name in UPPER:
+        return (each.got - each.asked) / max(each.asked, 1.0 if each.name == "overshoot" else 0.0)
+    return 0.0 if min(each.asked, 1.0) <= each.got <= each.asked else abs(each.got / each.asked - 1.0)
+
+
+def _worst_row(found: Design) -> tuple[str, str, float, float]:
+    worst = max(found.requirements, key=_excess)
+    return worst.name, worst.direction, worst.asked, worst.got
+
+
 def _beyond_turn(limit: Limit) -> bool:
     """Whether it is a step of more than a turn, where the linear model means nothing."""
     return limit.name == "largest step" and limit.unit == "rad" and TURN < limit.value < np.inf
@@ -186,7 +217,7 @@ def design(
     coupled: bool = False,
     rate: float = 1000.0,
     sensing: Sensing | None = None,
-    plant: RigidPlant | None = None,
+    plant: Plants | None = None,
 ) -> Design:
     """Gains of a law by pole placement in the error dynamics that it states, and the figures that they achieve.
 
@@ -215,7 +246,10 @@ def design(
         rate: [Hz].
         sensing: Filters, of the velocity say; none if left out.
         plant: Plant of the linear model, with its delays, springs and sensors; if left out a rigid one without
-            friction under an exact zero-order hold, with nearly ideal drives where the law commands drives.
+            friction under an exact zero-order hold, with nearly ideal drives where the law commands drives. Several,
+            in a list or by name: the gains are placed for the arm and for that of each plant, also for 80 % and 50 %
+            of the settling time and overshoot asked for; each choice is judged with all plants, and the first that
+            meets the specification with each is taken, else the one whose worst plant is best.
 
     Raises:
         UsageError: A specification that does not fit the law; a law that states no closed loop.
@@ -238,7 +272,7 @@ def design(
         zeta=zeta, overshoot=overshoot, omega_n=omega_n, settling=settling, K=K, contact=contact, force=force,
         integral=integral,
     )  # fmt: skip
-    instance_of("plant", plant, RigidPlant | None, "a taut.RigidPlant")
+    plants = _plants(plant)
     q, rate = pose_of(arm, at), rate_in_hertz(rate)
     given = law if isinstance(law, Law) else with_any_gains(law)
     stated = closed_loop_of(given, snapshot(arm, q))
@@ -247,8 +281,55 @@ def design(
         raise UsageError(
             f"coupled=True is for PID and GravityPID; leave it out for {type(given).__name__}", name="coupled"
         )
-    made = place_poles(stated, specification, coupled=coupled)
-    moving = closed_loop_of(made, stated.x).alone or made
+
+    def judged(made: Law) -> Iterator[tuple[str, Design]]:
+        for name, each in plants.items():
+            yield name, _judged(made, arm, q, specification, rate, sensing, each)
+
+    best = dict(judged(place_poles(stated, specification, coupled=coupled)))
+    if len(plants) == 1:
+        return next(iter(best.values()))
+    models = [stated, *(closed_loop_of(given, snapshot(each.arm, q)) for each in plants.values() if each is not None)]
+    upper = {name: specification.given[name] for name in UPPER if name in specification.given}
+    for fraction, model in itertools.product(PLACED if upper else PLACED[:1], models):
+        if all(each.met for each in best.values()):
+            break
+        placed = replace(specification, **{name: fraction * np.asarray(value) for name, value in upper.items()})
+        worst, members = max(each._badness for each in best.values()), dict[str, Design]()
+        for name, each in judged(place_poles(model, placed, coupled=coupled)):
+            members[name] = each
+            if each._badness >= worst:
+                break
+        else:
+            best = members
+    return replace(max(best.values(), key=lambda each: each._badness), members=best)
+
+
+def _plants(plant: Plants | None) -> dict[str, RigidPlant | None]:
+    """Plants by name; those without are numbered."""
+    if plant is None or isinstance(plant, RigidPlant):
+        return {"plant": plant}
+    if not isinstance(plant, (list, tuple, Mapping)) or not plant:
+        raise UsageError(
+            f"plant must be a taut.RigidPlant, or several in a list or by name; got {plant!r}", name="plant"
+        )
+    named = plant if isinstance(plant, Mapping) else {f"plant {i}": each for i, each in enumerate(plant)}
+    for name, each in named.items():
+        instance_of(f"plant '{name}'", each, RigidPlant, "a taut.RigidPlant")
+    return dict(named)
+
+
+def _judged(
+    made: Law,
+    arm: Arm,
+    q: Float64Array,
+    specification: Specification,
+    rate: float,
+    sensing: Sensing | None,
+    plant: RigidPlant | None,
+) -> Design:
+    """The design of a law with its gains: what it achieves with a plant."""
+    moving = closed_loop_of(made, snapshot(arm, q)).alone or made
     ctrl = compile(moving, arm, rate=rate, sensing=sensing, adds=() if plant is None else plant.adds)
     loop = Loop(ctrl, plant_for(ctrl, specification) if plant is None else plant, duration=1.0)
     found = Achieved(law=made, loop=loop, system=linearise(loop, at=q, within=ANYWHERE), specification=specification)
@@ -274,10 +355,10 @@ def with_any_gains(law: type[Law]) -> Law:
     if not isinstance(law, type) or not issubclass(law, Law):
         raise UsageError(f"design takes a law of taut.laws, or its class; got {law!r}", name="law")
     gains: dict[str, Any] = {}
-    for name, field in law.declared.items():
-        required = field.default is REQUIRED
-        if isinstance(field, Gain) and (required or name == "zeta"):
-            gains[name] = (1.0, 1.0) if "pair" in field.accepts and "scalar" not in field.accepts else 1.0
+    for name, each in law.declared.items():
+        required = each.default is REQUIRED
+        if isinstance(each, Gain) and (required or name == "zeta"):
+            gains[name] = (1.0, 1.0) if "pair" in each.accepts and "scalar" not in each.accepts else 1.0
         elif required:
             raise UsageError(
                 f"{law.__name__} needs {name}; give a law, whose gains are replaced: "

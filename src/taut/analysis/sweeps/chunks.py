@@ -98,13 +98,13 @@ def _size(plan: Plan, limits: tuple[int, int]) -> int:
 
 
 def numbers_of(plan: Plan, run: Run) -> dict[str, float]:
-    """The metrics of a run by column."""
+    """The metrics and other numbers of a run by column."""
     out = {}
     for column, (metric, joints) in plan.columns.items():
         one = METRICS[metric]
         value = one.of(run)
         out[column] = one.of_joints(run, np.asarray(value), joints) if one.per_joint else float(np.asarray(value))
-    return out
+    return out | {name: figure(run) for name, figure in plan.figures.items()}
 
 
 def recorded_rows(plan: Plan, sample: int, run: Run) -> dict[str, Float64Array]:
@@ -141,7 +141,8 @@ class LaneRuns(Runner):
         schedule = Schedule(self._loop.side, self._loop.plant, self._loop.parameters, (), self._loop.ticks)
         fused = FusedRun(self._loop, subject.q0, subject.v0, 0, schedule)
         self._blocks = inputs, self._parameters, _ = fused.blocks
-        self._recorded = bool(plan.record) or any(metric not in STREAMS for metric, _ in plan.columns.values())
+        summed = not plan.figures and all(metric in STREAMS for metric, _ in plan.columns.values())
+        self._recorded = bool(plan.record) or not summed
         self._streams = Streams(self._loop, {} if self._recorded else plan.columns)
         real = SINGLE if plan.real == "float" else DOUBLE
         self._code = LaneLoop(
@@ -188,7 +189,7 @@ class LaneRuns(Runner):
         kept = code.memory.views(code.gathered(memory, count))
         metrics: Mapping[str, Any] = self._streams.values(kept, kept[LANE_TICKS])
         if self._recorded:
-            metrics = {name: np.array([numbers[name] for numbers, _ in made]) for name in plan.columns}
+            metrics = {name: np.array([numbers[name] for numbers, _ in made]) for name in plan.numbers}
         ended = np.array(["diverged", "completed"], dtype=object)[(kept[LANE_ALIVE] == 1.0).astype(int)]
         table = _table(plan, first, drawn, ended, kept[LANE_TICKS], metrics)
         return Results(table=table, rows=_joined([rows for _, rows in made] if plan.record else []))
@@ -284,10 +285,10 @@ class SingleRuns(Runner):
         plan, drawn = self._plan, self._plan.drawn(first, count)
         values, seeds = plan.values(drawn), plan.seeds(drawn)
         outcomes, ticks, messages, rows = list[str](), list[int](), dict[int, str](), list[dict[str, Float64Array]]()
-        metrics: dict[str, list[float]] = {name: [] for name in plan.columns}
+        metrics: dict[str, list[float]] = {name: [] for name in plan.numbers}
         for i in range(count):
             step()
-            numbers = dict.fromkeys(plan.columns, np.nan)
+            numbers = dict.fromkeys(plan.numbers, np.nan)
             try:
                 run = self._runs.run({path: x[i] for path, x in values.items()}, int(seeds[i]))
             except Exception as error:
@@ -310,6 +311,6 @@ class SingleRuns(Runner):
 
 def failed_results(plan: Plan, first: int, count: int, message: str) -> Results:
     """The results of samples of which none is known but why."""
-    nothing = {name: np.full(count, np.nan) for name in plan.columns}
+    nothing = {name: np.full(count, np.nan) for name in plan.numbers}
     table = _table(plan, first, plan.drawn(first, count), ["failed"] * count, np.zeros(count), nothing)
     return Results(table=table, messages=dict.fromkeys(range(first, first + count), message))

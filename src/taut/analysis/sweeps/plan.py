@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import itertools
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeAlias
 
@@ -148,6 +148,8 @@ class Plan:
     samples: int
     seed: int
     columns: Mapping[str, tuple[str, Sequence[int]]] = field(default_factory=dict)  # of metrics, see `columns_of`
+    figures: Mapping[str, Callable[[Run], float]] = field(default_factory=dict)  # other numbers, of whole runs
+    units: Mapping[str, str] = field(default_factory=dict)  # of columns
     record: tuple[str, ...] = ()  # names of `run.arrays()` that are kept
     every: int = 1  # tick of those
     real: str = "double"
@@ -192,10 +194,15 @@ class Plan:
         return drawn[SEED].astype(np.uint64)
 
     @property
+    def numbers(self) -> tuple[str, ...]:
+        """Names of what is kept of each run."""
+        return *self.columns, *self.figures
+
+    @property
     def digest(self) -> str:
         """The same for plans with the same results."""
         own = [(x.path, repr(x.drawn) if x.listed is None else _digest(x.listed)) for x in self.varied]
-        parts = (self.subject.content, own, self.samples, self.seed, list(self.columns), self.record, self.every)
+        parts = (self.subject.content, own, self.samples, self.seed, list(self.numbers), self.record, self.every)
         return hashlib.sha256(repr((*parts, self.real)).encode()).hexdigest()
 
     def _check(self) -> None:

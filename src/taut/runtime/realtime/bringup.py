@@ -45,6 +45,7 @@ MOVED: Final = 2e-3  # [rad | m] a joint has broken away
 DRIFT: Final = 0.03  # [rad | m] a joint that moves so far is given back to the robot
 SPEED: Final = 0.1  # [-] of the speed limits, of every motion
 COMPARED: Final = 3  # at which torques are compared
+ASIDE: Final = 0.02  # [rad | m] before each of them, to either side
 EXCURSION: Final = 0.4  # [rad | m] of them around the start
 RESIDUAL: Final = (0.5, 0.01)  # [N m | N], [-] of the effort limit, allowed between measured torque and the model's
 PUSH_OVER: Final = 2e-3  # [rad/s | m/s] a joint that was pushed has come to rest again
@@ -250,10 +251,27 @@ class _Torques:
 
     def take(self) -> None:
         """Those of the pose where the arm rests."""
+        self._keep([self._at_rest()])
+
+    def take_at(self, q: Float64Array) -> None:
+        """Those at q, reached from either side: what dry friction holds has two signs then."""
+        found = list[Float64Array]()
+        for aside in (-ASIDE, ASIDE):
+            self.robot.move_to(q + aside, speed=SPEED)
+            self.robot.move_to(q, speed=SPEED)
+            found.append(self._at_rest())
+        self._keep(found)
+
+    def _at_rest(self) -> Float64Array:
+        """(2, n) pose and torques."""
         self.robot.wait(AVERAGED)
         run, count = self.robot.run(), round(AVERAGED * self.robot.rate)
-        self.poses.append(run.q[-count:].mean(axis=0))
-        self.torques.append(run.tau[-count:].mean(axis=0))
+        return np.array([run.q[-count:].mean(axis=0), run.tau[-count:].mean(axis=0)])
+
+    def _keep(self, found: list[Float64Array]) -> None:
+        q, tau = np.mean(found, axis=0)
+        self.poses.append(q)
+        self.torques.append(tau)
 
     def residual(self, arm: Arm) -> Float64Array:
         """(k, n) measured torques less the gravity of an arm."""
@@ -419,8 +437,7 @@ def _poses(measured: _Torques, rivals: dict[str, Arm], goal: Float64Array) -> St
         return min(float(np.abs(snapshot(one, q).g - g).max()) for one in rivals.values())
 
     for q in sorted(tried, key=apart)[-COMPARED:]:
-        robot.move_to(q, speed=SPEED)
-        measured.take()
+        measured.take_at(q)
     robot.move_to(goal, speed=SPEED)
     return _gravity(measured, rivals, True)
 

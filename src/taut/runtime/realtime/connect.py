@@ -25,6 +25,7 @@ from taut.control.sensing import Sensing
 from taut.controller import Controller, compile
 from taut.loop import ModelPlant
 from taut.maths.model import Adds
+from taut.maths.snapshot import snapshot
 from taut.runtime.realtime.link import Link, driver_of
 from taut.runtime.realtime.logger import LogProcess, log_folder
 from taut.runtime.realtime.robot import Robot
@@ -33,11 +34,9 @@ from taut.runtime.robots.can import CanMotors
 from taut.runtime.robots.driver import RobotDriver, RobotInfo
 
 OBSERVER: Final = (50.0, 0.1)  # [1/s], and of the rate: bandwidth where a threshold of contact is stated
-HOLD: Final = {
-    "kp": 400.0,
-    "kd": 40.0,
-    "ki": 400.0,
-}  # of the law by which move_to moves: stable with 40 times the inertia
+# The law by which move_to moves, for up to 40 times the inertia of the model: files leave rotor inertia out.
+HOLD: Final = {"kp": 400.0, "kd": 40.0, "ki": 400.0}
+FASTEST: Final = 1000.0  # [rad/s^2] of a joint at its effort limit; one that is lighter is held as if it were not
 
 
 def connect(
@@ -153,7 +152,9 @@ def _model(plant: ModelPlant, q0: ArrayLike | None, rate: float) -> dict[str, An
 
 def _holder(info: RobotInfo, arm: Arm, limits: SafetyLimits) -> Controller:
     """The controller that holds, and by which move_to moves."""
-    joints: Law = ComputedTorque(**HOLD)
+    most = np.where(np.isfinite(arm.effort), arm.effort, 0.0) / FASTEST
+    share = np.clip(most / np.diag(snapshot(arm, arm.home).M), 1.0, max(1.0, 0.4 * info.rate / HOLD["kd"]))
+    joints: Law = ComputedTorque(**{name: gain * share for name, gain in HOLD.items()})
     laws: dict[str, Law] = {
         "torque": joints,
         "velocity": VelocityPI(kp=5.0),

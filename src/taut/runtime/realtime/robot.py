@@ -39,7 +39,7 @@ from taut.runtime.realtime.status import RobotError, RobotStatus, Timing
 from taut.runtime.robots.driver import DriverError, RobotInfo
 
 BLEND: Final = 0.2  # [s] in which another law, or new parameters, come in
-THERE: Final = 2e-3  # [rad | m] from the goal of move_to
+THERE: Final = 5e-3  # [rad | m] from the goal of move_to
 SETTLE: Final = 3.0  # [s] for a controlled stop
 ARRIVAL: Final = 10.0  # [s] for the last part of move_to: dry friction gives way to an integral
 STANDING: Final = 0.01  # [rad/s | m/s]
