@@ -29,7 +29,7 @@ def grows(arm: taut.Arm, ctrl: taut.Controller, factor: float, q: Any) -> bool:
     return not run.outcome.ok or bool(parts[9] > parts[5])
 
 
-@pytest.mark.part(1)
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["panda", "ur10", "xarm7"])
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_runs_begin_to_grow_at_the_limit(name: str) -> None:

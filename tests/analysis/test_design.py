@@ -154,7 +154,7 @@ def off_in_simulation(d: taut.analysis.Design, arm: taut.Arm, q: np.ndarray, joi
     return float(np.abs(1.0 - y - d.steps.e[:count, joint]).max())
 
 
-@pytest.mark.part(1)
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "make", "arm_name", "asked"), SIMULATED, ids=[row[0] for row in SIMULATED])
 def test_steps_of_the_nonlinear_loop_are_those_that_the_design_reports(
     name: str, make: Callable[[], Any], arm_name: str, asked: dict[str, Any]

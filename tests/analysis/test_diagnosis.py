@@ -235,7 +235,7 @@ def carried(name: str, mass: float, com: list[float], duration: float = 1.0, ang
     return taut.run(computed_torque(name), taut.RigidPlant(arm.with_payload(mass, com=com)), path, duration=duration)
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize(
     ("name", "mass", "com", "duration", "angle"),
     [

@@ -196,6 +196,7 @@ def test_norm_optimal_learning_never_rises_in_twelve_trials() -> None:
     assert found.rms[-1] < 1e-4 * found.rms[0]
 
 
+@pytest.mark.long
 def test_norm_optimal_learning_with_stiction_reaches_a_hundredth_of_a_milliradian() -> None:
     found = learned("planar2", NormOptimal(), 12)
     mrad = 1e3 * np.array(found.rms)

@@ -232,6 +232,7 @@ def test_gains_for_a_set_of_payloads_hold_with_each_those_for_the_arm_alone_do_n
     judge_set(PLANAR, (0.0, 3.0))
 
 
+@pytest.mark.long
 @pytest.mark.bars
 @pytest.mark.parametrize("name", ["ur10"])
 def test_gains_for_a_set_of_payloads_hold_on_a_large_arm(name: str) -> None:

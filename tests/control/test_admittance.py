@@ -165,6 +165,7 @@ class TestAContact:
         assert (np.abs(x[-1000:]).max() > np.abs(x[1000:2000]).max()) == grows
 
 
+@pytest.mark.long
 def test_in_mujoco_a_hand_feels_the_spring_that_was_asked_for() -> None:
     inner = taut.laws.TaskComputedTorque(kp=900.0, kd=60.0)
     law = taut.laws.Admittance(D=(5.0, 0.5), B=(120.0, 12.0), K=(400.0, 40.0), inner=inner)

@@ -204,6 +204,7 @@ class TestEnergy:
             stored = new
 
 
+@pytest.mark.long
 def test_the_rotation_stays_a_rotation_for_a_million_ticks() -> None:
     tick, none, dt = native("world"), np.zeros((6, 6)), np.asarray(1e-3)
     r = np.concatenate([np.zeros(3), np.eye(3).ravel(), np.zeros(12)])

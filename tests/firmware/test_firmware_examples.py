@@ -159,6 +159,7 @@ def test_a_torque_callback_of_libfranka(compilers: tuple[str, str], tmp_path: Pa
 # -------------------------------------------------------------------- ros2_control
 
 
+@pytest.mark.long
 def test_a_controller_of_ros2_control(compilers: tuple[str, str], tmp_path: Path) -> None:
     ctrl = EXPORT["ros2_control"]()
     folder = export(ctrl, tmp_path, "ros2_control", "law")

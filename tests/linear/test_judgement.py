@@ -48,7 +48,7 @@ class TestGainsThatAreTooLarge:
         ("fr3", DAMPED, "law.B", "fr3_joint7"),
     )
 
-    @pytest.mark.part(2)
+    @pytest.mark.part(1)
     @pytest.mark.parametrize(("name", "law", "gain", "joint"), CASES)
     def test_are_named_with_the_largest_that_is_stable(self, name: str, law: taut.Law, gain: str, joint: str) -> None:
         arm = without_friction(name)
@@ -62,6 +62,7 @@ class TestGainsThatAreTooLarge:
             loop.parameters[gain] = more * factor * value
             assert taut.linearise(loop).radius > 1.0 + 1e-9 if unstable else taut.linearise(loop).radius < 1.0 + 1e-9
 
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("plant", [taut.RigidPlant, taut.MujocoPlant])
     def test_are_warned_of_and_named_in_the_outcome(self, plant: Any) -> None:
         arm = taut.load_arm("ur10")
@@ -104,7 +105,7 @@ class TestAgreement:
 
     ARMS = ("ur10", "ur3", "kinova", "xarm7", "panda", "fr3", "z1", "planar2", "gantry3", "one_joint", "so101")
 
-    @pytest.mark.part(2)
+    @pytest.mark.part(1)
     @pytest.mark.bars
     @pytest.mark.parametrize("seed", range(120) if WHOLE else (1, 3, 6, 7, 8, 9))
     def test_with_linearise_over_random_arms_laws_gains_and_poses(self, seed: int) -> None:

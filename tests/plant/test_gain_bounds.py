@@ -114,7 +114,8 @@ class TestBacklash:
         """To 5 %: nearer to the border what is left of a cycle takes minutes to die out."""
         assert bounds.backlash_simulated(coulomb) == pytest.approx(bounds.backlash_formula(coulomb), rel=0.05)
 
-    @pytest.mark.parametrize("kp", [60.0, *(pytest.param(kp, marks=pytest.mark.long) for kp in (100.0, 140.0))])
+    @pytest.mark.long
+    @pytest.mark.parametrize("kp", [60.0, 100.0, 140.0])
     def test_above_it_amplitude_and_period_are_those_of_harmonic_balance(self, kp: float) -> None:
         predicted, simulated = bounds.cycle_predicted(kp), bounds.cycle_simulated(kp)
         assert predicted is not None

@@ -94,7 +94,7 @@ def test_power_in_is_power_out_plus_each_loss_plus_what_is_stored(name: str, bar
     bar(f"power balance of a step, {name}: what is missing, relative", worst)
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", CASES)
 def test_what_is_done_on_the_links_is_what_their_motion_takes(name: str) -> None:
     """The link's part comes from the motor's end; inverse dynamics of the links alone is the other end."""

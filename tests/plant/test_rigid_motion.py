@@ -38,7 +38,7 @@ SWINGS = {
 }
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", SWINGS)
 def test_a_free_swing_is_what_scipy_says(name: str) -> None:
     duration, most = SWINGS[name]

@@ -75,7 +75,7 @@ def loaded(share: float, arm_of: Callable[[], taut.Arm] = lambda: taut.load_arm(
     return taut.run(idle, taut.RigidPlant(arm), duration=60.0 if share < 1.0 else 0.5)
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.bars
 @pytest.mark.parametrize("model", ["panda", "ur10", "so101"])
 def test_an_arm_that_friction_can_hold_does_not_creep_in_a_minute(model: str, bar: Any) -> None:
@@ -88,7 +88,7 @@ def test_an_arm_that_friction_can_hold_does_not_creep_in_a_minute(model: str, ba
     assert np.abs(run.extra["friction_residual"]).max() < 1e-9
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize("model", ["panda", "ur10", "so101"])
 def test_it_slips_when_gravity_is_a_hundredth_more_than_friction_holds(model: str) -> None:
     assert np.abs(loaded(0.99, lambda: taut.load_arm(model)).v).max() < 1e-12

@@ -35,6 +35,7 @@ def run(plant: Any, *events: taut.Event, engine: Any = "native", **limits: Any) 
 @pytest.mark.parametrize("engine", ["native", "float"])
 @pytest.mark.parametrize("make", PLANTS.values(), ids=PLANTS)
 class TestInARun:
+    @pytest.mark.part(1)
     def test_an_event_makes_no_jump_and_acts_in_full_later(self, make: Callable[[], Any], engine: Any) -> None:
         hard, soft = run(make(), CHANGE, engine=engine), run(make(), CHANGE, engine=engine, blend=0.05)
         same = run(make(), engine=engine, blend=0.05)

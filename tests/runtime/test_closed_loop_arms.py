@@ -120,6 +120,7 @@ class TestGravityPIDAtASetPoint:
         kinetic = [0.5 * v @ taut.snapshot(PANDA, q).M @ v for q, v in zip(out.q, out.v, strict=True)]
         return 0.5 * np.sum(KP * out.error**2, axis=1) + np.array(kinetic)
 
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("seed", [0, 1])
     def test_the_error_energy_never_increases(self, seed: int) -> None:
         rng = np.random.default_rng(seed)

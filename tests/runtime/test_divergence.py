@@ -33,6 +33,7 @@ def is_told(out: taut.Run, arm: taut.Arm) -> bool:
     )
 
 
+@pytest.mark.long
 @pytest.mark.bars
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
 def test_on_every_arm_in_both_plants(

@@ -52,7 +52,7 @@ ENVIRONMENTS: dict[str, Any] = {
 
 
 class TestBothPlants:
-    @pytest.mark.part(2)
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("name", ENVIRONMENTS)
     def test_agree(self, name: str) -> None:
         ours, theirs = (run(make(PANDA, environment=ENVIRONMENTS[name])) for make in PLANTS.values())
@@ -140,6 +140,7 @@ class TestEvents:
         away = np.abs(out.q - PANDA.home).max(axis=1)
         assert 0.15 < away[2000:].max() / away[200:1500].max() < 0.45
 
+    @pytest.mark.part(1)
     def test_change_what_touches_the_tool(self, plant: str) -> None:
         """The hand lets go: its stiffness and will fall to zero in the run, and its wrench with them."""
         hand = taut.environments.Hand(

@@ -153,7 +153,7 @@ def within_the_bound(name: str, plant: Any, rate: float = 1000.0, **more: Any) -
     return float(worst)
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", EVERY)
 def test_the_bound_of_the_speed_holds_in_the_sampled_loop_along_every_axis(name: str) -> None:
     worst = within_the_bound(name, taut.RigidPlant(arm_of(name), friction=None))

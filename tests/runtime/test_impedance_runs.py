@@ -79,6 +79,7 @@ def modal(Lam: Any, zeta: float) -> Any:
     return back.T @ np.diag(2.0 * zeta * np.sqrt(values)) @ back
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ARMS)
 def test_a_swept_sine_meets_the_sampled_impedance_in_every_direction(name: str) -> None:
     arm = taut.load_arm(name)

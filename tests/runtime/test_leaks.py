@@ -97,6 +97,7 @@ def grows(step: Callable[[], object], times: int) -> tuple[int, int]:
     return maps() - at[0], resident() - at[1]
 
 
+@pytest.mark.long
 @linux
 @pytest.mark.bars
 def test_runs_in_one_process_hold_a_constant_memory(bar: Callable[[str, object], None]) -> None:

@@ -133,7 +133,7 @@ def test_inertia_of_the_tool_stays_in_as_the_docs_say(kind: str) -> None:
     assert np.abs(felt - wanted).max() < 0.02 * np.abs(wanted).max()
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @kinds
 @pytest.mark.parametrize(("D", "holds"), [((4.0, 0.02), True), ((4.0, 0.2), False)])
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")

@@ -76,6 +76,7 @@ def test_a_peg_that_is_pressed_with_30_newtons_sinks_in_by_less_than_a_micrometr
 # -------------------------------------------------------------------- the story
 
 
+@pytest.mark.long
 @pytest.mark.bars
 def test_every_peg_goes_in_to_20_mm_with_at_most_30_newtons(
     peg: Scenario, tmp_path: Path, share: Callable[[int], int], bar: Callable[[str, object], None]

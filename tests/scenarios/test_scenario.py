@@ -523,7 +523,7 @@ UNSTABLE = pytest.param(
 )  # it shows that
 
 
-@pytest.mark.part(12)
+@pytest.mark.part(7)
 @pytest.mark.parametrize(
     "name", [UNSTABLE if n == "gain_bounds" else n for n in built_in_scenarios() if n not in ELSEWHERE]
 )

@@ -117,6 +117,7 @@ def test_a_run_has_parts_only_of_laws_side_by_side(told: Any) -> None:
         told("two_arms").runs[Trial("", "both")].part("lift")
 
 
+@pytest.mark.long
 @pytest.mark.xdist_group("xarm7_directions")
 def test_deflections_are_as_one_to_the_stiffness(told: Any) -> None:
     runs = told("xarm7_directions").runs
@@ -149,6 +150,7 @@ def test_the_bar_itself_is_turned_and_squeezed_along_its_axis(told: Any) -> None
     assert np.sqrt(np.mean((along - 20.0) ** 2)) < 0.1
 
 
+@pytest.mark.long
 @pytest.mark.xdist_group("wheel_tool")
 def test_the_wheel_rolls_along_the_curve_by_friction_alone(told: Any) -> None:
     data = told("wheel_tool").scenario.experiment.plant.data
