@@ -171,6 +171,10 @@ class SafeSide:
                 "limits.tool_force needs a measured F_ext, and this robot measures none; use contact=",
                 name="tool_force",
             )
+        if limits.power is not None and not self._torques:
+            raise UsageError(
+                "limits.power is for a robot that takes torques, and this one takes none; leave it out", name="power"
+            )
         if limits.contact is not None and self.side.sensing.observer is None:
             raise UsageError(
                 "limits.contact needs an observer: compile the law with "

@@ -355,7 +355,7 @@ def test_a_slow_robot_is_not_taken_for_a_dead_one() -> None:
 
 class TestMisuse:
     def test_of_addresses_and_robots(self, tmp_path: Path) -> None:
-        for wrong in ("172.16.0.2", "frnka://1", "franka://"):
+        for wrong in ("172.16.0.2", "frnka://1", "franka://", "can://can0"):
             with refused(taut.TautError):
                 taut.connect(wrong, ARM)
         with refused(taut.errors.UsageError):
@@ -406,6 +406,9 @@ class TestMisuse:
             with refused(taut.TautError):
                 safe.check()
                 safe.check_pose(ARM.home)
+        speeds = taut.compile(L.VelocityPI(kp=5.0), ARM).side
+        with refused(taut.errors.UsageError):
+            SafeSide(side=speeds, limits=S(power=10.0), measures=("v",)).check()
 
     def test_of_controllers(self, calm: Robot) -> None:
         other = taut.load_arm("planar3")

@@ -342,6 +342,24 @@ def test_a_robot_that_keeps_the_time_paces_the_loop_and_nan_stops_it() -> None:
         assert robot.call("counts")["received"] > 100
 
 
+def test_what_strangers_send_does_not_keep_the_arm_from_braking() -> None:
+    """A client that is gone stops the arm, however many packets of others come in."""
+    with simulated("planar2") as (_, port), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        sock.settimeout(2.0)
+        sock.connect(("127.0.0.1", port))
+        sock.send(HEAD.pack(b"taut", 1, HELLO, 2, 7, 0, 0, 0))
+        assert HEAD.unpack_from(sock.recv(2048))[2] == INFO
+        sock.send(HEAD.pack(b"taut", 1, COMMAND, 2, 7, 1, 0, 0) + np.zeros(2).tobytes())
+        assert HEAD.unpack_from(sock.recv(2048))[-1] == 1  # controlled
+        until = time.monotonic() + 0.4
+        while time.monotonic() < until:
+            sock.send(b"junk")
+            sock.send(HEAD.pack(b"taut", 1, COMMAND, 2, 8, 1, 0, 0) + np.zeros(2).tobytes())
+            time.sleep(0.01)
+        sock.send(HEAD.pack(b"taut", 1, LISTEN, 2, 7, 2, 0, 0))
+        assert HEAD.unpack_from(sock.recv(2048))[-1] == 2  # stopped
+
+
 def test_a_scenario_runs_on_a_robot_whose_bring_up_has_passed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -354,8 +372,8 @@ def test_a_scenario_runs_on_a_robot_whose_bring_up_has_passed(
         laws.stiff = { law = "ComputedTorque", kp = 400.0, kd = 40.0 }
         laws.soft = { law = "ComputedTorque", kp = 25.0, kd = 10.0 }
         plant = { kind = "rigid" }
-        reference = { kind = "set-point", q = [0.5, 0.5] }
-        run = { duration = 0.4, q0 = [0.45, 0.55] }
+        reference = { kind = "set-point", q = [0.55, 1.55] }
+        run = { duration = 0.4, q0 = [0.5, 1.6] }
         outputs = { log = "reach.mcap", shown = "stiff" }
         [[event]]
         t = 0.2
@@ -373,7 +391,7 @@ def test_a_scenario_runs_on_a_robot_whose_bring_up_has_passed(
     run = taut.load_run(tmp_path / "out" / "reach.mcap")
     assert len(run) == 41
     assert run.info.plant.startswith("simulated planar2")
-    assert np.abs(run.q[0] - [0.45, 0.55]).max() < 5e-3
+    assert np.abs(run.q[0] - [0.5, 1.6]).max() < 5e-3
     laws = {taut.load_run(file).info.law for file in (tmp_path / "out" / "robot").iterdir()}
     assert laws >= {"ComputedTorque(kp=400.0, kd=40.0)", "ComputedTorque(kp=25.0, kd=10.0)"}
 

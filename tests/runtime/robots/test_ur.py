@@ -125,7 +125,7 @@ def test_what_a_controller_does_not_allow_is_refused_before_anything_moves(
     assert found.value.kind == "disconnected"
     with monkeypatch.context() as patched:
         patched.setitem(sys.modules, "rtde_receive", None)
-        with refused(UsageError), opened():
+        with refused(taut.errors.MissingExtraError), opened():
             pass
     configure(version=[5, 25, 1], remote=False)
     with refused(DriverError) as found, opened("torque"):

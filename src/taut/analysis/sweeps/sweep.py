@@ -286,11 +286,11 @@ def sweep(
 ) -> Sweep:
     """Many runs of one closed loop, each with its own values of what is varied and its own noise.
 
-    A loop of a model plant is compiled once and runs in the lanes of the processor and in threads: some ten million
-    steps a second and core. A loop with a plant of another kind, such as MuJoCo, a task and a stream with a source
-    run one by one, each worker in a process of its own. Results depend on the seed alone: not on the number of
-    workers, of lanes, or on the order in which chunks are done. Ctrl-C ends the sweep with what is done. With `ray`
-    the same chunks run on a cluster.
+    A loop of a model plant is compiled once and runs in the lanes of the processor and in threads: seven to eight
+    million steps a second and core for a Panda. A loop with a plant of another kind, such as MuJoCo, a task and a
+    stream with a source run one by one, each in a process of its own. Results depend on the seed alone: not on the
+    number of workers, of lanes, or on the order in which chunks are done. Ctrl-C ends the sweep with what is done.
+    With `ray` the same chunks run on a cluster.
 
     Args:
         loop: What `taut.run` takes: a `taut.Loop`; or a controller or a task, with plant, ref and duration.

@@ -106,10 +106,15 @@ def connect(
     if plant is None:
         hello = {**driver_of(robot, address), "options": dict(options or {})}  # type: ignore[arg-type]
     folder, logs = None if log is None else log_folder(log), None
-    if (motors is not None) != (isinstance(robot, str) and robot.startswith("can://")):
+    on_can = isinstance(robot, str) and robot.startswith("can://")
+    if on_can and motors is None:
         raise UsageError(
-            "motors=taut.robots.CanMotors(...) is for an address can://CHANNEL, which needs it", name="motors"
+            f"{robot} needs the motors of the arm: taut.connect('{robot}', arm, "
+            "motors=taut.robots.CanMotors(types=...)); the command line cannot state them",
+            name="motors",
         )
+    if motors is not None and not on_can:
+        raise UsageError("motors= is for an address can://CHANNEL; leave it out", name="motors")
     if motors is not None:
         hello["options"] |= motors.options(arm, limits)
     if together is not None:

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from taut.base.checks import one_of
-from taut.base.errors import UsageError
+from taut.base.errors import missing_extra
 from taut.base.types import Float64Array
 from taut.runtime.robots.driver import DriverError, RobotDriver, RobotInfo
 
@@ -188,7 +188,7 @@ def _module(name: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError as cause:
-        raise UsageError("ur:// needs the package ur_rtde: pip install 'taut[ur]'", name="robot") from cause
+        raise missing_extra("ur://", "ur_rtde", "ur") from cause
 
 
 def _dropped(interface: Any, patience: float) -> None:
