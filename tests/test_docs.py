@@ -37,6 +37,7 @@ def blocks(page: Path, kind: str) -> list[str]:
     return [text for text in found if not any(f"import {name}" in text for name in absent)]
 
 
+@pytest.mark.part(20)
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")], ids=lambda page: page.name)
 def test_the_python_on_the_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
@@ -51,6 +52,7 @@ def test_the_python_on_the_page_runs(page: Path, tmp_path: Path, monkeypatch: py
     importlib.import_module(file.stem)
 
 
+@pytest.mark.part(5)
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "console")], ids=lambda page: page.name)
 def test_the_commands_on_the_page_succeed(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

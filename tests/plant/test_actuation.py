@@ -162,7 +162,7 @@ class Wall(taut.environments.Environment):
         return taut.math.array([0.0, 0.0, push, 0.0, 0.0, 0.0]), dict(memory)
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize(
     "drives",
     [

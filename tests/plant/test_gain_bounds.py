@@ -40,6 +40,7 @@ def test_that_is_where_one_tick_of_the_damper_turns_the_motion_round(rate: float
 
 
 class TestElasticity:
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("damping", [2.0, 4.0])
     @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")
     def test_an_elastic_joint_bounds_kd_where_the_sampled_loop_says(self, damping: float) -> None:

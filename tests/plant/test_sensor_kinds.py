@@ -283,7 +283,7 @@ class TestAnAccelerometer:
         falling["a"][z] = gantry.gravity[2] / x.J()[2, z]
         np.testing.assert_allclose(read(tip, falling, gantry)["a_tip"], 0.0, atol=1e-12)
 
-    @pytest.mark.part(2)
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("substeps", [1, 3])
     @pytest.mark.parametrize("integrator", ["semi-implicit-euler", "rk4"])
     def test_in_a_run_reads_the_second_derivative_of_the_tools_path(self, integrator: Any, substeps: int) -> None:

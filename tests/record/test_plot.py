@@ -273,7 +273,7 @@ def test_names_of_runs_stand_whole_beside_their_bars(many: Any) -> None:
     assert {"torque sensor and\ninner loop", "current alone"} <= set(names)
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize("count", [1, 2, 8])
 def test_joints_in_rad_and_in_m_are_compared_each_with_their_own(many: Any, count: int) -> None:
     units = ("rad", "m", "rad")

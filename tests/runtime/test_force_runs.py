@@ -56,7 +56,7 @@ def loaded(mass: float) -> taut.Event:
 # -------------------------------------------------------------------- MATHS, section 1
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ARMS)
 def test_the_error_falls_with_the_pole_kfi_over_one_plus_kfp_and_not_with_the_chapters(name: str) -> None:
     out = run(name, [loaded(0.5)])  # which the law does not know: a wrong gravity model
@@ -173,13 +173,14 @@ def test_so_it_does_with_the_friction_of_the_arm(name: str) -> None:
     assert within_the_bound(name, taut.RigidPlant(arm_of(name)), duration=0.5) < 1.0
 
 
-@pytest.mark.part(1)
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["panda", "ur10"])
 def test_so_it_does_in_mujoco(name: str) -> None:
     worst = within_the_bound(name, taut.MujocoPlant(arm_of(name), friction=None), duration=0.3)
     assert 0.9 < worst < 1.001
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", EVERY)
 def test_from_any_pose_it_holds_in_the_mean_square(name: str) -> None:
     """V . D V in the mean, against the largest w . D^-1 w, whatever Lambda does on the way."""

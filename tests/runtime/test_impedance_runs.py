@@ -33,7 +33,7 @@ def shaken(arm: taut.Arm, law: taut.Law, q: Any, duration: float = 4.0, **shaker
     return taut.Loop(taut.compile(law, arm), plant, at(arm, q), duration=duration)
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ARMS)
 def test_a_constant_wrench_moves_the_tool_by_the_wrench_over_the_stiffness(name: str) -> None:
     arm = taut.load_arm(name)
@@ -127,7 +127,7 @@ def test_the_damping_ratio_is_the_asked_one_in_every_mode_at_five_poses(name: st
             assert wanted == pytest.approx(zeta, rel=0.1)
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize("error", ["decoupled", "body", "space"])
 def test_a_wrist_sensor_makes_any_inertia_felt(error: str) -> None:
     arm = taut.load_arm("panda")
@@ -197,6 +197,7 @@ def test_a_new_inertia_that_the_loop_does_not_bear_is_refused_where_the_arm_is()
     ctrl.parameters["law.B"] = np.full(6, 2e4)
 
 
+@pytest.mark.part(1)
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")  # of gains that are refused next
 @pytest.mark.parametrize("plant", [taut.RigidPlant, taut.MujocoPlant])
 def test_an_event_that_asks_for_it_ends_the_run_before_it_and_keeps_what_was(plant: Any) -> None:
@@ -224,6 +225,7 @@ def test_above_twice_the_inertia_the_loop_does_diverge(monkeypatch: pytest.Monke
     assert not run.outcome.ok or np.abs(run.v).max() > 10.0
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("frame", ["world", "task", "tool"])
 def test_stiffness_has_the_axes_that_it_is_given_in(frame: str) -> None:
     arm = taut.load_arm("panda")
@@ -280,7 +282,7 @@ def work_on_the_arm(run: taut.Run) -> Any:
     return run.extra["work.environment"]
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize("name", ARMS)
 @pytest.mark.parametrize("frame", ["world", "tool"])
 def test_it_gives_back_no_more_than_it_got(name: str, frame: str) -> None:
@@ -298,6 +300,7 @@ def test_it_gives_back_no_more_than_it_got(name: str, frame: str) -> None:
     assert work_on_the_arm(run).min() >= -1e-6
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize(("share", "gives"), [(0.0, True), (1.5, False)])
 def test_a_held_torque_gives_energy_without_damping_and_none_with_k_dt_and_more(share: float, gives: bool) -> None:
     arm = taut.load_arm("panda")
@@ -324,6 +327,7 @@ def test_a_stiff_spring_without_damping_does_gain_energy_from_being_sampled() ->
     assert not run.outcome.ok or np.abs(run.v[-1]).max() > 1.0
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("tank", [0.1, 0.02])
 def test_a_tank_bounds_what_a_stiffer_spring_brings_in(tank: float) -> None:
     arm = taut.load_arm("panda")

@@ -60,6 +60,7 @@ def phases() -> list[taut.Phase]:
     ]
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("engine", ["native", "float"])
 @pytest.mark.parametrize("law", [LAW, phases()], ids=["law", "task"])
 def test_a_loop_goes_with_its_last_owner(law: Any, engine: Any, no_collector: None) -> None:

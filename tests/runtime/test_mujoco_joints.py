@@ -131,6 +131,7 @@ def loaded(model: str, share: float, duration: float) -> taut.Run:
     return taut.run(idle, taut.MujocoPlant(arm, limits=None), duration=duration)
 
 
+@pytest.mark.part(1)
 @pytest.mark.bars
 @pytest.mark.parametrize("model", ["one_joint", "panda"])
 def test_a_link_loaded_below_break_away_does_not_creep(model: str, share: float, bar: Any) -> None:

@@ -69,7 +69,7 @@ def test_dry_friction_is_rigid_plants_where_joints_stick_and_slip_together() -> 
     assert largest(ours, theirs) < 1e-6
 
 
-@pytest.mark.part(2)
+@pytest.mark.part(1)
 @pytest.mark.parametrize("model", ["z1", "so101", "panda", "xarm7", "kinova"])
 def test_joints_that_all_break_away_at_once_move_as_in_mujoco(model: str) -> None:
     """Gravity is a hundredth more than static friction in every joint; which of them slip decides the others."""
@@ -183,6 +183,7 @@ def test_dry_friction_can_be_changed_in_a_run() -> None:
 # -------------------------------------------------------------------- what the plant adds
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("load", [None, taut.Payload(mass=0.5, com=(0.0, 0.1, 0.0))])
 def test_what_the_plant_adds_is_what_rigid_plant_adds(load: taut.Payload | None) -> None:
     arm = torso().with_payload(2.0)

@@ -89,7 +89,7 @@ def frequency_and_damping(poles: Array) -> Array:
 
 
 class TestPoles:
-    @pytest.mark.part(2)
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("arm", ARMS)
     @pytest.mark.parametrize("error", ["decoupled", "body", "space"])
     def test_of_each_direction_are_those_of_the_sampled_loop(self, error: Any, arm: str) -> None:
@@ -249,6 +249,7 @@ class TestTheIntegral:
     LOADED = PANDA.with_payload(1.0, [0.0, 0.0, 0.05])
     GOAL = taut.TaskMotion(pose=pose_at(PANDA, PANDA.home))
 
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("error", ["decoupled", "body", "space"])
     def test_takes_away_what_an_unknown_payload_leaves(self, error: Any) -> None:
         left = []

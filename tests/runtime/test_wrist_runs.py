@@ -60,6 +60,7 @@ def sensing(**more: Any) -> taut.Sensing:
 # -------------------------------------------------------------------- what the tool carries
 
 
+@pytest.mark.part(1)
 @kinds
 @pytest.mark.parametrize("name", ["planar3", "panda"])
 def test_a_payload_that_the_model_knows_neither_sags_nor_shows_as_contact(name: str, kind: str) -> None:
@@ -211,6 +212,7 @@ WORDS = {
 }
 
 
+@pytest.mark.part(1)
 @engines
 @pytest.mark.parametrize("hosted", [False, True], ids=["fused", "hosted"])
 @pytest.mark.parametrize("fault", WORDS)
@@ -266,6 +268,7 @@ def test_the_end_of_the_range_is_told_where_the_controller_alone_knows_it(engine
     )
 
 
+@pytest.mark.part(1)
 @kinds
 @engines
 @pytest.mark.filterwarnings("ignore::taut.StabilityWarning")

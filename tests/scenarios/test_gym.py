@@ -60,6 +60,7 @@ def experiment_of(episode: Episode) -> Any:
     return next(iter(scenario.cases.values()), scenario)
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize(
     "episode",
     [

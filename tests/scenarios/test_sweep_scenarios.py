@@ -110,6 +110,7 @@ def same_bits(sample: taut.Run, file: Path, own: Any = None) -> None:
     assert run.metrics.json() == sample.metrics.json()
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("case", CASES)
 def test_any_sample_as_a_scenario_is_its_run_to_the_last_bit(case: str, tmp_path: Path) -> None:
     text, vary = CASES[case]

@@ -170,6 +170,7 @@ def test_a_blended_reference_is_that_of_the_chunk_when_the_next_one_comes(told: 
     assert apart[99::100].max() < 1e-5
 
 
+@pytest.mark.long
 @pytest.mark.xdist_group("xarm7_directions")
 def test_each_push_moves_the_tool_along_itself(told: Any) -> None:
     for i, axis in enumerate("xyz"):
@@ -204,6 +205,7 @@ def test_another_arm_gives_way_as_well(tmp_path: Path) -> None:
     assert changed(tmp_path, "panda_pushed", ('model = "panda"', 'model = "xarm7"'), *SHORT).ok
 
 
+@pytest.mark.long
 def test_with_friction_the_tool_does_not_go_where_the_equation_says(tmp_path: Path) -> None:
     friction = ('friction = "none" ', "friction = { coulomb = 1.0 } ")
     missed = changed(tmp_path, "panda_pushed", friction, *SHORT).missed

@@ -84,6 +84,7 @@ def test_the_tips_of_a_scenario_and_its_press_are_read() -> None:
     assert sample.press.tolist() == [10.0]
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize(
     ("old", "new"),
     [

@@ -139,6 +139,7 @@ def test_each_stretch_of_ticks_that_went_out_is_a_file_without_gaps(loop: Loop) 
     assert {file.name.partition("-")[2][11:] for file in loop.folder.iterdir()} == {"Computed_torque.mcap"}
 
 
+@pytest.mark.part(1)
 def test_a_killed_log_process_loses_nothing(loop: Loop, share: Callable[[int], int], bar: Any) -> None:
     """What is in files right after each kill, and in the end."""
     kills, behind = 160 if share(160) == 160 else 8, list[int]()
@@ -270,6 +271,7 @@ time.sleep(60.0)
 """
 
 
+@pytest.mark.part(1)
 @pytest.mark.parametrize("victim", ["parent", "loop"])
 def test_a_killed_parent_or_loop_leaves_whole_logs(
     victim: str, tmp_path: Path, share: Callable[[int], int], bar: Any

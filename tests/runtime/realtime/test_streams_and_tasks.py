@@ -132,6 +132,7 @@ def test_a_source_that_fails_ends_in_a_stop(failure: str, monkeypatch: pytest.Mo
     assert fault.tick - fed.robot._began in (140, 141)  # the last answer at 80 ms, and three periods
 
 
+@pytest.mark.part(1)
 def test_a_task_approaches_presses_and_retreats(robot: Robot) -> None:
     """Against a rigid wall; each path is made where its phase begins, the second one from a stream's source."""
     at = np.asarray(taut.snapshot(ARM, ARM.home).T().p) + np.array([0.01, 0.0, 0.0])

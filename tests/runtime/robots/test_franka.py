@@ -381,6 +381,7 @@ def test_a_robot_whose_clock_stands_for_40_ms_is_held(rig: Rig, ctrl: taut.Contr
     assert goes_on(robot, ctrl)
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("mode", ["kGuiding", "kUserStopped", "kOther", "kAutomaticErrorRecovery"])
 @steady
 def test_a_robot_in_another_mode_is_not_moved(rig: Rig, ctrl: taut.Controller, mode: str) -> None:
@@ -439,6 +440,7 @@ def test_what_the_page_shows_runs(rig: Rig, capsys: pytest.CaptureFixture[str]) 
     assert "running" in capsys.readouterr().out
 
 
+@pytest.mark.part(2)
 @pytest.mark.parametrize("loss", ["loop_stopped", "loop_killed", "robot_stopped", "robot_killed"])
 def test_what_is_lost_ends_the_motion(rig: Rig, ctrl: taut.Controller, loss: str) -> None:
     rig.reset()
