@@ -1,4 +1,6 @@
-"""A robot's loop at 1 kHz for a minute beside a busy Python program: `make soak`, or `python soak.py SECONDS`.
+"""A robot's loop at 1 kHz for a minute beside a busy program and the log process: `make soak`, or `soak.py SECONDS`.
+
+`python soak.py rounds` compares the native loop in five rounds of 10 s beside that program, with as many calm ones.
 
 The time of computing is judged: its 99.9th percentile stays under 10 us where the loop is native code throughout,
 and under 100 us where a driver is Python code that keeps the time. Lateness depends on the machine, and is printed
@@ -13,6 +15,7 @@ import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -54,12 +57,12 @@ def memory(pid: int) -> tuple[float, int]:
     return float(resident.split()[1]), len(list(Path(f"/proc/{pid}/fd").iterdir()))
 
 
-def soak(kind: str, seconds: float) -> dict[str, Any]:
-    """The times of all ticks of a loop, and how its process grew."""
+def soak(kind: str, seconds: float, *, busy: bool = True) -> dict[str, Any]:
+    """The times of all ticks of a loop, and how its process grew; calm where this program is not busy."""
     arm = taut.load_arm("panda")
     target: Any = taut.RigidPlant(arm) if kind == "native" else Paced
     data = {str(i): [0.1 * i] * 20 for i in range(2000)}
-    with taut.connect(target, arm) as robot:
+    with TemporaryDirectory() as folder, taut.connect(target, arm, log=folder if busy else None) as robot:
         ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm, rate=robot.rate, adds=robot.adds)
         robot.start(ctrl)
         robot.wait(1.0)
@@ -68,7 +71,10 @@ def soak(kind: str, seconds: float) -> dict[str, Any]:
         seen, times = int(acting.ring.header[0]), {name: list[Any]() for name in NAMES}
         until = time.monotonic() + seconds
         while time.monotonic() < until:
-            json.dumps(data)
+            if busy:
+                json.dumps(data)
+            else:
+                time.sleep(0.05)
             rows, missed = acting.ring.read(seen, acting.ring.capacity)
             seen += missed + len(rows)
             for name, values in times.items():
@@ -89,8 +95,21 @@ def soak(kind: str, seconds: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def rounds(count: int = 5, seconds: float = 10.0) -> None:
+    """The 50th and 99th percentiles of computing, calm and beside a busy program, and their ratios in each round."""
+    pairs = [[soak("native", seconds, busy=busy)["compute"] for busy in (False, True)] for _ in range(count)]
+    for name in ("p50", "p99"):
+        values = np.array([[one[name] for one in pair] for pair in pairs])
+        calm, beside = np.median(values, axis=0)
+        ratio = float(np.median(values[:, 1] / values[:, 0]))
+        print(f"{name} of computing, {count} rounds: calm {calm:.1f} us, busy {beside:.1f} us, ratio {ratio:.2f}")
+
+
 def main() -> int:
     """Print the figures, and 0 where the bars hold."""
+    if sys.argv[1:] == ["rounds"]:
+        rounds()
+        return 0
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 60.0
     results = [soak(kind, seconds) for kind in BARS]
     for result in results:
