@@ -74,8 +74,9 @@ def test_nothing_goes_on_after_no() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("model", "robot"), [("panda", "fr3"), ("fr3", "panda")])
-def test_torques_tell_a_panda_from_an_fr3(model: str, robot: str) -> None:
+def test_torques_tell_an_fr3_from_a_panda() -> None:
+    """The other way round, and over the vendor's protocol, with those of a Franka."""
+    model, robot = "fr3", "panda"
     own, other = brought_up(robot), brought_up(model, robot)
     assert own.passed
     assert steps_of(other) == {**dict.fromkeys(steps_of(own), True), "gravity": False}
@@ -86,8 +87,8 @@ def test_torques_tell_a_panda_from_an_fr3(model: str, robot: str) -> None:
 @pytest.mark.parametrize(("model", "flipped"), [("panda", 5), ("ur10", 0), ("xarm7", 6), ("kinova", 2)])
 def test_a_wrong_sign_is_found_on_other_arms(model: str, flipped: int) -> None:
     done = brought_up(model, flipped=flipped)
-    assert not done.passed
-    assert len(done.steps) == 6
+    assert not done.passed  # by the signs, or in the slow motion where each joint sticks at 0.5 N m
+    assert f"'{taut.load_arm(model).joint_names[flipped]}'" in done.steps[-1].found
 
 
 def test_a_pass_is_for_an_address_an_arm_and_its_load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,6 +20,7 @@ from refusals import refused
 
 import taut
 from taut.errors import MatchError
+from taut.runtime.realtime.bringup import bring_up
 from taut.runtime.realtime.robot import Robot
 from taut.runtime.realtime.status import RobotError
 from taut.runtime.robots.driver import DriverError
@@ -470,3 +471,15 @@ def test_what_is_lost_ends_the_motion(rig: Rig, ctrl: taut.Controller, loss: str
         with refused(DriverError):  # until it is cleared
             rig.robot.start(ctrl)
         assert goes_on(rig.robot, ctrl)
+
+
+@pytest.mark.long
+def test_bring_up_tells_a_panda_from_an_fr3(arm: taut.Arm) -> None:
+    """The server's arm is an FR3 whose joints have dry friction, which the robot does not compensate there."""
+    with FrankaProcess() as franka:
+        for name, passed in (("fr3", True), ("panda", False)):
+            with taut.connect(f"franka://{franka.address}", taut.load_arm(name)) as robot:
+                done = bring_up(robot, start=arm.home, ask=lambda _: True)
+            assert done.passed is passed, done
+        assert done.steps[-1].name == "gravity"
+        assert "'fr3' fits better" in done.steps[-1].found

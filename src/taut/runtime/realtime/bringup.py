@@ -42,6 +42,7 @@ PROBE_STEPS: Final = 10  # in which it is reached
 PROBE_STEP: Final = 0.05  # [s]
 PROBE_BANDWIDTH: Final = 10.0  # [rad/s] by which joints are held meanwhile
 MOVED: Final = 2e-3  # [rad | m] a joint has broken away
+CAUGHT: Final = 4e-3  # [rad | m] the law itself holds it again
 DRIFT: Final = 0.03  # [rad | m] a joint that moves so far is given back to the robot
 SPEED: Final = 0.1  # [-] of the speed limits, of every motion
 COMPARED: Final = 3  # at which torques are compared
@@ -57,7 +58,8 @@ Ask = Callable[[str], bool]
 class Probe(Law):
     """Gravity compensation that holds each joint with at most half a newton metre, and adds a torque.
 
-    Law:          tau = h + clip(held M_ii (omega^2 e - 2 omega v) + torque, -0.5, 0.5),   omega = 10 rad/s
+    Law:          tau = h + clip(held M_ii (omega^2 e - 2 omega v) + (1 - held) torque, -0.5, 0.5),   omega = 10 rad/s
+                  held = 1 also of a joint that is 4 mrad or mm away
     Closed loop:  of a held joint, M diagonal and no clip: e_ddot + 20 e_dot + 100 e = 0
     """
 
@@ -69,7 +71,9 @@ class Probe(Law):
         hold: Vector = tm.array([x.M[i, i] for i in range(x.n)]) * (
             omega**2 * x.difference(ref.q) - 2.0 * omega * x.v
         )
-        probe = tm.clip(self.held @ hold + self.torque.as_array(), -PUSH, PUSH)
+        near: Vector = tm.array([tm.where(abs(e) < CAUGHT, 1.0, 0.0) for e in x.difference(ref.q)])
+        free = (1.0 - self.held.as_array()) * near  # in the tick in which it has gone too far, it is held again
+        probe = tm.clip((1.0 - free) * hold + free * self.torque.as_array(), -PUSH, PUSH)
         return Torque(Terms(nonlinear=x.h, probe=probe))
 
 
