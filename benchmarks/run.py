@@ -255,13 +255,13 @@ def loop_figures() -> dict[str, dict]:
     assert np.abs(own.run() - rivals.pinocchio_loop(TICKS)).max() < 1e-9, "the two loops differ"
     model = rivals.mujoco_model()
     assert np.abs(empty.run() - rivals.mujoco_loop(model, mujoco.MjData(model), TICKS)).max() < 1e-6
-    recorded = taut.Loop(ctrl, taut.RigidPlant(loaded, friction=None), ref, duration=(TICKS - 1) * ctrl.dt)
+    plant, duration = taut.RigidPlant(loaded, friction=None), (TICKS - 1) * ctrl.dt
     timing = interleaved(
         {
             "fused": own.run,
             "pinocchio": lambda: rivals.pinocchio_loop(TICKS // 10),
             "mujoco": lambda: rivals.mujoco_loop(model, mujoco.MjData(model), TICKS // 10),
-            "taut.run": lambda: taut.run(recorded, q0=rivals.CENTER),
+            "taut.run": lambda: taut.run(ctrl, plant, ref, duration=duration, q0=rivals.CENTER),
         },
         budget=0.1,
     )
@@ -289,7 +289,7 @@ def loop_figures() -> dict[str, dict]:
             "value": speed["taut.run"],
             "unit": "M steps/s",
             "better": "more",
-            "note": "(compile from cache included)",
+            "note": "(of the same controller and plant again)",
         },
     }
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any, Final, Literal, Protocol, runtime_checkable
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -231,6 +232,33 @@ def _same(a: Payload | None, b: Payload | None) -> bool:
     return a.mass == b.mass and np.array_equal(a.com, b.com) and np.array_equal(a.inertia, b.inertia)
 
 
+class Kept:
+    """What is made of a loop once, and kept: its code, the judgement of its start, and the rows of its reference."""
+
+    code: Any = None
+    verdict: Any = None
+    rows: Any = None
+
+    def __reduce__(self) -> tuple[type[Kept], tuple[()]]:
+        return Kept, ()  # code is of its process
+
+
+# Of each law side with the last plant: a loop of the same two, run after run, is not traced again. What is kept must
+# not hold the side itself, which would never be released.
+_KEPT: Final[WeakKeyDictionary[LawSide, tuple[ModelPlant, str, Kept]]] = WeakKeyDictionary()
+
+
+def _kept(side: LawSide, plant: ModelPlant, engine: str) -> Kept:
+    """What loops of a side and a plant that cannot change have in common."""
+    declared = vars(type(plant)).get("__dataclass_params__")  # of a class of its own, not of one that it extends
+    if declared is None or not declared.frozen:
+        return Kept()
+    last = _KEPT.get(side)
+    if last is None or last[0] is not plant or last[1] != engine:
+        last = _KEPT[side] = plant, engine, Kept()
+    return last[2]
+
+
 class Loop:
     """A closed loop: a controller and a model plant that follow a reference for a while.
 
@@ -274,6 +302,7 @@ class Loop:
         self.ref: Reference = Hold() if ref is None else as_reference(ref)
         self.duration = duration_of_ticks(duration, self.side.dt)
         self.parameters = LoopParameters(self.side, plant, {**ctrl.parameters, **plant.parameters})
+        self.kept = _kept(self.side, plant, self.engine)
 
     @property
     def dt(self) -> float:

@@ -72,9 +72,16 @@ def test_a_loop_goes_with_its_last_owner(law: Any, engine: Any, no_collector: No
     gone = weakref.ref(loop)
     del loop
     assert gone() is None
-    assert modules() == before
-    again = taut.run(taut.Loop(ctrl, plant, duration=0.01))  # compiled anew
+    again = taut.run(taut.Loop(ctrl, plant, duration=0.01))  # the code of the last plant stays with the controller
     np.testing.assert_array_equal(again.q, first.q)
+    assert modules() == before + (engine == "native")
+    taut.run(ctrl, taut.RigidPlant(ARM), duration=0.01)
+    assert modules() == before + (engine == "native")
+    gone = weakref.ref(ctrl.side)
+    del ctrl
+    gc.collect()
+    assert gone() is None
+    assert modules() <= before
 
 
 def test_a_run_leaves_nothing_behind(no_collector: None) -> None:

@@ -7,7 +7,6 @@ import ctypes
 import functools
 from collections.abc import Callable
 from typing import Final, TypeAlias
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from taut.codegen.engine import Engine, Flat, Steps, machine_code, plain, verifi
 from taut.codegen.llvm import Writer, declarations, kernel
 from taut.codegen.native import NativeModule, compiled, level_for
 from taut.codegen.program import Block, Field, Program, Values, trace
-from taut.loop import Loop
+from taut.loop import Kept, Loop
 
 BLOCKS: Final = ("input", "parameter", "memory", "output")
 COMMAND = "command"  # the output that must be finite as memory must be
@@ -191,11 +190,6 @@ class StepLoop:
         return len(outputs)
 
 
-# A loop keeps its code, so that it is traced once however often it runs. The code is that of a twin of the loop: code
-# that held the loop itself would never be released.
-_COMPILED: Final[WeakKeyDictionary[Loop, StepLoop]] = WeakKeyDictionary()
-
-
 def compiled_loop(
     loop: Loop, blocks: tuple[Block, Block, Block], example: Flat, q: Float64Array, v: Float64Array
 ) -> StepLoop:
@@ -205,20 +199,22 @@ def compiled_loop(
         made.expect(loop.ticks)
         return made
     begin = np.concatenate([example[0], q, v])
-    _COMPILED[loop] = made = StepLoop(
-        steps_of(loop, *blocks), example, engine=loop.engine, ticks=loop.ticks, begin=begin
-    )
+    made = StepLoop(steps_of(loop, *blocks), example, engine=loop.engine, ticks=loop.ticks, begin=begin)
+    loop.kept.code = made
     return made
 
 
 def known_loop(loop: Loop) -> StepLoop | None:
     """The code of a loop, where it is made."""
-    return _COMPILED.get(loop)
+    code: StepLoop | None = loop.kept.code
+    return code
 
 
 def steps_of(loop: Loop, inputs: Block, parameters: Block, memory: Block) -> Steps:
-    """Start, step and substep of a loop, as it is now."""
+    """Start, step and substep of a loop, as it is now; they hold a twin of it, since it keeps the code."""
     twin, n = copy.copy(loop), loop.plant.arm.n
+    twin.side, twin.kept = copy.copy(loop.side), Kept()
+    del twin.parameters
 
     def start(inputs: Values, parameters: Values, _: Values) -> tuple[Values, Values]:
         return twin.start(inputs["start.q"], inputs["start.v"], inputs, parameters), {}

@@ -169,19 +169,16 @@ def judge_start(ctrl: HasLawSide, plant: AnyPlant, q: Float64Array, changes: Cha
         return "not judged: plain Python is for debugging, and the loop is judged where it is compiled"
     values = {**plant.parameters, **ctrl.parameters, **changes}
     key = q.tobytes(), tuple((path, np.asarray(value).tobytes()) for path, value in values.items())
-    if isinstance(ctrl, Loop) and (known := _VERDICTS.get(ctrl, (None, ""))) and known[0] == key:
-        return known[1]
+    if isinstance(ctrl, Loop) and ctrl.kept.verdict is not None and ctrl.kept.verdict[0] == key:
+        known: Judgement | str = ctrl.kept.verdict[1]
+        return known
     try:
         verdict: Judgement | str = _judged_at(ctrl, plant, q, changes)
     except (TautError, np.linalg.LinAlgError) as error:
         verdict = f"not judged: {error}"
     if isinstance(ctrl, Loop):
-        _VERDICTS[ctrl] = key, verdict
+        ctrl.kept.verdict = key, verdict  # a loop that runs again as it was is not judged again
     return verdict
-
-
-_VERDICTS: Final[WeakKeyDictionary[Loop, tuple[object, Judgement | str]]] = WeakKeyDictionary()
-"""The last judgement of a loop, with start and parameters: a loop that runs again as it was is not judged again."""
 
 
 def _judged_at(

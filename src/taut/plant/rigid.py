@@ -136,17 +136,17 @@ class RigidPlant:
         """What it is called in messages."""
         return self.parts.name
 
-    @property
+    @cached_property
     def measures(self) -> frozenset[str]:
         """What it measures besides positions."""
         return self.sensors.measures(touched=self.parts.touched)
 
-    @property
+    @cached_property
     def distorts(self) -> frozenset[str]:
         """The measurements that differ from the truth."""
         return self.sensors.distorts(touched=self.parts.touched)
 
-    @property
+    @cached_property
     def noise(self) -> dict[str, tuple[int, ...]]:
         """Standard normal numbers that it needs in every tick, by name."""
         return self.sensors.noise(self.arm, touched=self.parts.touched)

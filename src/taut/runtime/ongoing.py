@@ -10,14 +10,16 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from taut.base.errors import NumericalError, RangeError, ShapeError, TautError
+from taut.base.fields import Choice, Field, Whole
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.loop import StepLoop, compiled_loop, known_loop
 from taut.codegen.noise import Noise
 from taut.codegen.program import Block
 from taut.control.limits import take_up
-from taut.control.tasks.feed import ReferenceFeed, TaskFeed, feed_of
+from taut.control.tasks.feed import BLOCK, ReferenceFeed, TaskFeed, feed_of
 from taut.control.trajectories.reference import Reference
+from taut.control.trajectories.timing import Motion
 from taut.controller import Controller, take_up_change
 from taut.loop import DT, Loop, sensed_of
 from taut.maths.snapshot import Snapshot
@@ -115,14 +117,31 @@ class FusedRun(OngoingRun):
         self._feed = feed_of(side, loop.ref, q, lambda: block.views(packed))
         self._drawn = 1  # the noise of row 0 is drawn at the start
         self._ticks = loop.ticks
-        first = np.zeros((1, self._inputs.size))
-        self._fill_first(q, v, first)
+        known = self._known_rows()
+        first = np.zeros((1, self._inputs.size)) if known is None else known[:1].copy()
+        if known is None:
+            self._fill_first(q, v, first)
         self._run = self._compiled(q, v, first[0])
         self._size = self._run.size or FIRST_BLOCK  # of the next block: that of the last run, or how long it takes
         self._memory = self._run.memory
         self._state = self._run.start(np.concatenate([first[0], q, v]), self._values)
         self.tape = Tape(side, loop.plant, loop.ticks, self._inputs, self._run.outputs)
         self.tape.input_rows[0] = first[0]
+        if known is not None:
+            self.tape.input_rows[...], self._filled = known, self._ticks
+
+    def _known_rows(self) -> Float64Array | None:
+        """The inputs of the last run, where it followed the same motion for as long."""
+        ref, rows = self._loop.kept.rows or (None, np.zeros(0))
+        return rows if ref is self._loop.ref and len(rows) == self._ticks else None
+
+    def _keep_rows(self) -> None:
+        """Keep the inputs of a short run without noise, whose motion is one of numbers, which do not change."""
+        ref, rows, noise = self._loop.ref, self.tape.input_rows, self._loop.plant.noise
+        if not isinstance(ref, Motion) or len(rows) > BLOCK or noise or self._known_rows() is not None:
+            return
+        if all(isinstance(field, (Field, Choice, Whole)) for field in ref.declared.values()):
+            self._loop.kept.rows = ref, rows.copy()
 
     @property
     def blocks(self) -> tuple[Block, Block, Block]:
@@ -186,6 +205,8 @@ class FusedRun(OngoingRun):
         end, done = self._block(k, self._prepare(k))
         if done < end - k:
             return end, self._diverged(k + done)
+        if end == self._ticks:
+            self._keep_rows()
         growth = min(16.0, 0.5 * LOG_PERIOD / max(monotonic() - began, 1e-9))
         self._size = self._run.size = max(1, int((end - k) * growth))
         return end, None

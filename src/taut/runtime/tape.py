@@ -99,7 +99,8 @@ class Tape:
         """The outcome of a run that came to its end; it says where the arm went that a real one cannot go."""
         ticks, arm = len(self.output_rows), self._plant.arm
         message = f"completed: {ticks} ticks, {(ticks - 1) * self._side.dt:g} s"
-        beyond = np.maximum(arm.lower - self.outputs["q"].min(axis=0), self.outputs["q"].max(axis=0) - arm.upper)
+        q = np.ascontiguousarray(self.outputs["q"].T)
+        beyond = np.maximum(arm.lower - q.min(axis=1), q.max(axis=1) - arm.upper)
         if (beyond > BEYOND).any():
             joint = int(np.argmax(beyond))
             message += (

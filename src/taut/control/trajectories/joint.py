@@ -52,7 +52,7 @@ class Sine(JointTrajectory):
 
     def rows(self, times: Float64Array) -> JointMotion:
         omega = 2.0 * np.pi * self.frequency
-        angle = np.outer(times, omega) + self.phase
+        angle = times[:, np.newaxis] * omega + self.phase
         sine = np.sin(angle)
         q = self.center + self.amplitude * sine
         v = self.amplitude * omega * np.cos(angle)
