@@ -301,7 +301,9 @@ class Loop:
         require_no_reference(self.side, ref)
         self.ref: Reference = Hold() if ref is None else as_reference(ref)
         self.duration = duration_of_ticks(duration, self.side.dt)
-        self.parameters = LoopParameters(self.side, plant, {**ctrl.parameters, **plant.parameters})
+        values = {**ctrl.parameters, **plant.parameters}
+        names = {**self.side.parameters, **plant.parameters}  # in one order: code that is kept reads them by place
+        self.parameters = LoopParameters(self.side, plant, {name: values[name] for name in names})
         self.kept = _kept(self.side, plant, self.engine)
 
     @property
