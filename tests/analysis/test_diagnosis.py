@@ -114,8 +114,15 @@ SCENARIOS = {  # all other runs have no finding, nor has panda_geared's payload 
     ("gain_bounds", "elasticity", "large gains"): ("oscillation", "transmission"),
     ("kinova_identifies", "old model", "computed torque"): ("wrong payload", "nonlinear"),
     ("one_joint_pid", "", "PD"): ("gravity not compensated", "P"),
+    ("panda_backlash", "stretched", "computed torque"): ("backlash", "transmission"),
     ("panda_learns", "not learned", "computed torque"): ("wrong payload", "nonlinear"),
     ("panda_learns", "learned in ten trials", "computed torque"): ("wrong payload", "nonlinear"),  # the model stays
+    ("panda_lqr", "0.05 rad away", "LQR"): ("torque jump at the start", "P"),  # from rest away from the goal
+    ("panda_lqr", "0.05 rad away", "computed torque"): ("torque jump at the start", "P"),
+    ("panda_lqr", "0.6 rad away", "LQR"): ("torque jump at the start", "P"),
+    ("panda_lqr", "0.6 rad away", "computed torque"): ("torque jump at the start", "P"),
+    ("panda_lqr", "another pose", "LQR"): ("torque jump at the start", "P"),
+    ("panda_lqr", "another pose", "computed torque"): ("torque jump at the start", "P"),
     ("panda_payload", "", "PID"): ("gravity not compensated", "P"),
     ("panda_payload", "", "PD + gravity"): ("wrong payload", "gravity"),
     ("panda_payload", "", "feedforward + PD"): ("wrong payload", "nonlinear"),

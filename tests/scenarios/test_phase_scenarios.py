@@ -90,6 +90,58 @@ def test_forces_of_a_phase_that_are_none_are_refused(hybrid: bool, more: str, pa
     assert caught.value.name == path
 
 
+MOVING = """
+[arm]
+model = "panda"
+[[phases]]
+name = "go"
+law = { law = "ComputedTorque", kp = 100, kd = 20 }
+reference = { kind = "transition", relative_to_home = true, q = [0.1, 0, 0, 0, 0, 0, 0], velocity = 1, acceleration = 5 }
+[plant]
+[run]
+duration = 0.1
+"""
+TOOL = (
+    ('"ComputedTorque"', '"TaskComputedTorque"'),
+    ("q = [0.1, 0, 0, 0, 0, 0, 0], velocity = 1, acceleration = 5", "pose = { p = [0, 0.1, 0] }, duration = 0.8"),
+)
+
+
+@pytest.mark.parametrize("tool", [False, True])
+def test_a_transition_begins_with_the_motion_in_which_its_phase_begins(tool: bool, tmp_path: Path) -> None:
+    text = MOVING
+    for old, new in TOOL if tool else ():
+        text = text.replace(old, new)
+    arm, v = taut.load_arm("panda"), np.linspace(-0.4, 0.5, 7)
+    x = taut.snapshot(arm, arm.home + 0.1, v)
+    move = loaded(text, tmp_path).laws["task"].phases["go"].reference(x)
+    first, last = move.at(0.0), move.at(move.duration)
+    if tool:
+        np.testing.assert_allclose(first.p, x.T().p, atol=1e-12)
+        np.testing.assert_allclose(first.twist, np.asarray(x.J()) @ v, atol=1e-12)
+        np.testing.assert_allclose(last.p - taut.snapshot(arm, arm.home).T().p, [0.0, 0.1, 0.0], atol=1e-12)
+    else:
+        np.testing.assert_allclose([first.q, first.v], [x.q, v], atol=1e-12)
+        np.testing.assert_allclose(last.q - arm.home, [0.1, 0, 0, 0, 0, 0, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "path"),
+    [
+        ('law = "ComputedTorque", kp = 100, kd = 20', 'law = "ForceControl"', "phases 1.reference.kind"),
+        ("velocity = 1,", "velocity = 0,", "phases 1.reference.velocity"),
+        ("velocity = 1,", "speed = 1,", "phases 1.reference.speed"),
+        ("velocity = 1,", "", "phases 1.reference.kind"),
+        ("q = [0.1, 0, 0, 0, 0, 0, 0],", "", "phases 1.reference.q"),
+    ],
+)
+def test_a_transition_that_is_none_is_refused_by_its_path(old: str, new: str, path: str, tmp_path: Path) -> None:
+    assert old in MOVING
+    with pytest.raises(taut.errors.ScenarioError) as caught:
+        loaded(MOVING.replace(old, new), tmp_path)
+    assert caught.value.name == path
+
+
 def loaded(text: str, folder: Path) -> Any:
     file = folder / "mine.toml"
     file.write_text(text)

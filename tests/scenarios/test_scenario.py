@@ -589,3 +589,46 @@ def test_a_law_that_holds_a_law_and_one_that_is_added(tmp_path: Path, capsys: py
     law = load_scenario(str(file)).laws["PD"]
     assert law.parameters()["RaisedGains.inner.integral.tracking"] == 20.0
     assert capsys.readouterr().out
+
+
+LQR = """
+[arm]
+model = "planar2"
+[laws.LQR]
+law = "lqr"
+Q = [400, 400, 1, 1]
+R = 0.01
+at = [0.3, 0.8]
+[control]
+rate = 500
+[plant]
+[reference]
+kind = "set-point"
+q = [0.3, 0.8]
+[run]
+duration = 0.1
+"""
+
+
+@pytest.mark.parametrize("adds", ["", 'adds = ["gravity"]'])
+def test_an_lqr_of_a_file_is_that_of_python_for_the_arm_and_rate_of_the_file(adds: str, tmp_path: Path) -> None:
+    file = tmp_path / "one.toml"
+    file.write_text(LQR.replace("[plant]", f"[plant]\n{adds}"), encoding="utf-8")
+    law: Any = load_scenario(str(file)).laws["LQR"]
+    arm = taut.load_arm("planar2")
+    model = taut.RigidPlant(arm, friction=None, integrator="rk4", adds=("gravity",) if adds else ())
+    found = taut.analysis.lqr(arm, Q=[400.0, 400.0, 1.0, 1.0], R=0.01, at=[0.3, 0.8], rate=500.0, plant=model)
+    np.testing.assert_allclose(np.hstack([law.K_q, law.K_v]), found.K, rtol=1e-12)
+    weight = np.zeros(2) if adds else taut.snapshot(arm, [0.3, 0.8]).g
+    np.testing.assert_allclose(law.tau_0.as_array(), weight, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key"), [("R = 0.01", "R = 0", "R"), ("R = 0.01", "", "R"), ("at", "kp", "kp")]
+)
+def test_an_lqr_that_is_none_is_refused_by_its_key(old: str, new: str, key: str, tmp_path: Path) -> None:
+    file = tmp_path / "one.toml"
+    file.write_text(LQR.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(taut.errors.ScenarioError) as caught:
+        load_scenario(str(file))
+    assert caught.value.name == f"laws.LQR.{key}"

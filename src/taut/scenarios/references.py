@@ -50,6 +50,7 @@ from taut.trajectories import (
     Spline,
     Steady,
     TaskSamples,
+    Transition,
     Trapezoidal,
 )
 
@@ -140,6 +141,8 @@ KINDS: Final[Mapping[str, Callable[..., Any]]] = {
 }
 FROM_BEGIN: Final[Mapping[str, Callable[..., Any]]] = {"steady": Steady, "by": _displaced}
 """Motions of the tool from where a phase begins."""
+GOALS: Final[Mapping[type, str]] = {JointMotion: "set-point", TaskMotion: "pose"}
+"""The kind of the goal of a transition, by what its law follows."""
 
 
 def read_reference(table: Table, arm: Arm, home: Float64Array, laws: Mapping[str, Law]) -> Reference:
@@ -291,6 +294,8 @@ def _phase(table: Table, arm: Arm, home: Float64Array) -> Phase:
 def _phase_reference(table: Table, law: Law, arm: Arm, home: Float64Array) -> PhaseReference:
     """A reference as in [reference], or a motion of the tool from where the phase begins."""
     name = table.get("kind")
+    if name == "transition":
+        return _transition(table, law, arm, home)
     kind = FROM_BEGIN.get(name) if isinstance(name, str) else None
     if kind is None:
         return read_reference(table, arm, home, {TASK: law}) if table.values else None
@@ -310,6 +315,24 @@ def _phase_reference(table: Table, law: Law, arm: Arm, home: Float64Array) -> Ph
 
     motion(Pose(np.zeros(3)))  # tried at once, so that an error names its key
     return lambda x: motion(x.T(law.controlled_frame))
+
+
+def _transition(table: Table, law: Law, arm: Arm, home: Float64Array) -> Callable[[Snapshot], Reference]:
+    """To a set-point of joints or tool, from the state in which a phase begins, moving or at rest."""
+    if law.reference not in GOALS:
+        raise table.error(f"is for a law of motion; {type(law).__name__} follows {law.reference.described()}", "kind")
+    timing = {name: table.get(name) for name in ("duration", "velocity", "acceleration") if name in table}
+    own = table.without(*timing).merged({"kind": GOALS[law.reference]}, table.file)
+    goal: Any = read_reference(own, arm, home, {TASK: law})
+    joints, tool = law.reference is JointMotion, law.controlled_frame
+
+    def motion(x: Snapshot) -> Reference:
+        start = JointMotion(q=x.q, v=x.v) if joints else TaskMotion(pose=x.T(tool), twist=x.J(tool) @ x.v)
+        with table.blamed("kind"):
+            return Transition(start=start, goal=goal, **timing)
+
+    motion(snapshot(arm, home))  # tried at once, so that an error names its key
+    return motion
 
 
 CONDITIONS: Final[Mapping[str, Callable[[GuardView, Any, Mapping[str, Any]], Any]]] = {

@@ -33,6 +33,7 @@ from taut.control.trajectories.reference import Reference
 from taut.controller import compile
 from taut.loop import check_fit, duration_of_ticks, state_at_start
 from taut.maths.snapshot import snapshot
+from taut.plant.rigid import RigidPlant
 from taut.record.metrics import METRICS
 from taut.runtime.events import Event, Schedule
 from taut.scenarios.reading import Table, read, read_toml, shown, with_values
@@ -321,7 +322,7 @@ def read_experiment(
     """
     out = read_control_side_and_plant(root)
     arm, plant, rate = out["arm"], out["plant"], out["rate"]
-    laws, places = _laws(root, own_laws)
+    laws, places = _laws(root, own_laws, out)
     table, run_table, events = root.table("reference"), root.table("run", required=True), root.tables("event")
     if "phases" in root:
         laws = {TASK: read_phases(root, arm, plant.arm.home)}
@@ -369,7 +370,9 @@ def read_experiment(
     return laws, experiment
 
 
-def _laws(root: Table, own_laws: Mapping[str, Law] | None) -> tuple[dict[str, Law | Task], dict[str, Table]]:
+def _laws(
+    root: Table, own_laws: Mapping[str, Law] | None, out: Mapping[str, Any]
+) -> tuple[dict[str, Law | Task], dict[str, Table]]:
     """The laws by their labels, and the table that each comes from; none of a task, which is made with the plant."""
     if "phases" in root:
         if own_laws is not None:
@@ -384,7 +387,19 @@ def _laws(root: Table, own_laws: Mapping[str, Law] | None) -> tuple[dict[str, La
     if not section.values:
         raise section.error("needs one law at least: [laws.PID] with law = 'PID' and its gains")
     tables = {label: section.table(label) for label in section.values}
-    return {label: read_law(table) for label, table in tables.items()}, tables
+    return {label: _designed(table, out) or read_law(table) for label, table in tables.items()}, tables
+
+
+def _designed(table: Table, out: Mapping[str, Any]) -> Law | None:
+    """The law of law = "lqr", for the arm as the controllers know it; None for another one."""
+    if table.get("law") != "lqr":
+        return None
+    from taut.analysis import lqr
+
+    model = RigidPlant(out["arm"], friction=None, integrator="rk4", adds=out["plant"].adds)
+    found = read(lqr, table, others=["law"], arm=out["arm"], rate=out["rate"], plant=model)
+    law: Law = found.law
+    return law
 
 
 def _law_side(law: Law | Task, out: Mapping[str, Any], table: Table, control: Table) -> LawSide:
