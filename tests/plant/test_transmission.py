@@ -293,6 +293,18 @@ def cycle_of(t: Float64Array, q: Float64Array) -> tuple[float, float]:
     ups = np.flatnonzero((x[1:] > 0.0) & (x[:-1] <= 0.0))
     return float(np.ptp(tail)) / 2.0, float(np.diff(ups).mean() * (t[1] - t[0])) if len(ups) > 2 else math.inf
 
+    def test_a_joint_that_carries_nothing_begins_in_the_middle_of_its_teeth(self) -> None:
+        """The base of an upright arm carries a weight of rounding, whose sign is one in machine code and another not."""
+        panda = taut.load_arm("panda")
+        backlash = np.array([0.01, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+        stiffness = np.where(backlash > 0.0, 2e4, np.inf)
+        gears = taut.drives.Actuation(transmission=taut.drives.Transmission(stiffness=stiffness, backlash=backlash))
+        arm = panda.with_joints(rotor_inertia=0.3)
+        law = taut.compile(taut.laws.GravityPID(kp=100.0, kd=20.0), arm)
+        run = taut.run(law, taut.RigidPlant(arm, actuation=gears, substeps=8), duration=0.01)
+        assert run.outcome.ok
+        assert abs(run.extra["q_motor"][0, 0] - run.q[0, 0]) < 1e-9
+
 
 class TestMessages:
     @pytest.mark.parametrize(
