@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import math
+import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -225,6 +229,146 @@ class TestGuarantees:
         lin = taut.linearise(loop, at=[0.0])
         slow = lin.s_poles[np.abs(lin.s_poles) < 100.0]
         assert np.poly(slow) == pytest.approx([1.0, 4.0, 160.0], rel=0.03)  # s^2 + kd / M s + sigma / M
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "variable_stiffness.md"
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """The names of the page's law and plant of one's own: joints are the link and its two motors."""
+    found = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    [block] = [text for text in found if "class Decoupling" in text]
+    names: dict[str, Any] = {"np": np, "taut": taut}
+    with contextlib.chdir(tmp_path_factory.mktemp("page")):
+        exec(block, names)
+    return names
+
+
+class MotorPDs(taut.Law):
+    """Each motor where statics put it, with the measured torque of its spring.
+
+    Law:          tau_i = kp (mu +- c - q_i) - kd v_i +- f_i, c = sigma_des / (4 a), mu = q_des + tau_J,des / sigma_des
+    """
+
+    a: taut.Gain = taut.Gain(unit="N m/rad^2", shape="scalar")
+    kp: taut.Gain = taut.Gain(unit="N m/rad", shape="scalar")
+    kd: taut.Gain = taut.Gain(unit="N m s/rad", shape="scalar")
+
+    def command(self, x: taut.Snapshot, ref: taut.JointMotion) -> taut.Torque:
+        a, c = self.a.as_array(), 0.5 * (ref.q[1] - ref.q[2])
+        mu = ref.q[0] + x.at(ref.q, ref.v).inverse_dynamics(ref.a)[0] / (4.0 * a * c)
+        P, D = taut.math.array([0.0, mu + c - x.q[1], mu - c - x.q[2]]), taut.math.array([0.0, -x.v[1], -x.v[2]])
+        f = taut.math.array([0.0, a * (x.q[1] - x.q[0]) ** 2, -a * (x.q[0] - x.q[2]) ** 2])
+        return taut.Torque(P=self.kp.as_array() * P, D=self.kd.as_array() * D, spring=f)
+
+
+class Rising:
+    """Stiffness that rises evenly from 40 to 120 N m/rad in half a second, with a = 40 N m/rad^2; q rests at 0."""
+
+    def at(self, t: float) -> taut.JointMotion:
+        c, rate = 0.25 + min(t, 0.5), 1.0 if t < 0.5 else 0.0
+        return taut.JointMotion(q=[0.0, c, -c], v=[0.0, rate, -rate], j=np.zeros(3), s=np.zeros(3))
+
+
+def behind_tendons(page: dict[str, Any], arm: taut.Arm, a: float, substeps: int = 64) -> taut.RigidPlant:
+    return taut.RigidPlant(arm, actuation=Actuation(motor=page["Tendons"](a=a)), substeps=substeps)
+
+
+def at_rest(arm: taut.Arm, q: float, c: float, a: float) -> Float64Array:
+    """Link and motors with the weight in the springs."""
+    phi = float(taut.snapshot(arm, [q, 0.0, 0.0]).g[0]) / (4.0 * a * c)
+    return np.array([q, q + phi + c, q + phi - c])
+
+
+class TestDecoupling:
+    def test_its_tendons_are_the_springs_of_the_drives(self, page: dict[str, Any]) -> None:
+        rng = np.random.default_rng(2)
+        for _ in range(20):
+            q, q_1, q_2 = rng.uniform(-1.0, 1.0, 3)  # often with a slack tendon
+            asked = taut.drives.MotorInput(
+                tau=np.zeros(3), q=np.array([q, q_1, q_2]), v=np.zeros(3), gear=np.ones(3), ripple=1.0, memory={},
+                p={"a": 40.0}, bandwidth=None, dt=1e-3,
+            )  # fmt: skip
+            on_link, on_1, on_2 = page["Tendons"](a=40.0).step(asked).tau
+            assert on_link == pytest.approx(SPRINGS.torque(0.5 * (q_1 - q_2), 0.5 * (q_1 + q_2) - q), abs=1e-12)
+            assert on_link + on_1 + on_2 == pytest.approx(0.0, abs=1e-12)
+
+    def test_a_change_of_stiffness_moves_the_link_by_what_the_sampling_leaves(self, page: dict[str, Any]) -> None:
+        """Acceptance: 1.54 mrad by motor PDs, 0.40 by this law; gains and poles are not stated, and these give them."""
+        arm = page["two"]
+
+        def moved(law: taut.Law, rate: float = 1000.0) -> float:
+            ctrl, start = taut.compile(law, arm, rate=rate), at_rest(arm, 0.0, 0.25, 40.0)
+            run = taut.run(ctrl, behind_tendons(page, arm, 40.0), Rising(), duration=1.5, q0=start)
+            assert 80.0 * (run.q[-1, 1] - run.q[-1, 2]) == pytest.approx(120.0, rel=1e-5)
+            return 1e3 * float(np.abs(run.q[:, 0]).max())
+
+        def decoupling(omega: float) -> taut.Law:
+            law: taut.Law = page["Decoupling"](a=40.0, omega=omega, rate=30.0)
+            return law
+
+        assert moved(MotorPDs(a=40.0, kp=38.0, kd=2.0 * math.sqrt(38.0 * 0.05))) == pytest.approx(1.54, rel=0.01)
+        assert moved(decoupling(11.4)) == pytest.approx(0.40, rel=0.01)
+        assert moved(decoupling(30.0)) == pytest.approx(0.0093, rel=0.01)
+        assert moved(decoupling(30.0), rate=2000.0) == pytest.approx(0.0047, rel=0.02)  # half of it
+
+    def test_position_and_stiffness_have_each_their_own_error(
+        self, page: dict[str, Any], share: Callable[[int], int]
+    ) -> None:
+        """Both references move, both outputs begin off them, and each error is the solution of its own equation."""
+        rng = np.random.default_rng(3)
+        for _ in range(share(20)):
+            (a, omega, rate), B = rng.uniform([20.0, 10.0, 10.0], [80.0, 25.0, 40.0]), rng.uniform(0.01, 0.1)
+            link, *motors = page["two"].bodies
+            mass, x, inertia = rng.uniform([0.5, 0.1, 0.05], [2.0, 0.4, 0.3])
+            link = dataclasses.replace(link, mass=mass, com=np.array([x, 0.0, 0.0]), inertia=inertia * np.eye(3))
+            rotors = (dataclasses.replace(motor, inertia=B * np.eye(3)) for motor in motors)
+            arm = dataclasses.replace(page["two"], bodies=(link, *rotors))
+            arm = arm.with_joints(viscous=[rng.uniform(0.0, 0.3), 0.0, 0.0])
+            (q, end), (c, c_end) = rng.uniform(-0.5, 0.5, 2), rng.uniform(0.4, 0.8, 2)
+            ref = taut.trajectories.Septic(q0=[q, c, -c], q1=[end, c_end, -c_end], duration=0.8)
+            off, c_off = rng.uniform(-0.02, 0.02), rng.uniform(-0.05, 0.05)
+            ctrl = taut.compile(page["Decoupling"](a=a, omega=omega, rate=rate), arm, rate=8000.0)
+            start = at_rest(arm, q - off, c - c_off, a)
+            run = taut.run(ctrl, behind_tendons(page, arm, a, substeps=4), ref, duration=1.0, q0=start)
+            assert np.diff(run.q[:, [2, 0, 1]]).min() > 0.0  # no tendon gets slack
+            error, w, r = run.reference.q - run.q, omega * run.t, rate * run.t
+            exact = off * np.exp(-w) * (1.0 + w + w**2 / 2.0 + w**3 / 6.0)
+            assert error[:, 0] == pytest.approx(exact, abs=5e-3 * 0.02)
+            apart = 0.5 * (error[:, 1] - error[:, 2])
+            assert apart == pytest.approx(c_off * np.exp(-r) * (1.0 + r), abs=5e-3 * 0.05)
+
+    def test_a_lasting_load_finds_the_stiffness_of_the_loop(self, page: dict[str, Any]) -> None:
+        w, M, b, found = 30.0, 0.3, 0.1, []
+        for c in (0.25, 0.75):
+            lin = self.linear(page, c, w)
+            column = lin.B[:, lin.inputs.index("disturbance.torque[0]")]
+            row = lin.C[lin.outputs.index("q[0]")]
+            compliance = row @ np.linalg.solve(np.eye(len(lin.A)) - lin.A, column)
+            without = (6.0 * w**2 - 160.0 * c / M) / (M * w**4)
+            assert compliance == pytest.approx(without - (4.0 * w - b / M) * b / (M**2 * w**4), rel=1e-6)
+            found.append(1.0 / compliance)
+        assert found == pytest.approx([46.5, 49.0], abs=0.05)
+
+    @pytest.mark.parametrize("c", [0.25, 0.75])
+    def test_its_poles_must_be_slower_than_half_the_rate(self, page: dict[str, Any], c: float) -> None:
+        assert self.linear(page, c, 450.0).stable
+        assert not self.linear(page, c, 520.0).stable
+
+    @staticmethod
+    def linear(page: dict[str, Any], c: float, omega: float) -> taut.LinearSystem:
+        """At 1 kHz, the link at 0."""
+        ctrl = taut.compile(page["Decoupling"](a=40.0, omega=omega, rate=30.0), page["two"])
+        where = behind_tendons(page, page["two"], 40.0, substeps=4)
+        loop = taut.Loop(ctrl, where, taut.JointMotion(q=[0.0, c, -c]), duration=1.0)
+        return taut.linearise(loop, at=at_rest(page["two"], 0.0, c, 40.0))
+
+    def test_without_tension_the_run_ends_at_once(self, page: dict[str, Any]) -> None:
+        run = taut.run(page["ctrl"], page["tendons"], page["change"], duration=0.1, q0=np.zeros(3))
+        assert not run.outcome.ok
+        assert "'decoupling'" in run.outcome.message
+        assert len(run) <= 1
 
 
 class Strokes:
