@@ -303,7 +303,7 @@ def test_batches_that_cannot_be_are_refused(monkeypatch: pytest.MonkeyPatch) -> 
     for arguments in (
         {"n": 0},
         {"n": 2.5},
-        {"n": 3, "device": "cuda"},
+        {"n": 3, "device": "gpu"},
         {"n": 3, "real": "half"},
         {"n": 3, "threads": 0},
     ):

@@ -55,6 +55,7 @@ class Lanes:
 
     count: int = 1
     real: Real = DOUBLE
+    thread: bool = False  # of a GPU: one number, and many threads side by side
 
     def of(self, kind: str) -> str:
         """A type of LLVM in all lanes."""

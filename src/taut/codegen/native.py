@@ -206,6 +206,31 @@ def _generated(text: str, level: int) -> bytes:
     return code
 
 
+GPU: Final = ("nvptx64-nvidia-cuda", "sm_75", "+ptx70")  # which later GPUs and drivers take
+
+
+def ptx(text: str, entries: Sequence[str]) -> str:
+    """PTX of LLVM text, all of whose functions are inlined into its entries: what they share is in registers."""
+    import llvmlite.binding as llvm
+
+    triple, cpu, features = GPU
+    with _LOCK:
+        llvm.initialize_all_targets()
+        llvm.initialize_all_asmprinters()
+        machine = llvm.Target.from_triple(triple).create_target_machine(cpu=cpu, features=features, opt=3)
+        module = llvm.parse_assembly(text)
+        module.triple, module.data_layout = triple, str(machine.target_data)
+        for function in module.functions:
+            if not function.is_declaration and function.name not in entries:
+                function.linkage = "internal"
+                function.add_function_attribute("alwaysinline")
+        module.verify()
+        builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=2))
+        builder.getModulePassManager().run(module, builder)
+        out: str = machine.emit_assembly(module)
+        return out
+
+
 def _linked(
     code: bytes, names: Sequence[str], *, cached: bool, symbols: Mapping[str, int] | None = None
 ) -> NativeModule:

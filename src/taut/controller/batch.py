@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final, Literal, NoReturn, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from taut.base.checks import float_array, one_of, whole_number
 from taut.base.errors import ShapeError, TautError, UsageError, unknown_name
 from taut.base.paths import Named, Parameters
-from taut.codegen.functions import DOUBLE, SINGLE
+from taut.codegen.functions import DOUBLE, SINGLE, Real
 from taut.codegen.lanes.loop import LANE_TICKS
-from taut.codegen.lanes.rows import LANE_FRESH, TIME, RowArrays, RowCode
+from taut.codegen.lanes.rows import LANE_FRESH, TIME, RowArrays, RowCode, row_step
 from taut.codegen.llvm import Lanes
 from taut.codegen.native import cores, host_lanes
-from taut.codegen.program import Block, trace
+from taut.codegen.program import Block, Program, trace
 from taut.control.lawside import LawSide
 from taut.control.trajectories.reference import Sample
 from taut.controller.calls import sample_arguments, step_arguments
@@ -25,11 +24,8 @@ from taut.controller.kernel import DT, SideFunctions
 if TYPE_CHECKING:
     from taut.controller.controller import Controller
 
-Rows: TypeAlias = NDArray[Any]
 Device = Literal["cpu", "cuda"]
 RealName = Literal["double", "float"]
-HOST: Final = (1, 3)  # of DLPack's kinds of memory: that of the CPU, as it is and pinned
-KINDS: Final = {2: "cuda", 4: "opencl", 7: "vulkan", 8: "metal", 10: "rocm", 13: "cuda", 14: "oneapi"}
 
 
 class Batch:
@@ -39,6 +35,10 @@ class Batch:
     are, be they NumPy's, torch's, JAX's or Warp's. Rows may lie any distance apart, and an array without lanes,
     (joints,), serves all. In double precision each lane has the bits of `ctrl.step`.
 
+    With device="cuda" they are in the memory of the first GPU, as `finite`, `memory` and a command are that `step`
+    makes; a sample, a mask and parameters may also be on the CPU. A tick is queued, on torch's current stream where
+    torch uses the GPU, or else on the legacy default stream.
+
     A lane in which a number is not finite gets NaN for its command, its memory stays as it was before the tick, and
     `finite` is False for it. No other lane sees it.
 
@@ -46,9 +46,9 @@ class Batch:
     that are none. A blend of limits takes up no change of parameters.
     """
 
-    finite: NDArray[np.bool_]
+    finite: Any
     """(n,) whether all numbers of each lane were finite in the last tick."""
-    memory: Mapping[str, Rows]
+    memory: Mapping[str, Any]
     """The memory of the lanes itself by path, (n, ...), to read and to write. lane.ticks counts ticks since the
     start; where lane.fresh is 1 the next tick starts the rest from what is measured then."""
     parameters: Parameters
@@ -60,9 +60,8 @@ class Batch:
         one_of("device", device, ("cpu", "cuda"))
         one_of("real", real, ("double", "float"))
         self.side: LawSide = ctrl.side
-        if device == "cuda":
-            text = "this version has no code for a GPU; take device='cpu' and arrays in its memory"
-            raise UsageError(f"device='cuda': {text}", name="device")
+        if device == "cuda" and threads is not None:
+            raise UsageError("threads are those of the CPU; leave them out with device='cuda'", name="threads")
         if self.side.task is not None:
             raise UsageError(
                 "a batch is for a law, whose reference is written from outside; the references of a task are made by "
@@ -75,21 +74,22 @@ class Batch:
         start = trace(SideFunctions(self.side, record=False).start, program.inputs, program.parameters, Block())
         real_kind = SINGLE if real == "float" else DOUBLE
         self.dtype = np.dtype(real_kind.dtype)
-        code = RowCode(program, Lanes(host_lanes(real_kind), real_kind), start=start)
-        self._arrays = RowArrays(code, self.n)
+        self._arrays: Any = arrays_of(device, real_kind, program, start, self.n)
         self.finite = self._arrays.finite
-        rows = np.zeros((self.n, code.memory.size), dtype=self.dtype)
+        remembered = self._arrays.code.memory
+        rows = self._arrays.room((remembered.size,))
         self._arrays.put("memory", rows)
-        self.memory = Named("the batch", "memory entry", code.memory.views(rows))
+        self.memory = Named("the batch", "memory entry", self._arrays.views(remembered, rows))
         self._shapes = {**program.inputs.shapes, **program.outputs.shapes}
         for path, shape in program.inputs.shapes.items():  # of a law that follows nothing; no torque is held
             if path != TIME:
                 zero = np.eye(3, dtype=self.dtype) if shape == (3, 3) else np.zeros(shape, self.dtype)
-                self._arrays.put(path, zero, per_lane=False)
+                self._arrays.put(path, self._arrays.sent(path, zero), per_lane=False)
         self._command, *others = program.outputs.fields
         for field in others:
-            self._arrays.put(field.path, np.zeros((self.n, *field.shape), dtype=self.dtype))
-        self._arrays.put(DT, np.asarray(ctrl.dt, dtype=self.dtype), per_lane=False)
+            self._arrays.put(field.path, self._arrays.room(field.shape))
+        period = np.asarray(ctrl.dt, dtype=self.dtype)
+        self._arrays.put(DT, self._arrays.sent(DT, period), per_lane=False)
         self.parameters = LaneParameters(self.side, self._arrays, self.dtype, dict(ctrl.parameters))
         self.reset()
 
@@ -124,7 +124,7 @@ class Batch:
             q_motor: (n, joints) [rad | m].
             v_motor: (n, joints) [rad/s | m/s].
             a_tip: (n, 3) [m/s^2].
-            out: (n, joints) where the command goes; a new array of NumPy's if left out.
+            out: (n, joints) where the command goes; a new array of NumPy's, or on the GPU, if left out.
 
         Returns:
             The command, `out`: (n, joints), or (n, 5, joints) of a law that gives a MitCommand.
@@ -135,31 +135,34 @@ class Batch:
         """
         others = {"F_ext": F_ext, "tau_meas": tau_meas, "q_motor": q_motor, "v_motor": v_motor, "a_tip": a_tip}
         given, _ = step_arguments(self.side, (), {"q": q, "v": v, **others})
-        for name, value in (given | reference_arrays(self.side, ref, self.dtype)).items():
+        reference = reference_arrays(self.side, ref, self.dtype)
+        if not isinstance(ref, Mapping):
+            reference = {path: self._arrays.sent(path, value) for path, value in reference.items()}
+        for name, value in (given | reference).items():
             self._take(name, value)
-        result = np.empty((self.n, *self._command.shape), dtype=self.dtype) if out is None else out
+        result = self._arrays.room(self._command.shape) if out is None else out
         self._take(self._command.path, result, name="out")
         self._arrays.run(self.threads)
         return result
 
     def reset(self, mask: Any = None) -> None:
         """Start memory anew, in the next tick: in all lanes, or where the mask (n,) of truth values is True."""
-        lanes: Any = slice(None)
-        if mask is not None:
-            lanes = host_array("mask", mask)
-            if lanes.shape != (self.n,) or lanes.dtype != np.bool_:
-                raise ShapeError(
-                    f"mask must have shape ({self.n},) of truth values; got shape {lanes.shape} of {lanes.dtype}",
-                    name="mask",
-                )
-        self.memory[LANE_FRESH][lanes], self.memory[LANE_TICKS][lanes] = 1.0, 0.0
+        given = np.ones(self.n, dtype=np.bool_) if mask is None else mask
+        lanes = given if isinstance(given, np.ndarray) else self._arrays.array("mask", given)
+        if lanes.shape != (self.n,) or str(lanes.dtype) != "bool":
+            raise ShapeError(
+                f"mask must have shape ({self.n},) of truth values; got shape {lanes.shape} of {lanes.dtype}",
+                name="mask",
+            )
+        lanes = self._arrays.sent("mask", lanes, per_lane=True) if lanes is given else lanes
+        self._arrays.begin(self.memory[LANE_FRESH], self.memory[LANE_TICKS], lanes)
 
     def _take(self, path: str, value: Any, name: str = "") -> None:
         """Point the code to an array of a caller, which is checked; one of NumPy's that it has already stays."""
         if value is self._arrays.kept.get(path):
             return
-        array, shape, who = host_array(name or path, value), self._shapes[path], name or path
-        if array.dtype != self.dtype:
+        array, shape, who = self._arrays.array(name or path, value), self._shapes[path], name or path
+        if str(array.dtype) != str(self.dtype):
             other = {"float32": "float", "float64": "double"}.get(str(array.dtype))
             way = f", or make the batch with real='{other}'" if other else ""
             raise UsageError(
@@ -178,7 +181,8 @@ class Batch:
                 name=who,
             )
         lead = array.ndim - len(shape)
-        if not (array[0] if lead else array).flags.c_contiguous or not array.flags.aligned:
+        step = row_step(array.shape[lead:], array.strides[lead:], array.itemsize)
+        if step is None or not (step == array.itemsize or self._arrays.strided) or not array.flags.aligned:
             raise UsageError(
                 f"{who} has gaps within a row, or is not aligned: strides {array.strides} in bytes, of "
                 f"{array.itemsize} a number; rows may lie apart, but the numbers of each side by side: "
@@ -187,6 +191,15 @@ class Batch:
                 value=array.strides,
             )
         self._arrays.put(path, array, per_lane=bool(lead))
+
+
+def arrays_of(device: Device, real: Real, program: Program, start: Program, n: int) -> Any:
+    """The code and the arrays of n lanes where they are to be."""
+    if device == "cpu":
+        return RowArrays(RowCode(program, Lanes(host_lanes(real), real), start=start), n)
+    from taut.codegen.cuda import CudaArrays
+
+    return CudaArrays(RowCode(program, Lanes(1, real, thread=True), start=start), n)
 
 
 def reference_arrays(side: LawSide, ref: Sample | Mapping[str, Any] | None, dtype: Any) -> dict[str, Any]:
@@ -208,45 +221,19 @@ def reference_arrays(side: LawSide, ref: Sample | Mapping[str, Any] | None, dtyp
     return {f"ref.{name}": value for name, value in ref.items()}
 
 
-def host_array(name: str, value: Any) -> Rows:
-    """An array with DLPack as NumPy's, in the same memory. UsageError for one that is not in that of the CPU."""
-    if isinstance(value, np.ndarray):
-        return value
-    if not hasattr(value, "__dlpack_device__"):
-        raise UsageError(
-            f"{name} must be an array with DLPack, of NumPy, torch, JAX or Warp; got {type(value).__name__}",
-            name=name,
-        )
-    try:
-        kind, number = value.__dlpack_device__()
-        if kind in HOST:
-            array: Rows = np.from_dlpack(value)
-            return array
-    except (BufferError, RuntimeError, TypeError, ValueError) as cause:
-        raise UsageError(
-            f"{name} cannot be read where it is: {cause}; a tensor of float32 or float64 without a gradient can, "
-            "such as q.detach(); for gradients take taut.tensors.differentiable",
-            name=name,
-        ) from cause
-    raise UsageError(
-        f"{name} is in the memory of {KINDS.get(int(kind), f'device {int(kind)}')}:{number}, and this batch runs on "
-        "the CPU; copy it there, such as by q.cpu()",
-        name=name,
-    )
-
-
 class LaneParameters(Parameters):
     """Parameters of a batch by path, of all lanes or of each; new values are checked as those of a controller."""
 
-    def __init__(self, side: LawSide, arrays: RowArrays, dtype: Any, values: dict[str, Any]) -> None:
+    def __init__(self, side: LawSide, arrays: Any, dtype: Any, values: dict[str, Any]) -> None:
         super().__init__("the batch", {})
-        self._side, self._arrays, self._dtype, self._n = side, arrays, dtype, len(arrays.finite)
+        self._side, self._arrays, self._dtype, self._n = side, arrays, dtype, arrays.n
         for path, value in values.items():
             self._store(path, value, per_lane=False)
 
     def __setitem__(self, path: str, value: Any) -> None:
         shape = self._side.parameters[self._known(path)].shape
-        array = float_array(path, host_array(path, value) if hasattr(value, "__dlpack_device__") else value)
+        tensor = hasattr(value, "__dlpack_device__")
+        array = float_array(path, self._arrays.host(path, value) if tensor else value)
         if array.shape == (self._n, *shape):
             self._check_rows(path, array)
             self._store(path, array, per_lane=True)
@@ -261,7 +248,7 @@ class LaneParameters(Parameters):
 
     def _store(self, path: str, value: Any, *, per_lane: bool) -> None:
         self._values[path] = array = np.array(value, dtype=self._dtype, order="C")
-        self._arrays.put(path, array, per_lane=per_lane)
+        self._arrays.put(path, self._arrays.sent(path, array, per_lane=per_lane), per_lane=per_lane)
 
     def _check_rows(self, path: str, rows: Any) -> None:
         """A parameter of each lane: entries by their smallest and largest, matrices one by one."""

@@ -13,12 +13,12 @@ from taut.base.checks import float_array, instance_of
 from taut.base.errors import ShapeError, UsageError, missing_extra, unknown_name
 from taut.base.paths import subtree
 from taut.codegen.functions import DOUBLE, SINGLE, Real
-from taut.codegen.lanes.rows import TIME, RowArrays, RowCode
+from taut.codegen.lanes.rows import TIME, RowArrays, RowCode, host_array
 from taut.codegen.llvm import Lanes
 from taut.codegen.native import cores, host_lanes
 from taut.codegen.program import Block, Values, trace
 from taut.control.trajectories.reference import Sample
-from taut.controller.batch import host_array, reference_arrays
+from taut.controller.batch import reference_arrays
 from taut.controller.calls import step_arguments
 from taut.controller.controller import Controller
 from taut.controller.kernel import DT, SideFunctions

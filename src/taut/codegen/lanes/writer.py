@@ -49,7 +49,8 @@ class LaneWriter:
 
     @property
     def _flushes(self) -> bool:
-        return self._lanes.real is SINGLE and platform.machine() in ("x86_64", "AMD64")
+        lanes = self._lanes
+        return lanes.real is SINGLE and not lanes.thread and platform.machine() in ("x86_64", "AMD64")
 
     def group(self, parameters: int, memory: int) -> None:
         """The head of the loop over groups: where its blocks are."""
