@@ -49,7 +49,7 @@ def flushed(x: float) -> float:
 
 
 def single(x: float, flush: bool) -> float:
-    y = float(np.float32(x))
+    y = ctypes.c_float(x).value
     return flushed(y) if flush else y
 
 
@@ -64,7 +64,7 @@ ARITHMETIC = {
 }  # fmt: skip
 WHOLE = {
     "add": "{0} + {1}", "sub": "{0} - {1}", "mul": "{0} * {1}", "mad": "{0} * {1} + {2}", "shl": "{0} << {1}", "shr": "{0} >> {1}",
-    "or": "{0} | {1}", "and": "{0} & {1}", "xor": "{0} ^ {1}", "min": "min({0}, {1})", "cvt": "{0}", "mov": "{0}", "cvta": "{0}",
+    "or": "{0} | {1}", "and": "{0} & {1}", "xor": "{0} ^ {1}", "min": "min({0}, {1})", "max": "max({0}, {1})", "cvt": "{0}", "mov": "{0}", "cvta": "{0}",
 }  # fmt: skip
 ORDER = {
     name: f"{{0}} {sign} {{1}}"
@@ -81,7 +81,6 @@ class Kernel:
 
     def __init__(self, name: str, parameters: str, body: str) -> None:
         self.parameters = re.findall(rf"\b{name}_param_\d+", parameters)
-        self.instructions: list[str] = []
         lines, labels = [(0, [])], {}
         for line in body.splitlines():
             text = line.split("//")[0].strip().rstrip(";")
@@ -121,7 +120,9 @@ class Kernel:
         if guard:
             condition = f"not {guard[2]}" if guard[1] else guard[2]
             return f"if {condition}: {self._statement(text[guard.end() :])}"
-        self.instructions.append(text)
+        upper = re.fullmatch(r"\{ \.reg \.b32 tmp; mov\.b64 \{tmp, %(r\d+)\}, %(rd\d+); \}", text)
+        if upper:
+            return f"{upper[1]} = bits({upper[2]}, 64) >> 32"
         op, rest = (*text.split(None, 1), "")[:2]
         head, *more = op.split(".")
         operands = [x.strip() for x in rest.split(",")] if rest else []
@@ -152,6 +153,10 @@ class Kernel:
         if head == "selp":
             a, b = (self._operand(x, width, "i") for x in operands[1:3])
             return f"{target} = {a} if {operands[3][1:]} else {b}"
+        if head == "cvt" and more[0] == "rn":  # of a whole number
+            assert (kind[0], more[-2][0]) == ("u", "f"), text
+            value = f"float({self._operand(operands[1], width, 'i')})"
+            return f"{target} = {value}" if more[-2] == "f64" else f"{target} = single({value}, {flush})"
         if kind[0] == "f":
             assert more[0] in ("rn", "rmi") or head in ("neg", "abs"), text
             assert (head == "cvt") == (more[0] == "rmi"), text
@@ -162,14 +167,16 @@ class Kernel:
             else:
                 value = ARITHMETIC[head].format(*(f"({x})" for x in values))
             return f"{target} = {value}" if width == 64 else f"{target} = single({value}, {flush})"
-        source = int(more[-1][1:]) if head == "cvt" else width
-        width = int(more[0][1:]) if head == "cvt" else width
-        assert head in ("cvt", "mov", "cvta") or head in WHOLE, text
-        if head in ("mul", "mad"):
-            assert more[0] == "lo", text
-        sign = "s" if kind[0] == "s" and head in ("min", "shr") else "i"
-        values = [self._operand(x, source, sign) for x in operands[1:]]
-        return f"{target} = bits({WHOLE[head].format(*(f'({x})' for x in values))}, {width})"
+        to = int(more[0][1:]) if head == "cvt" else width
+        if head in ("mul", "mad") and kind[0] != "f":
+            assert more[0] == "lo" or (more[0], kind[0]) in (("wide", "u"), ("hi", "u")), text
+            to = 2 * width if more[0] == "wide" else width
+            if more[0] == "hi":
+                a, b = (self._operand(x, width, "i") for x in operands[1:])
+                return f"{target} = {a} * {b} >> {width}"
+        sign = "s" if kind[0] == "s" and head in ("min", "max", "shr") else "i"
+        values = [self._operand(x, width, sign) for x in operands[1:]]
+        return f"{target} = bits({WHOLE[head].format(*(f'({x})' for x in values))}, {to})"
 
 
 class Machine(dict[str, Kernel]):

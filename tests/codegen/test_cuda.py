@@ -86,6 +86,7 @@ CASES: dict[str, tuple[Any, str, dict[str, Any], str]] = {
 }  # fmt: skip
 
 
+@pytest.mark.part(4)
 @pytest.mark.parametrize("real", ["double", "float"])
 @pytest.mark.parametrize("case", CASES)
 def test_each_thread_has_the_bits_of_a_lane(case: str, real: Any, driver: Driver) -> None:
@@ -200,6 +201,70 @@ def test_gains_on_the_gpu_are_checked(driver: Driver) -> None:
     np.testing.assert_array_equal(batch.parameters["law.kp"], [1.0, 5.0, 9.0])
     batch.parameters["law.kp"] = 3.0
     assert (batch.step(q, q, ref).numpy() == 3.0).all()
+
+
+# -------------------------------------------------------------------- sweeps
+
+PLANAR = taut.load_arm("planar2")
+
+
+def free() -> taut.Loop:
+    ctrl = taut.compile(L.ComputedTorque(kp=100.0, kd=20.0), PLANAR)
+    ref = taut.trajectories.Sine(center=PLANAR.home, amplitude=0.3, frequency=1.0)
+    return taut.Loop(ctrl, taut.RigidPlant(PLANAR), ref, duration=0.019)
+
+
+def noisy() -> taut.Loop:
+    """Noise, friction that sticks, limits, and two steps of the integrator a tick."""
+    encoder = taut.sensors.Encoder(resolution=1e-6, noise=1e-4)
+    arm = PLANAR.with_friction(taut.Friction(viscous=0.1, coulomb=0.2, static=0.3, stribeck=0.1))
+    ctrl = taut.compile(
+        L.GravityPID(kp=[50.0, 40.0], kd=5.0, ki=20.0), PLANAR, limits=taut.Limits(tau=[4.0, 2.0], tau_dot=100.0),
+        sensing=taut.Sensing(velocity=taut.sensors.Difference(cutoff=60.0)),
+    )  # fmt: skip
+    plant = taut.RigidPlant(arm, sensors=taut.sensors.Sensors(position=encoder, velocity=None), substeps=2)
+    return taut.Loop(ctrl, plant, taut.JointMotion(q=PLANAR.home + 0.1), duration=0.019)
+
+
+U = taut.uniform
+SWEEPS: dict[str, tuple[Any, dict[str, Any], dict[str, Any]]] = {
+    "gains, payload and state": (
+        free, {"law.kp": U(50.0, 400.0), "plant.payload.mass": U(0.0, 2.0), "q0": U([-0.3, 0.2], [0.3, 1.0])}, {},
+    ),
+    "noise, friction, limits, sub-steps": (noisy, {"law.kp[1]": U(20.0, 80.0)}, {}),
+    "a reference of each": (free, {"ref.amplitude": U(0.1, 0.4)}, {}),
+    "some that diverge": (free, {"law.kd": np.where(np.arange(40) % 7, np.linspace(10.0, 30.0, 40), 1e30)}, {}),
+    "whole runs": (free, {"law.kp": U(50.0, 400.0)}, {"metrics": ["settling_time", "rms_error"]}),
+}  # fmt: skip
+
+
+@pytest.mark.part(4)
+@pytest.mark.parametrize("real", ["double", "float"])
+@pytest.mark.parametrize("case", SWEEPS)
+def test_a_sweep_on_the_gpu_is_that_of_lanes(case: str, real: Any, driver: Driver) -> None:
+    make, vary, more = SWEEPS[case]
+    here, there = (taut.sweep(make(), vary, samples=40, real=real, device=name, **more) for name in ("cpu", "cuda"))
+    assert here.table.keys() == there.table.keys()
+    for name, column in here.table.items():
+        np.testing.assert_array_equal(there.table[name], column, err_msg=name)
+    assert len(np.unique(here.table["rms_error"])) > 20
+    assert set(here.table["outcome"]) == {"completed"} | ({"diverged"} if "diverge" in case else set())
+    gc.collect()
+    assert not driver.memory
+
+
+def test_sweeps_on_the_gpu_that_cannot_be_are_refused(driver: Driver) -> None:
+    with refused(UsageError):
+        taut.sweep(free(), {}, samples=2, device="gpu")
+    with refused(UsageError):
+        taut.sweep(free(), {}, samples=2, device="cuda", ray="auto")
+    ctrl = taut.compile(L.PID(kp=1.0), PLANAR, engine="float")
+    loop = taut.Loop(ctrl, taut.RigidPlant(PLANAR), taut.hold(), duration=0.01)
+    with refused(UsageError):
+        taut.sweep(loop, {}, samples=2, device="cuda")
+
+
+# -------------------------------------------------------------------- refusals
 
 
 class Gradient(OnGpu):

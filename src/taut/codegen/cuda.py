@@ -1,4 +1,4 @@
-"""CUDA: the code of `lanes/rows.py` as kernels of a GPU, a lane in each thread, on arrays in the GPU's memory.
+"""CUDA: the code of `lanes/` as kernels of a GPU, a lane in each thread: rows of arrays in its memory, and loops.
 
 The text is that of one lane of the CPU, with the number of the thread for that of the row. In PTX each operation is
 rounded as it stands there, and only products that the program fuses are fused: doubles have the bits of the CPU. In
@@ -21,11 +21,12 @@ from numpy.typing import NDArray
 
 from taut.base.errors import TautError, UsageError, missing_extra
 from taut.codegen.functions import SINGLE
+from taut.codegen.lanes.loop import LaneLoop
 from taut.codegen.lanes.rows import HOST, RowCode, host_array, named_memory, no_dlpack, row_step, unreadable
+from taut.codegen.llvm import WARP, Lanes
 from taut.codegen.native import ptx
 from taut.codegen.program import Block
 
-BLOCK: Final = 32  # threads, one warp: few lanes use all of the GPU, and registers, not blocks, limit how many run
 CUDA: Final = (2, 13)  # of DLPack's kinds of memory: that of a GPU, and what it shares with the CPU
 LEGACY: Final = 1  # the default stream, as the driver and DLPack number it
 CODES: Final = ("int", "uint", "float", "handle", "bfloat", "complex", "bool")  # of DLPack's types
@@ -62,17 +63,19 @@ end:
  ret void
 }}
 """
-ENTRIES: Final = """
+THREAD: Final = f"""
 declare i32 @llvm.nvvm.read.ptx.sreg.tid.x()
 declare i32 @llvm.nvvm.read.ptx.sreg.ctaid.x()
 define internal i64 @thread() alwaysinline {{
  %t = call i32 @llvm.nvvm.read.ptx.sreg.tid.x()
  %b = call i32 @llvm.nvvm.read.ptx.sreg.ctaid.x()
- %first = mul i32 %b, {block}
+ %first = mul i32 %b, {WARP}
  %k = add i32 %first, %t
  %i = zext i32 %k to i64
  ret i64 %i
 }}
+"""
+ROWS: Final = """
 define ptx_kernel void @tick(i64 %n, ptr byval([{words} x i64]) align 8 %places, ptr %finite) {attributes} {{
  %i = call i64 @thread()
  call void @lane(i64 %i, i64 %n, ptr %places, ptr %finite)
@@ -81,6 +84,27 @@ define ptx_kernel void @tick(i64 %n, ptr byval([{words} x i64]) align 8 %places,
 define ptx_kernel void @begin(i64 %n, ptr %mask, i64 %apart, ptr %fresh, ptr %ticks) {{
  %i = call i64 @thread()
  call void @fresh(i64 %i, i64 %n, ptr %mask, i64 %apart, ptr %fresh, ptr %ticks)
+ ret void
+}}
+"""
+
+LOOP: Final = """
+define ptx_kernel void @all(i64 %ticks, i64 %first, i64 %groups, i64 %stride, {blocks}) {attributes} {{
+ %i = call i64 @thread()
+ %g = udiv i64 %i, {warp}
+ %lane = urem i64 %i, {warp}
+ %shared = icmp eq i64 %stride, 0
+ %far = mul i64 %g, %stride
+ %apart = add i64 %far, %lane
+ %at = select i1 %shared, i64 0, i64 %apart
+ %row = getelementptr {real}, ptr %rows, i64 %at
+ %key = getelementptr [2 x [{warp} x i32]], ptr %keys, i64 %g, i64 0, i64 %lane
+ %parameter = getelementptr [{parameters} x [{warp} x {real}]], ptr %parameters, i64 %g, i64 0, i64 %lane
+ %memory = getelementptr [{memory} x [{warp} x {real}]], ptr %memories, i64 %g, i64 0, i64 %lane
+ %before = mul i64 %g, %ticks
+ %recorded = getelementptr [{outputs} x [{warp} x {real}]], ptr %outputs, i64 %before, i64 0, i64 %lane
+ %reduced = alloca [{outputs} x [{warp} x {real}]]
+ call void @advance({numbers}, ptr %row, ptr %key, ptr %parameter, ptr %memory, ptr %{made})
  ret void
 }}
 """
@@ -94,10 +118,23 @@ def threads_text(code: RowCode) -> str:
 
 def kernels(code: RowCode) -> str:
     """PTX of the kernels `tick` and `begin`."""
-    flush = '"denormal-fp-math-f32"="preserve-sign,preserve-sign"' if code.lanes.real is SINGLE else ""
     words = code.words * len(code.fields)
-    text = threads_text(code) + ENTRIES.format(block=BLOCK, words=words, attributes=flush)
+    text = threads_text(code) + THREAD + ROWS.format(words=words, attributes=_attributes(code.lanes))
     return ptx(text, ("tick", "begin"))
+
+
+def loop_kernel(code: LaneLoop) -> str:
+    """PTX of the kernel `all`: some ticks of a loop in each thread, on blocks as those of the CPU."""
+    blocks = ", ".join(f"ptr %{name}" for name in ("rows", "keys", "parameters", "memories", "outputs"))
+    text = code.text() + THREAD + LOOP.format(
+        blocks=blocks, numbers="i64 %ticks, i64 %first, i64 1, i64 %stride", attributes=_attributes(code.lanes),
+        real=code.lanes.real.name, warp=WARP, made="recorded" if code.recorded else "reduced", **code.sizes,
+    )  # fmt: skip
+    return ptx(text, ("all",))
+
+
+def _attributes(lanes: Lanes) -> str:
+    return '"denormal-fp-math-f32"="preserve-sign,preserve-sign"' if lanes.real is SINGLE else ""
 
 
 # -------------------------------------------------------------------- the driver and its memory
@@ -139,10 +176,24 @@ class Gpu:
         return [self.call("cuModuleGetFunction", module, name.encode()) for name in names]
 
     def launch(self, kernel: Any, threads: int, *arguments: Any) -> None:
-        """Run a kernel with these arguments, numbers of C, in at least so many threads."""
+        """Run a kernel with these arguments, numbers of C, in at least so many threads.
+
+        A block is one warp: few lanes use all of the GPU, and registers, not blocks, limit how many run at a time.
+        """
         places = (ctypes.c_void_p * len(arguments))(*(ctypes.addressof(x) for x in arguments))
-        grid, block = (-(-threads // BLOCK), 1, 1), (BLOCK, 1, 1)
+        grid, block = (-(-threads // WARP), 1, 1), (WARP, 1, 1)
         self.call("cuLaunchKernel", kernel, *grid, *block, 0, stream(), ctypes.addressof(places), 0)
+
+    def copy(self, array: NDArray[Any]) -> _Memory:
+        """A copy of an array, as it lies in memory."""
+        memory = _Memory(self, array.nbytes)
+        self.call("cuMemcpyHtoDAsync", memory.address, array.ctypes.data, array.nbytes, stream())
+        return memory
+
+    def fetch(self, array: NDArray[Any], address: int) -> None:
+        """Fill an array, as it lies in memory, with what all work queued before leaves."""
+        self.call("cuMemcpyDtoHAsync", array.ctypes.data, address, array.nbytes, stream())
+        self.call("cuStreamSynchronize", stream())
 
     def room(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> DeviceArray:
         """Zeros for so many lanes, those of all lanes side by side."""
@@ -229,8 +280,7 @@ class DeviceArray:
         """A copy in the memory of the CPU, of what all work queued before leaves."""
         spans = ((count - 1) * stride for count, stride in zip(self.shape, self.strides, strict=True))
         raw = np.empty(sum(spans) + self.itemsize, dtype=np.uint8)
-        self.gpu.call("cuMemcpyDtoHAsync", raw.ctypes.data, self.address, raw.size, stream())
-        self.gpu.call("cuStreamSynchronize", stream())
+        self.gpu.fetch(raw, self.address)
         return np.ndarray(self.shape, self.dtype, raw, strides=self.strides).copy()
 
 
@@ -379,3 +429,18 @@ class CudaArrays:
         """Queue the evaluation of all rows; `finite` (n,) then has those without NaN or infinity."""
         n, finite = ctypes.c_int64(self.n), ctypes.c_int64(self.finite.address)
         self._gpu.launch(self._tick, self.n, n, self._places, finite)
+
+
+class GpuLoop:
+    """Runs a `LaneLoop` on the GPU: blocks go there, and what is written comes back."""
+
+    def __init__(self, code: LaneLoop) -> None:
+        self._gpu, self._recorded = gpu(), code.recorded
+        [self._all] = self._gpu.functions(loop_kernel(code), "all")
+
+    def __call__(self, numbers: tuple[int, int, int, int], blocks: tuple[Any, ...]) -> None:
+        there = [self._gpu.copy(block) for block in blocks]
+        places = (*numbers, *(memory.address for memory in there))
+        self._gpu.launch(self._all, numbers[2] * WARP, *(ctypes.c_int64(x) for x in places))
+        for block, memory in list(zip(blocks, there, strict=True))[3 : 5 if self._recorded else 4]:
+            self._gpu.fetch(block, memory.address)

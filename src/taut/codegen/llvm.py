@@ -22,6 +22,7 @@ _DECIDING: Final = frozenset(
     {Op.SQRT, Op.LOG, Op.ASIN, Op.ACOS, Op.ATAN2, Op.FLOOR, Op.LT, Op.LE, Op.EQ},
 )
 BLOCK_LINES: Final = 200  # LLVM's quick level takes a time that grows with the square of a block's length
+WARP: Final = 32  # threads of a GPU that go together, and whose numbers stand side by side in blocks
 CACHE_LINE: Final = 64  # bytes: as wide as the widest numbers in lanes
 
 _OPERATION: Final = {  # of numbers {t}, called {s}, and truth values {b}
@@ -60,6 +61,15 @@ class Lanes:
     def of(self, kind: str) -> str:
         """A type of LLVM in all lanes."""
         return kind if self.count == 1 else f"<{self.count} x {kind}>"
+
+    def cell(self, kind: str) -> str:
+        """A number of all lanes in a block, or in threads the room of those of a warp."""
+        return f"[{WARP} x {kind}]" if self.thread else self.of(kind)
+
+    @property
+    def side(self) -> int:
+        """Lanes whose numbers stand side by side in blocks."""
+        return WARP if self.thread else self.count
 
     def same(self, kind: str, value: str) -> str:
         """A constant that is the same in all lanes."""
@@ -205,6 +215,7 @@ class _Body:
         live = set(program.live)
         self._within = {i: product for i, product in fused.items() if i in live}
         self._out: list[str] = []
+        self._cell = lanes.cell(lanes.real.name)
         self._paired: set[int] = set()  # arguments whose sine and cosine stand already
         self.given: set[int] = set()  # nodes that are there already
         self._common = {
@@ -263,7 +274,7 @@ class _Body:
 
     def _input(self, i: int) -> None:
         block, offset = self._program.place_of_input(self._graph.a[i])
-        self._out.append(f" %p{i} = getelementptr {self._lanes.type}, ptr %{block}, i64 {offset}")
+        self._out.append(f" %p{i} = getelementptr {self._cell}, ptr %{block}, i64 {offset}")
         self._put(i, f"load {self._lanes.type}, ptr %p{i}, align {self._lanes.align}")
 
     def _sum_with_product(self, i: int, product: int) -> None:
@@ -347,7 +358,7 @@ class _Body:
             assert i != NONE
             assert self._graph.ops[i] not in BOOLEAN_OPS
             self._out += [
-                f" %{block}{offset} = getelementptr {t}, ptr %{block}, i64 {offset}",
+                f" %{block}{offset} = getelementptr {self._cell}, ptr %{block}, i64 {offset}",
                 f" store {t} {self.value(i)}, ptr %{block}{offset}, align {self._lanes.align}",
             ]
 

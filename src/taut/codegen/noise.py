@@ -120,7 +120,7 @@ def noise_text(inputs: Block, lanes: Lanes) -> str:
 
     Keys and the tick are words in lanes, so that each lane may have its own seed.
     """
-    t, word = lanes.type, lanes.of("i32")
+    t, word, cell = lanes.type, lanes.of("i32"), lanes.cell(lanes.real.name)
     lines = [f"define internal void @noise(ptr %inputs, {word} %key0, {word} %key1, {word} %tick) {{"]
     for n, (field, block) in enumerate(blocks_of(inputs)):
         constants = [f"{word} {lanes.same('i32', str(value))}" for value in (block, *channel(field.path))]
@@ -130,7 +130,7 @@ def noise_text(inputs: Block, lanes: Lanes) -> str:
             at = field.offset + 4 * block + k
             lines += [
                 f" %n{n}.{k} = extractvalue {result_type(lanes, 4)} %n{n}, {k}",
-                f" %p{n}.{k} = getelementptr {t}, ptr %inputs, i64 {at}",
+                f" %p{n}.{k} = getelementptr {cell}, ptr %inputs, i64 {at}",
                 f" store {t} %n{n}.{k}, ptr %p{n}.{k}, align {lanes.align}",
             ]
     two = function_text("two_normals", two_normals(lanes.real), lanes, fused={})

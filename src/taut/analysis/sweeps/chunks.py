@@ -21,6 +21,7 @@ from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.codegen.functions import DOUBLE, SINGLE
 from taut.codegen.lanes.loop import LANE_ALIVE, LANE_TICKS, LaneLoop, NotInLanes, Rows
+from taut.codegen.lanes.loop import Run as LaneRun
 from taut.codegen.llvm import Lanes
 from taut.codegen.loop import steps_of
 from taut.codegen.native import host_lanes
@@ -39,6 +40,7 @@ from taut.runtime.tape import Tape
 
 CHUNKS: Final = 64  # of a sweep, so that they can be shared
 IN_LANES: Final = (64, 1024)  # samples in a chunk, at least and at most
+ON_GPU: Final = (32_768, 65_536)  # eight warps on each of 128 processors: as many as their registers hold
 ONE_BY_ONE: Final = (1, 16)
 BATCH_BYTES: Final = 64e6  # of one thread: what is recorded, or references of samples, at a time
 TICKS_AT_ONCE: Final = 4096  # between two looks at whether to stop
@@ -137,7 +139,8 @@ class LaneRuns(Runner):
         subject = plan.subject
         if nominal is not None:
             self._nominal = nominal
-        self._plan, self._loop, self.size = plan, loop, _size(plan, IN_LANES)
+        there = plan.device == "cuda"
+        self._plan, self._loop, self.size = plan, loop, _size(plan, ON_GPU if there else IN_LANES)
         schedule = Schedule(self._loop.side, self._loop.plant, self._loop.parameters, (), self._loop.ticks)
         fused = FusedRun(self._loop, subject.q0, subject.v0, 0, schedule)
         self._blocks = inputs, self._parameters, _ = fused.blocks
@@ -145,9 +148,10 @@ class LaneRuns(Runner):
         self._recorded = bool(plan.record) or not summed
         self._streams = Streams(self._loop, {} if self._recorded else plan.columns)
         real = SINGLE if plan.real == "float" else DOUBLE
+        lanes = Lanes(1, real, thread=True) if there else Lanes(host_lanes(real), real)
         self._code = LaneLoop(
-            steps_of(self._loop, *self._blocks), Lanes(host_lanes(real), real), kept=self._streams.shapes,
-            reduce=self._streams.reduce, recorded=self._recorded,
+            steps_of(self._loop, *self._blocks), lanes, kept=self._streams.shapes, reduce=self._streams.reduce,
+            recorded=self._recorded, run=_gpu_run if there else None,
         )  # fmt: skip
         self._inputs, self._lock = inputs, threading.Lock()
         targets = {each.target for each in plan.varied}
@@ -174,7 +178,7 @@ class LaneRuns(Runner):
         made: list[tuple[dict[str, float], dict[str, Float64Array]]] = []
         for groups in self._batches(len(parameters)):
             part = keys[groups], parameters[groups], memory[groups]
-            some = None if feeds is None else feeds[groups.start * code.lanes.count : groups.stop * code.lanes.count]
+            some = None if feeds is None else feeds[groups.start * code.lanes.side : groups.stop * code.lanes.side]
             if self._recorded:
                 step()
                 out = code.block(len(part[1]), code.outputs.size, loop.ticks)
@@ -195,12 +199,12 @@ class LaneRuns(Runner):
         return Results(table=table, rows=_joined([rows for _, rows in made] if plan.record else []))
 
     def _ticks_at_once(self, groups: int) -> int:
-        each = self._inputs.size * self._code.lanes.count * 8.0 * groups
+        each = self._inputs.size * self._code.lanes.side * 8.0 * groups
         return max(1, min(TICKS_AT_ONCE, int(BATCH_BYTES / each))) if self._own_reference else TICKS_AT_ONCE
 
     def _batches(self, groups: int) -> Iterator[slice]:
         """Groups whose records are in memory together."""
-        each = self._code.outputs.size * self._code.lanes.count * 8.0 * self._loop.ticks
+        each = self._code.outputs.size * self._code.lanes.side * 8.0 * self._loop.ticks
         many = max(1, int(BATCH_BYTES / each)) if self._recorded else groups
         return (slice(k, min(k + many, groups)) for k in range(0, groups, many))
 
@@ -210,14 +214,14 @@ class LaneRuns(Runner):
         for i in range(len(q)):
             ref = changed_reference(self._loop.ref, {path: x[i] for path, x in values.items()})
             out.append(ReferenceFeed(ref, side.law.reference, side.arm, side.dt, side.at_rest(q[i])))
-        return out + [out[-1]] * (-len(out) % self._code.lanes.count)
+        return out + [out[-1]] * (-len(out) % self._code.lanes.side)
 
     def _rows(self, feeds: list[ReferenceFeed] | None, first: int, ticks: int) -> Rows:
         """Inputs of some ticks but noise: (ticks, size), or (groups, ticks, size, lanes) of own feeds."""
         if feeds is None:
             with self._lock:
                 return self._shared(first, ticks)
-        w, size = self._code.lanes.count, self._code.row_size
+        w, size = self._code.lanes.side, self._code.row_size
         rows = np.array([self._filled(feed, first, ticks) for feed in feeds])
         out = self._code.block(len(feeds) // w, size, ticks)
         out[...] = rows.reshape(-1, w, ticks, size).transpose(0, 2, 3, 1)
@@ -255,7 +259,7 @@ class LaneRuns(Runner):
         self, first: int, groups: slice, count: int, rows: Rows, out: Rows, memory: Rows
     ) -> Iterator[tuple[dict[str, float], dict[str, Float64Array]]]:
         """Metrics and recorded rows of each sample in some groups."""
-        code, w = self._code, self._code.lanes.count
+        code, w = self._code, self._code.lanes.side
         start = groups.start * w
         many = min(groups.stop * w, count) - start
         ends = code.memory.views(code.gathered(memory[groups], many))
@@ -269,6 +273,12 @@ class LaneRuns(Runner):
             outcome = Outcome(kind="completed" if alive else "diverged", message="", tick=ticks - 1)
             run = tape.piece(0, ticks, outcome)
             yield numbers_of(self._plan, run), recorded_rows(self._plan, first + start + i, run)
+
+
+def _gpu_run(code: LaneLoop) -> LaneRun:
+    from taut.codegen.cuda import GpuLoop
+
+    return GpuLoop(code)
 
 
 def _joined(parts: list[dict[str, Float64Array]]) -> dict[str, Float64Array]:

@@ -153,6 +153,7 @@ class Plan:
     record: tuple[str, ...] = ()  # names of `run.arrays()` that are kept
     every: int = 1  # tick of those
     real: str = "double"
+    device: str = "cpu"
 
     @classmethod
     def of(cls, subject: Subject, vary: Mapping[str, Variation], samples: object, seed: object) -> Plan:
@@ -203,7 +204,7 @@ class Plan:
         """The same for plans with the same results."""
         own = [(x.path, repr(x.drawn) if x.listed is None else _digest(x.listed)) for x in self.varied]
         parts = (self.subject.content, own, self.samples, self.seed, list(self.numbers), self.record, self.every)
-        return hashlib.sha256(repr((*parts, self.real)).encode()).hexdigest()
+        return hashlib.sha256(repr((*parts, self.real, self.device)).encode()).hexdigest()
 
     def _check(self) -> None:
         """Refuse what some sample would be refused for: each end alone, and starts where several ends meet."""

@@ -282,6 +282,7 @@ def sweep(
     workers: int | None = None,
     ray: str | None = None,
     real: Literal["double", "float"] = "double",
+    device: Literal["cpu", "cuda"] = "cpu",
     progress: bool | None = None,
 ) -> Sweep:
     """Many runs of one closed loop, each with its own values of what is varied and its own noise.
@@ -315,6 +316,7 @@ def sweep(
             chunks in flight at most.
         ray: A Ray cluster that runs already: "auto" for the one of this machine, "HOST:PORT" or "ray://HOST:PORT".
         real: "float" runs twice as many lanes in single precision, with its rounding.
+        device: "cuda" runs a loop of a model plant in each thread of the first GPU of this machine.
         progress: As in `taut.run`.
 
     Returns:
@@ -339,7 +341,8 @@ def sweep(
     """
     return sweep_with(
         {}, loop, vary, plant, ref, samples=samples, seed=seed, duration=duration, q0=q0, v0=v0, metrics=metrics,
-        success=success, record=record, every=every, out=out, workers=workers, ray=ray, real=real, progress=progress,
+        success=success, record=record, every=every, out=out, workers=workers, ray=ray, real=real, device=device,
+        progress=progress,
     )  # fmt: skip
 
 
@@ -363,9 +366,13 @@ def sweep_with(
     workers: int | None = None,
     ray: str | None = None,
     real: Literal["double", "float"] = "double",
+    device: Literal["cpu", "cuda"] = "cpu",
     progress: bool | None = None,
 ) -> Sweep:
     """`sweep`, which keeps other numbers of each run too: functions of whole runs, by name."""
+    one_of("device", device, ("cpu", "cuda"))
+    if device == "cuda" and ray is not None:
+        raise UsageError("device='cuda' is the GPU of this machine; leave out ray", name="device")
     if ray is not None:
         check_ray(ray)
     made, target, reference, length = what_to_run(loop, plant, ref, duration)
@@ -373,7 +380,8 @@ def sweep_with(
     given = None if isinstance(made, Loop) else (target, None if made.side.task is not None else reference)
     nominal = run(made, *(given or ()), duration=None if given is None else length, q0=q0, v0=v0, progress=False)
     bounds = _bounds(success or {})
-    plan = _kept(dataclasses.replace(plan, figures=figures), nominal, metrics, bounds, record, every, real)
+    plan = dataclasses.replace(plan, figures=figures, device=device)
+    plan = _kept(plan, nominal, metrics, bounds, record, every, real)
     if plan.record and out is None:
         raise UsageError("record keeps what runs record in files; give out='a folder'", name="out")
     runner = runner_of(plan, made if isinstance(made, Loop) else None, nominal)
@@ -381,8 +389,9 @@ def sweep_with(
     alone = ray is None and (isinstance(runner, LaneRuns) or (number or cores()) == 1)
     if not alone:
         _require_pickle(plan)
-    if real == "float" and not isinstance(runner, LaneRuns):
-        raise UsageError("real='float' is for loops that run in lanes, with a model plant", name="real")
+    for name, value in {"real": real, "device": device}.items():
+        if value in ("float", "cuda") and not isinstance(runner, LaneRuns):
+            raise UsageError(f"{name}='{value}' is for loops that run in lanes, with a model plant", name=name)
     run_all = partial(run_chunks, plan, runner if alone else None, number or cores())
     if ray is not None:
         run_all = partial(run_on_ray, plan, ray, number)

@@ -27,6 +27,9 @@ Rows: TypeAlias = NDArray[np.floating[Any]]
 Reduce: TypeAlias = Callable[[Values, Values, Values, Values], Values]
 """(inputs, parameters, record of a tick, what was kept before) -> what is kept after it, by path."""
 
+Run: TypeAlias = Callable[[tuple[int, int, int, int], tuple[Any, ...]], None]
+"""Of ticks, first tick, groups, numbers from group to group in rows; of rows, keys, parameters, memory, outputs."""
+
 LANE_ALIVE: Final = "lane.alive"  # 1.0 until memory or command is not finite
 LANE_TICKS: Final = "lane.ticks"  # that ended in finite memory and command
 
@@ -45,6 +48,7 @@ class LaneLoop:
             before.
         reduce: How; traced with the step.
         recorded: Whether outputs are written, as `StepLoop` writes them, and not reduced.
+        run: Makes what runs it; machine code of the CPU if left out.
     """
 
     def __init__(
@@ -55,8 +59,9 @@ class LaneLoop:
         kept: Mapping[str, tuple[int, ...]],
         reduce: Reduce,
         recorded: bool = False,
+        run: Callable[[LaneLoop], Run] | None = None,
     ) -> None:
-        self.lanes, self._steps = lanes, steps
+        self.lanes, self._steps, self.recorded = lanes, steps, recorded
         traced = TracedSteps(steps)
         if traced.start is None:
             raise NotInLanes
@@ -67,19 +72,24 @@ class LaneLoop:
         self.program = own if recorded else self._reduced(whole, own)
         self.outputs = self.program.outputs
         # The products that are rounded with their sums are those of the whole step, whatever is asked of it here.
-        fused, start, inner = products_in_sums(own), traced.start, traced.inner
-        content = repr((lanes, self.memory.size, steps.repeats, recorded, self.outputs)).encode()
-        content += self.program.content + traced.content
+        self._fused, self._traced_steps = products_in_sums(own), traced
+        self.sizes = {"parameters": steps.parameters.size, "memory": self.memory.size, "outputs": self.outputs.size}
+        self._run = (run or native_run)(self)
 
-        def text() -> str:
-            parts = [declarations(lanes), noise_text(steps.inputs, lanes)]
-            parts += [kernel(self.program, "kernel", lanes, fused), kernel(start, "start", lanes)]
-            parts += [] if inner is None else [kernel(inner, "substep", lanes)]
-            return "\n".join([*parts, self._text(recorded)])
+    @property
+    def content(self) -> bytes:
+        """What the text is made from."""
+        head = repr((self.lanes, self.memory.size, self._steps.repeats, self.recorded, self.outputs)).encode()
+        return head + self.program.content + self._traced_steps.content
 
-        self._module = compiled(content, text, ("advance",))
-        places = [*[ctypes.c_int64] * 4, *[ctypes.c_void_p] * 5]
-        self._advance = ctypes.CFUNCTYPE(None, *places)(self._module["advance"])
+    def text(self) -> str:
+        """LLVM text of `advance`, and of what it calls."""
+        lanes, start, inner = self.lanes, self._traced_steps.start, self._traced_steps.inner
+        assert start is not None
+        parts = [declarations(lanes), noise_text(self._steps.inputs, lanes)]
+        parts += [kernel(self.program, "kernel", lanes, self._fused), kernel(start, "start", lanes)]
+        parts += [] if inner is None else [kernel(inner, "substep", lanes)]
+        return "\n".join([*parts, self._text()])
 
     def _traced(self, reduce: Reduce) -> Program:
         """The step and what is kept, as one program; memory of the step first."""
@@ -106,11 +116,11 @@ class LaneLoop:
     def block(self, groups: int, size: int, ticks: int | None = None) -> Rows:
         """Room for numbers of so many groups of lanes, at a cache line."""
         shape = (groups, size) if ticks is None else (groups, ticks, size)
-        return _aligned((*shape, self.lanes.count), self.lanes.real.dtype)
+        return _aligned((*shape, self.lanes.side), self.lanes.real.dtype)
 
     def spread(self, rows: Float64Array) -> Rows:
         """Numbers (runs, size) of each run in lanes; runs that fill the last group are like the last one."""
-        w = self.lanes.count
+        w = self.lanes.side
         groups = -(-len(rows) // w)
         padded = rows[np.minimum(np.arange(groups * w), len(rows) - 1)]
         out = self.block(groups, rows.shape[1])
@@ -119,7 +129,7 @@ class LaneLoop:
 
     def keys(self, seeds: NDArray[np.uint64]) -> NDArray[np.uint32]:
         """(groups, 2, lanes) keys of the noise of each run."""
-        w = self.lanes.count
+        w = self.lanes.side
         groups = -(-len(seeds) // w)
         padded = seeds[np.minimum(np.arange(groups * w), len(seeds) - 1)]
         words = np.stack(key(padded)).astype(np.uint32)
@@ -148,10 +158,10 @@ class LaneLoop:
         """
         ticks = rows.shape[-2] if rows.ndim == 2 else rows.shape[1]
         out = self.block(1, self.outputs.size) if outputs is None else outputs
-        pointers = [block.ctypes.data for block in (rows, keys, parameters, memory, out)]
         assert rows.dtype == self.lanes.real.dtype
         assert rows.flags.c_contiguous
-        self._advance(ticks, first, len(parameters), 0 if rows.ndim == 2 else rows[0].size, *pointers)
+        stride = 0 if rows.ndim == 2 else rows[0].size
+        self._run((ticks, first, len(parameters), stride), (rows, keys, parameters, memory, out))
 
     # ---------------------------------------------------------------- text
 
@@ -162,13 +172,13 @@ class LaneLoop:
         assert all(field.offset + field.size <= self._steps.inputs.size for field in fields)
         return sum(field.size for field in fields)
 
-    def _text(self, recorded: bool) -> str:
+    def _text(self) -> str:
         """LLVM text of `advance`."""
         lanes, steps, w = self.lanes, self._steps, LaneWriter(self.lanes)
         own, real = steps.memory.size, self.lanes.real.name
         alive, ticks = (self.memory.field(path).offset for path in (LANE_ALIVE, LANE_TICKS))
         one, zero, truth = lanes.number(1.0), lanes.number(0.0), lanes.of("i1")
-        step = self.outputs.size * lanes.count if recorded else 0
+        step = self.outputs.size * lanes.side if self.recorded else 0
         w.enter(steps.start_inputs.size)
         w.group(steps.parameters.size, self.memory.size)
         w.line(" br i1 %starts, label %begin, label %group", "begin:")
@@ -185,7 +195,7 @@ class LaneLoop:
             f" %span = mul i64 %ticks, {step}",
             " %outat = mul i64 %g, %span",
             f" %outs = getelementptr {real}, ptr %outputs, i64 %outat",
-            f" %width = select i1 %shared, i64 {self.row_size}, i64 {self.row_size * lanes.count}",
+            f" %width = select i1 %shared, i64 {self.row_size}, i64 {self.row_size * lanes.side}",
             " br label %tick",
             "tick:",
             " %k = phi i64 [0, %group], [%k1, %kept]",
@@ -232,6 +242,18 @@ class LaneLoop:
         numbers_in = "i64 %ticks, i64 %first, i64 %groups, i64 %stride"
         arguments = f"{numbers_in}, ptr %rows, ptr %keys, ptr %parameters, ptr %memories, ptr %outputs"
         return w.function(f"void @advance({arguments}) {lanes.attributes}")
+
+
+def native_run(code: LaneLoop) -> Run:
+    """`advance` in machine code."""
+    module = compiled(code.content, code.text, ("advance",))
+    advance = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 4, *[ctypes.c_void_p] * 5)(module["advance"])
+
+    def run(numbers: tuple[int, int, int, int], blocks: tuple[Any, ...]) -> None:
+        assert module  # the code lives as long as this
+        advance(*numbers, *(block.ctypes.data for block in blocks))
+
+    return run
 
 
 def _aligned(shape: tuple[int, ...], dtype: type[np.floating[Any]]) -> Rows:

@@ -15,7 +15,7 @@ class LaneWriter:
     """Writes a function that goes over groups of lanes; a writer, with what such functions share."""
 
     def __init__(self, lanes: Lanes) -> None:
-        self._lanes, self._writer = lanes, Writer()
+        self._lanes, self._writer, self._cell = lanes, Writer(), lanes.cell(lanes.real.name)
         self.put, self.line, self.sum = self._writer.put, self._writer.line, self._writer.sum
 
     def enter(self, inputs: int) -> None:
@@ -32,7 +32,7 @@ class LaneWriter:
 
     def room(self, name: str, size: int) -> None:
         """Room on the stack for so many numbers in lanes."""
-        self.line(f" {name} = alloca [{max(size, 1)} x {self._lanes.type}], align {CACHE_LINE}")
+        self.line(f" {name} = alloca [{max(size, 1)} x {self._cell}], align {CACHE_LINE}")
 
     def flush(self) -> None:
         """Take what is smaller than normal numbers of single precision for zero, until `restore`."""
@@ -54,14 +54,14 @@ class LaneWriter:
 
     def group(self, parameters: int, memory: int) -> None:
         """The head of the loop over groups: where its blocks are."""
-        t, word = self._lanes.type, self._lanes.of("i32")
+        t, word, words = self._cell, self._lanes.of("i32"), self._lanes.cell("i32")
         self.line("next_group:", " %g = phi i64 [0, %entry], [%g1, %done]", " %shift = mul i64 %g, %stride")
         self.line(f" %first_row = getelementptr {self._lanes.real.name}, ptr %rows, i64 %shift")
         self.line(f" %parameter = getelementptr [{parameters} x {t}], ptr %parameters, i64 %g")
         self.line(f" %memory = getelementptr [{memory} x {t}], ptr %memories, i64 %g")
-        self.line(f" %key = getelementptr [2 x {word}], ptr %keys, i64 %g")
+        self.line(f" %key = getelementptr [2 x {words}], ptr %keys, i64 %g")
         for i in range(2):
-            self.line(f" %keyp{i} = getelementptr {word}, ptr %key, i64 {i}")
+            self.line(f" %keyp{i} = getelementptr {words}, ptr %key, i64 {i}")
             self.line(f" %key{i} = load {word}, ptr %keyp{i}, align 4")
 
     def fill(self, row: str, size: int, after: str) -> None:
@@ -85,15 +85,13 @@ class LaneWriter:
 
     def load(self, block: str, i: int) -> str:
         """The numbers of all lanes."""
-        t = self._lanes.type
-        return self.put(
-            f"load {t}, ptr {self.put(f'getelementptr {t}, ptr {block}, i64 {i}')}, align {self._lanes.align}"
-        )
+        place = self.put(f"getelementptr {self._cell}, ptr {block}, i64 {i}")
+        return self.put(f"load {self._lanes.type}, ptr {place}, align {self._lanes.align}")
 
     def store(self, value: str, block: str, i: int) -> None:
         """Write the numbers of all lanes."""
         t = self._lanes.type
-        place = self.put(f"getelementptr {t}, ptr {block}, i64 {i}")
+        place = self.put(f"getelementptr {self._cell}, ptr {block}, i64 {i}")
         self.line(f" store {t} {value}, ptr {place}, align {self._lanes.align}")
 
     def itself_away(self, block: str, i: int) -> str:
