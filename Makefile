@@ -1,7 +1,8 @@
 # make demo   set up, run the main job, print what it made and where
 # make test   set up, run lint, types and tests
 # make test-extras   arrays and gradients of torch, JAX and Warp, sweeps on a Ray cluster of this machine, logs in the
-#                    readers of Rerun and rosbags: in an environment of its own, .venv-extras (3.8 GB)
+#                    readers of Rerun and rosbags, kernels of a GPU in NVIDIA's assembler, and run where there is a GPU:
+#                    in an environment of its own, .venv-extras (some 4 GB)
 # make lock   write locked.txt anew: what taut needs, with versions and hashes
 # make bars   the long counts;  make bench  figures against Pinocchio and MuJoCo;  make docs  the site
 # make bench-peers   docs/benchmarks.md: the same tasks in Drake, MuJoCo, JAX and others, each installed apart (3 GB)
@@ -84,5 +85,5 @@ $(VENV)/test.stamp: $(BIN)/python pyproject.toml constraints.txt
 
 $(EXTRAS)/test.stamp: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(EXTRAS)
-	$(EXTRAS)/bin/python -m pip --disable-pip-version-check install --quiet -c constraints.txt pytest -e ".[arms,gym,ray,sweep,tensors,viewers]"
+	$(EXTRAS)/bin/python -m pip --disable-pip-version-check install --quiet -c constraints.txt pytest -e ".[arms,cuda,gym,ptxas,ray,sweep,tensors,viewers]"
 	@touch $@
