@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import gc
+import importlib
 import math
 import sys
 import types
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -262,6 +264,14 @@ def test_sweeps_on_the_gpu_that_cannot_be_are_refused(driver: Driver) -> None:
     loop = taut.Loop(ctrl, taut.RigidPlant(PLANAR), taut.hold(), duration=0.01)
     with refused(UsageError):
         taut.sweep(loop, {}, samples=2, device="cuda")
+
+
+@pytest.mark.long
+def test_the_benchmark_compares_and_times(driver: Driver, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
+    monkeypatch.setattr(driver, "cuDeviceGetName", lambda size, device: (0, b"none\0"), raising=False)
+    benchmark = importlib.import_module("gpu")
+    assert benchmark.main(n=33, samples=32, ticks=3, rounds=1, warps=1) == 0
 
 
 # -------------------------------------------------------------------- refusals

@@ -33,8 +33,21 @@ CODES: Final = ("int", "uint", "float", "handle", "bfloat", "complex", "bool")  
 READ_ONLY: Final = 1  # of DLPack's flags
 ELSE: Final = "take device='cpu' and arrays in its memory"
 
-THREADS: Final = """
-define void @lane(i64 %i, i64 %n, ptr %places, ptr %finite) {{
+THREAD: Final = f"""
+declare i32 @llvm.nvvm.read.ptx.sreg.tid.x()
+declare i32 @llvm.nvvm.read.ptx.sreg.ctaid.x()
+define internal i64 @thread() alwaysinline {{
+ %t = call i32 @llvm.nvvm.read.ptx.sreg.tid.x()
+ %b = call i32 @llvm.nvvm.read.ptx.sreg.ctaid.x()
+ %first = mul i32 %b, {WARP}
+ %k = add i32 %first, %t
+ %i = zext i32 %k to i64
+ ret i64 %i
+}}
+"""
+ROWS: Final = """
+define ptx_kernel void @tick(i64 %n, ptr byval([{words} x i64]) align 8 %places, ptr %finite) {attributes} {{
+ %i = call i64 @thread()
  %inside = icmp slt i64 %i, %n
  br i1 %inside, label %go, label %end
 go:
@@ -44,7 +57,8 @@ go:
 end:
  ret void
 }}
-define void @fresh(i64 %i, i64 %n, ptr %mask, i64 %apart, ptr %fresh, ptr %ticks) {{
+define ptx_kernel void @begin(i64 %n, ptr %mask, i64 %apart, ptr %fresh, ptr %ticks) {{
+ %i = call i64 @thread()
  %inside = icmp slt i64 %i, %n
  br i1 %inside, label %look, label %end
 look:
@@ -63,33 +77,9 @@ end:
  ret void
 }}
 """
-THREAD: Final = f"""
-declare i32 @llvm.nvvm.read.ptx.sreg.tid.x()
-declare i32 @llvm.nvvm.read.ptx.sreg.ctaid.x()
-define internal i64 @thread() alwaysinline {{
- %t = call i32 @llvm.nvvm.read.ptx.sreg.tid.x()
- %b = call i32 @llvm.nvvm.read.ptx.sreg.ctaid.x()
- %first = mul i32 %b, {WARP}
- %k = add i32 %first, %t
- %i = zext i32 %k to i64
- ret i64 %i
-}}
-"""
-ROWS: Final = """
-define ptx_kernel void @tick(i64 %n, ptr byval([{words} x i64]) align 8 %places, ptr %finite) {attributes} {{
- %i = call i64 @thread()
- call void @lane(i64 %i, i64 %n, ptr %places, ptr %finite)
- ret void
-}}
-define ptx_kernel void @begin(i64 %n, ptr %mask, i64 %apart, ptr %fresh, ptr %ticks) {{
- %i = call i64 @thread()
- call void @fresh(i64 %i, i64 %n, ptr %mask, i64 %apart, ptr %fresh, ptr %ticks)
- ret void
-}}
-"""
-
 LOOP: Final = """
-define ptx_kernel void @all(i64 %ticks, i64 %first, i64 %groups, i64 %stride, {blocks}) {attributes} {{
+define ptx_kernel void @all(i64 %ticks, i64 %first, i64 %groups, i64 %stride,
+  ptr %rows, ptr %keys, ptr %parameters, ptr %memories, ptr %outputs) {attributes} {{
  %i = call i64 @thread()
  %g = udiv i64 %i, {warp}
  %lane = urem i64 %i, {warp}
@@ -104,31 +94,27 @@ define ptx_kernel void @all(i64 %ticks, i64 %first, i64 %groups, i64 %stride, {b
  %before = mul i64 %g, %ticks
  %recorded = getelementptr [{outputs} x [{warp} x {real}]], ptr %outputs, i64 %before, i64 0, i64 %lane
  %reduced = alloca [{outputs} x [{warp} x {real}]]
- call void @advance({numbers}, ptr %row, ptr %key, ptr %parameter, ptr %memory, ptr %{made})
+ call void @advance(i64 %ticks, i64 %first, i64 1, i64 %stride,
+  ptr %row, ptr %key, ptr %parameter, ptr %memory, ptr %{made})
  ret void
 }}
 """
 
 
-def threads_text(code: RowCode) -> str:
-    """LLVM text of what one thread does, by its number: a tick of a lane, and that its next tick is the first."""
-    one, zero = code.lanes.number(1.0), code.lanes.number(0.0)
-    return code.text() + THREADS.format(real=code.lanes.real.name, one=one, zero=zero)
-
-
-def kernels(code: RowCode) -> str:
-    """PTX of the kernels `tick` and `begin`."""
-    words = code.words * len(code.fields)
-    text = threads_text(code) + THREAD + ROWS.format(words=words, attributes=_attributes(code.lanes))
+def row_kernels(code: RowCode) -> str:
+    """PTX of the kernels `tick`, a lane in each thread, and `begin`, which makes the next tick of lanes the first."""
+    text = code.text() + THREAD + ROWS.format(
+        words=code.words * len(code.fields), real=code.lanes.real.name, attributes=_attributes(code.lanes),
+        one=code.lanes.number(1.0), zero=code.lanes.number(0.0),
+    )  # fmt: skip
     return ptx(text, ("tick", "begin"))
 
 
 def loop_kernel(code: LaneLoop) -> str:
     """PTX of the kernel `all`: some ticks of a loop in each thread, on blocks as those of the CPU."""
-    blocks = ", ".join(f"ptr %{name}" for name in ("rows", "keys", "parameters", "memories", "outputs"))
     text = code.text() + THREAD + LOOP.format(
-        blocks=blocks, numbers="i64 %ticks, i64 %first, i64 1, i64 %stride", attributes=_attributes(code.lanes),
-        real=code.lanes.real.name, warp=WARP, made="recorded" if code.recorded else "reduced", **code.sizes,
+        real=code.lanes.real.name, warp=WARP, made="recorded" if code.recorded else "reduced",
+        attributes=_attributes(code.lanes), **code.sizes,
     )  # fmt: skip
     return ptx(text, ("all",))
 
@@ -237,15 +223,15 @@ def _strides(shape: tuple[int, ...], step: int) -> tuple[int, ...]:
 class DeviceArray:
     """An array in the memory of a GPU.
 
-    torch, CuPy, Numba, Warp and JAX read it, and write it, where it is, by its `__cuda_array_interface__`, such as
-    torch.as_tensor(array, device="cuda"); `numpy()` copies it.
+    Libraries read and write it where it is by its `__cuda_array_interface__`: torch.as_tensor(array, device="cuda").
+    `numpy()` copies it.
     """
 
     gpu: Gpu
     address: int
     shape: tuple[int, ...]
     strides: tuple[int, ...]  # bytes
-    dtype: Any
+    dtype: np.dtype[Any]
     owner: object  # keeps the memory
     writeable: bool = True
 
@@ -257,7 +243,7 @@ class DeviceArray:
     @property
     def itemsize(self) -> int:
         """Bytes of a number."""
-        return int(self.dtype.itemsize)
+        return self.dtype.itemsize
 
     @property
     def aligned(self) -> bool:
@@ -347,11 +333,13 @@ def _of_capsule(capsule: Any, owner: object) -> DeviceArray:
         tensor, writeable = managed.tensor, not managed.flags & READ_ONLY
     else:
         tensor = _Tensor.from_address(address)
-    kind = CODES[tensor.code] if tensor.code < len(CODES) else "type"
+    kind = CODES[tensor.code] if tensor.code < len(CODES) else "unknown"
     word = kind if kind == "bool" else f"{kind}{tensor.bits}"
-    dtype: Any = np.dtype(word) if word in np.sctypeDict else word
-    size, shape = tensor.bits * tensor.lanes // 8, tuple(tensor.shape[: tensor.ndim])
-    strides = tuple(size * x for x in tensor.strides[: tensor.ndim]) if tensor.strides else _strides(shape, size)
+    if word not in np.sctypeDict or tensor.lanes != 1:
+        raise TypeError(f"its numbers are {word}")
+    dtype, shape = np.dtype(word), tuple(tensor.shape[: tensor.ndim])
+    steps = tuple(tensor.strides[: tensor.ndim]) if tensor.strides else _strides(shape, 1)
+    strides = tuple(dtype.itemsize * step for step in steps)
     return DeviceArray(gpu(), (tensor.data or 0) + tensor.offset, shape, strides, dtype, owner, writeable)
 
 
@@ -366,7 +354,7 @@ class CudaArrays:
     def __init__(self, code: RowCode, n: int) -> None:
         self.code, self.n, self._gpu = code, n, gpu()
         self._dtype = np.dtype(code.lanes.real.dtype)
-        self._tick, self._begin = self._gpu.functions(kernels(code), "tick", "begin")
+        self._tick, self._begin = self._gpu.functions(row_kernels(code), "tick", "begin")
         self.finite = self._gpu.room((n,), np.dtype(np.bool_))
         self._index = {path: k for k, path in enumerate(code.fields)}
         self._places = (ctypes.c_int64 * (3 * len(code.fields)))()
@@ -403,9 +391,10 @@ class CudaArrays:
         before, there = self._sent.get(path, (b"", None))
         if there is None or there.shape != rows.shape:
             before, there = b"", self._gpu.room(rows.shape, array.dtype)
-        columns = np.ascontiguousarray(np.moveaxis(rows, 0, -1))  # the numbers of all lanes side by side
-        if (content := columns.tobytes()) != before:
-            self._gpu.call("cuMemcpyHtoDAsync", there.address, columns.ctypes.data, columns.nbytes, stream())
+        content = np.moveaxis(rows, 0, -1).tobytes()  # the numbers of all lanes side by side
+        if content != before:
+            source = np.frombuffer(content, dtype=np.uint8)
+            self._gpu.call("cuMemcpyHtoDAsync", there.address, source.ctypes.data, source.size, stream())
             self._sent[path] = content, there
         if per_lane:
             return there

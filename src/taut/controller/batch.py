@@ -149,7 +149,7 @@ class Batch:
         """Start memory anew, in the next tick: in all lanes, or where the mask (n,) of truth values is True."""
         given = np.ones(self.n, dtype=np.bool_) if mask is None else mask
         lanes = given if isinstance(given, np.ndarray) else self._arrays.array("mask", given)
-        if lanes.shape != (self.n,) or str(lanes.dtype) != "bool":
+        if lanes.shape != (self.n,) or lanes.dtype != np.bool_:
             raise ShapeError(
                 f"mask must have shape ({self.n},) of truth values; got shape {lanes.shape} of {lanes.dtype}",
                 name="mask",
@@ -162,7 +162,7 @@ class Batch:
         if value is self._arrays.kept.get(path):
             return
         array, shape, who = self._arrays.array(name or path, value), self._shapes[path], name or path
-        if str(array.dtype) != str(self.dtype):
+        if array.dtype != self.dtype:
             other = {"float32": "float", "float64": "double"}.get(str(array.dtype))
             way = f", or make the batch with real='{other}'" if other else ""
             raise UsageError(

@@ -230,12 +230,13 @@ class Controller:
 
         Args:
             n: Number of lanes.
-            device: Where arrays are and code runs; "cuda" is refused in this version.
+            device: Where arrays are and code runs; "cuda" is the first NVIDIA GPU of this machine.
             real: Type of all numbers, "double" for float64 or "float" for float32.
             threads: At most so many; as many as there are cores if left out. Where there is little to do, fewer run.
 
         Raises:
-            UsageError: Another device or type, a controller of a task, or one in the float engine.
+            UsageError: Another device or type, no GPU, a controller of a task, or one in the float engine.
+            MissingExtraError: device="cuda" without cuda-bindings.
 
         Example:
             >>> import numpy as np, taut
