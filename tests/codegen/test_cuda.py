@@ -56,6 +56,14 @@ class OnGpu:
         return capsule
 
 
+class Stated(OnGpu):
+    """Before version 1.0, with the other interface, which states that it may be written."""
+
+    @property
+    def __cuda_array_interface__(self) -> dict[str, Any]:
+        return {"data": (self.array.ctypes.data, False)}
+
+
 def everything(ctrl: Any, n: int, seed: int, dtype: Any) -> dict[str, Any]:
     """Arrays of all that a tick takes, by the arguments of `step`."""
     rng, joints = np.random.default_rng(seed), ctrl.arm.n
@@ -142,6 +150,9 @@ def test_numbers_may_lie_any_one_distance_apart(driver: Driver) -> None:
     out, goal = np.zeros((2, 3)), {name: OnGpu(np.zeros(2)) for name in "qva"}
     batch.step(OnGpu(state[:2].T), OnGpu(state[2:6:2].T), goal, out=OnGpu(out.T))
     np.testing.assert_allclose(out, -7.0 * state[:2] - 2.0 * state[2:6:2], rtol=1e-14)
+    other = np.zeros((3, 2))
+    batch.step(OnGpu(state[:2].T), OnGpu(state[2:6:2].T), goal, out=Stated(other, versioned=False))
+    np.testing.assert_array_equal(other, out.T)
     made = batch.step(OnGpu(state[:2].T), OnGpu(state[2:6:2].T), goal)
     np.testing.assert_array_equal(made.numpy(), out.T)
     again = batch.step(made, made, taut.JointMotion(q=[0.0, 0.0]))  # what one batch makes, another one reads
@@ -306,6 +317,7 @@ def test_tensors_that_cannot_be_read_where_they_are_are_refused(driver: Driver) 
         (UsageError, {"q": Brain(q.astype(np.float16))}),
         (UsageError, {"q": OnGpu(shifted)}),
         (UsageError, {"out": OnGpu(frozen)}),
+        (UsageError, {"out": OnGpu(q, versioned=False)}),
         (ShapeError, {"q": OnGpu(np.zeros((4, 2)))}),
         (ShapeError, {"out": OnGpu(np.zeros(2))}),
     ]

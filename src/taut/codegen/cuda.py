@@ -327,12 +327,13 @@ def device_array(name: str, value: Any) -> DeviceArray:
 
 def _of_capsule(capsule: Any, owner: object) -> DeviceArray:
     title = _NAME(capsule)
-    address, writeable = _POINTER(capsule, title), True
+    address = _POINTER(capsule, title)
     if title == b"dltensor_versioned":
         managed = _Versioned.from_address(address)
         tensor, writeable = managed.tensor, not managed.flags & READ_ONLY
     else:
-        tensor = _Tensor.from_address(address)
+        tensor, about = _Tensor.from_address(address), getattr(owner, "__cuda_array_interface__", None)
+        writeable = about is not None and not about["data"][1]  # JAX's are not, Warp's are
     kind = CODES[tensor.code] if tensor.code < len(CODES) else "unknown"
     word = kind if kind == "bool" else f"{kind}{tensor.bits}"
     if word not in np.sctypeDict or tensor.lanes != 1:

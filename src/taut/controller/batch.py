@@ -176,8 +176,8 @@ class Batch:
             raise ShapeError(f"{who} must have shape {whole}{either}; got shape {array.shape}", name=who)
         if name and not array.flags.writeable:
             raise UsageError(
-                f"{who} is read-only, or its library does not state that it is not (of Warp give out.numpy()); give "
-                "an array that can be written, or leave it out",
+                f"{who} is read-only, or its library does not state that it is not (of Warp on the CPU give "
+                "out.numpy()); give an array that can be written, or leave it out",
                 name=who,
             )
         lead = array.ndim - len(shape)
