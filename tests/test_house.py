@@ -154,9 +154,9 @@ def test_the_core_declares_what_it_imports() -> None:
 
 
 LIMITS = {  # the house as it is; a change that needs more says why in the commit that raises a number
-    "lines": (68_400, house.lines),
-    "lines of code": (47_400, house.code_lines),
-    "modules": (308, lambda: len(house.modules())),
+    "lines": (68_900, house.lines),
+    "lines of code": (47_750, house.code_lines),
+    "modules": (309, lambda: len(house.modules())),
     "modules in one folder": (16, house.largest_folder),
     "modules with one importer": (35, lambda: len(house.slices())),
     "names in taut": (80, lambda: len(taut.__all__)),
