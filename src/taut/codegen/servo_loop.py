@@ -1,5 +1,9 @@
 """The real-time loop in native code: wait, read, tick, write, record; and the watchdog of another process.
 
+A loop that the host paces wakes a little before each deadline and computes once with the last inputs, to warm up.
+What this writes, the tick writes again, from warm caches and to pages that are there. Then it waits for the deadline
+on the clock: a processor that is awake is on time.
+
 All words are 64 bits. `STATUS` lies in memory that the processes share; `LOOP` and `SET` belong to the loop's
 process. A set is one compiled tick with its blocks; the loop takes another one between two ticks.
 """
@@ -53,6 +57,8 @@ STATUS_WORDS: Final = 64
 LOOP: Final = numbered(
     "status", "set", "next", "read", "write", "user", "measured", "period", "host_paced", "deadline", "last",
     "recovered",
+    "lead",  # [ns] before a deadline at which it wakes and warms up
+    "took",  # [ns] computing of the last tick
     "group",  # a word that robots share which stop together: when [ns] one of them stopped
     "known",  # the value of that word that was seen
 )  # fmt: skip
@@ -171,6 +177,15 @@ again:
 end:
  ret void
 }
+define internal i64 @spin(i64 %until) {
+ br label %again
+again:
+ %t = call i64 @now()
+ %early = icmp slt i64 %t, %until
+ br i1 %early, label %again, label %end
+end:
+ ret i64 %t
+}
 define internal void @copy(ptr %from, ptr %to, i64 %n) {
 entry:
  %none = icmp sle i64 %n, 0
@@ -190,6 +205,28 @@ end:
 """
 
 
+def _compute() -> str:
+    """`ptr compute(set)`: what the kernel reads, in the next row of the ring, which it returns; and the kernel.
+
+    It writes that row, which nobody reads before the ring's head moves on, and the new memory and outputs, which
+    nobody reads before a tick has written them again: alone it changes nothing.
+    """
+    w = WordCode()
+    w.line("entry:")
+    blocks = {name: w.load("%set", SET[name], "ptr") for name in ("inputs", "parameters", "memory", "new", "outputs")}
+    ring, rows = w.load("%set", SET["ring"], "ptr"), w.load("%set", SET["rows"], "ptr")
+    place = w.put(f"urem i64 {w.load(ring, 0)}, {w.load('%set', SET['capacity'])}")
+    row = w.doubles(rows, w.put(f"mul i64 {place}, {w.load('%set', SET['row_size'])}"))
+    target = w.doubles(row, str(len(ROW_HEAD)))
+    for name, size in (("inputs", "input_size"), ("parameters", "parameter_size"), ("memory", "memory_size")):
+        count = w.load("%set", SET[size])
+        w.copy_blocks(blocks[name], target, count)
+        target = w.doubles(target, count)
+    arguments = ", ".join(f"ptr {block}" for block in blocks.values())
+    w.line(f" call void {w.load('%set', SET['kernel'], 'ptr')}({arguments})", f" ret ptr {row}")
+    return w.function("internal ptr @compute(ptr %set) nounwind")
+
+
 def _tick() -> str:
     """`ptr tick(loop, now, lost)`: take what the parent wrote, run the kernel, keep its memory; the row in the ring.
 
@@ -207,7 +244,7 @@ def _tick() -> str:
     w.store("%loop", LOOP["next"], "null", "ptr")
     w.release(status, STATUS["running"], w.load(new, SET["number"]))
     w.line(" br label %going", "going:", f" %set = phi ptr [{old}, %entry], [{new}, %swap]")
-    blocks = {name: w.load("%set", SET[name], "ptr") for name in ("inputs", "parameters", "memory", "new", "outputs")}
+    blocks = {name: w.load("%set", SET[name], "ptr") for name in ("inputs", "parameters", "memory", "new")}
     scratch, controls = w.load("%set", SET["scratch"], "ptr"), w.load("%set", SET["controls"], "ptr")
     inputs, memory = blocks["inputs"], blocks["memory"]
     count = w.load("%set", SET["count"])
@@ -316,16 +353,7 @@ def _tick() -> str:
     w.line(f" call void {starter}({fixed}, ptr {blocks['new']}, ptr {scratch})")
     w.copy_blocks(scratch, memory, size)
     w.line(" br label %step", "step:")
-    ring, rows = w.load("%set", SET["ring"], "ptr"), w.load("%set", SET["rows"], "ptr")
-    place = w.put(f"urem i64 {w.load(ring, 0)}, {w.load('%set', SET['capacity'])}")
-    row = w.doubles(rows, w.put(f"mul i64 {place}, {w.load('%set', SET['row_size'])}"))
-    target = w.doubles(row, str(len(ROW_HEAD)))
-    for name in ("input", "parameter", "memory"):
-        size = w.load("%set", SET[f"{name}_size"])
-        w.copy_blocks(blocks[name if name == "memory" else f"{name}s"], target, size)
-        target = w.doubles(target, size)
-    kernel = w.load("%set", SET["kernel"], "ptr")
-    w.line(f" call void {kernel}({fixed}, ptr {blocks['new']}, ptr {blocks['outputs']})")
+    row = w.put("call ptr @compute(ptr %set)")
     w.copy_blocks(blocks["new"], memory, w.load("%set", SET["memory_size"]))
     w.store("%set", SET["count"], w.add(count, 1))
     w.line(f" ret ptr {row}")
@@ -343,13 +371,19 @@ def _loop() -> str:
     w.branch(w.test("ne", w.load("%loop", LOOP["host_paced"]), 0), "sleep", "ask")
     w.line("sleep:")
     deadline = w.add(w.load("%loop", LOOP["deadline"]), period)
-    w.line(f" call void @wait(i64 {deadline})")
-    late = w.put(f"sub i64 {w.put('call i64 @now()')}, {deadline}")
+    lead = w.load("%loop", LOOP["lead"])
+    w.line(f" call void @wait(i64 {w.put(f'sub i64 {deadline}, {lead}')})")
+    spare = w.put(f"sub i64 {deadline}, {w.put('call i64 @now()')}")
+    w.branch(w.test("sgt", spare, w.load("%loop", LOOP["took"])), "warm", "awake")
+    w.line("warm:")
+    w.put(f"call ptr @compute(ptr {w.load('%loop', LOOP['set'], 'ptr')})")
+    w.line(" br label %awake", "awake:")
+    late = w.put(f"sub i64 {w.put(f'call i64 @spin(i64 {deadline})')}, {deadline}")
     some = w.choose(w.test("sgt", late, 0), late, "0")
     missed = w.put(f"sdiv i64 {some}, {period}")
     w.store("%loop", LOOP["deadline"], w.add(deadline, w.put(f"mul i64 {missed}, {period}")))
     w.line(" br label %ask", "ask:")
-    w.line(f" %missed = phi i64 [0, %again], [{missed}, %sleep]", f" %behind = phi i64 [0, %again], [{late}, %sleep]")
+    w.line(f" %missed = phi i64 [0, %again], [{missed}, %awake]", f" %behind = phi i64 [0, %again], [{late}, %awake]")
     w.release(status, STATUS["where"], "1")
     asked = w.put("call i64 @now()")
     failed = w.put(f"call i64 {read}(ptr {user}, ptr {buffer})")
@@ -384,6 +418,7 @@ def _loop() -> str:
 
     computing, reading = w.put(f"sub i64 {ended}, {began}"), w.put(f"sub i64 {began}, {asked}")
     driving = w.add(w.put(f"sub i64 {over}, {ended}"), reading)
+    w.store("%loop", LOOP["took"], computing)
     slowest = w.load(status, STATUS["slowest"])
     w.store(status, STATUS["slowest"], w.choose(w.test("sgt", computing, slowest), computing, slowest))
     slow = w.truth(w.test("sgt", computing, period), "i64")
@@ -487,7 +522,7 @@ def _plant() -> str:
 
 
 def _text() -> str:
-    return "\n".join([HELPERS, _tick(), _loop(), _watch(), _plant()])
+    return "\n".join([HELPERS, _compute(), _tick(), _loop(), _watch(), _plant()])
 
 
 def symbols_of(names: Sequence[str]) -> dict[str, int]:

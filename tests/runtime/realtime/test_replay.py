@@ -144,6 +144,19 @@ def test_every_tick_of_every_law_is_computed_again_to_the_last_bit(
     bar("replay: ticks of 4 laws on 2 robots computed again; bit-identical", f"{total}; 100 %")
 
 
+@pytest.mark.parametrize("rate", [100.0, 10_000.0])
+def test_ticks_of_slow_and_of_fast_loops_are_computed_again_to_the_last_bit(rate: float) -> None:
+    arm = taut.load_arm("planar2")
+    with taut.connect(taut.RigidPlant(arm), rate=rate, limits=taut.SafetyLimits.of(arm, v=None, missed=1e9)) as robot:
+        ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0, ki=10.0), arm, rate=rate, adds=robot.adds)
+        robot.start(ctrl, taut.JointMotion(q=robot.q + 0.05))
+        robot.wait(0.3)
+        run = robot.stop()
+    found = taut.analysis.replay(run, ctrl)
+    assert found.ok, found
+    assert len(run) > 10
+
+
 def test_a_changed_number_is_found_in_its_tick(torque: Recorded) -> None:
     """One unit in the last place of an input, a parameter, the memory, an output."""
     run = torque.kept[0]

@@ -18,8 +18,9 @@ from virtual_robot import Fault, FlatOut, Setup, VirtualRobot
 
 import taut
 from taut.codegen import native
-from taut.codegen.servo_loop import CONTROLS, FUNCTIONS, STATUS, TABLE
+from taut.codegen.servo_loop import CONTROLS, FUNCTIONS, SET, STATUS, TABLE
 from taut.runtime.realtime.feeding import References, time_outs
+from taut.runtime.realtime.process import LEAD
 from taut.runtime.realtime.sets import Table
 from taut.trace import math as tm
 
@@ -29,6 +30,7 @@ LAWS: dict[str, taut.Law] = {
     "position": taut.laws.JointPosition(),
     "mit": taut.laws.ViaMit(law=taut.laws.ComputedTorque(kp=100.0, kd=20.0), kp_motor=20.0, kd_motor=1.0),
 }
+TIMES = {"signal.age", "loop.time", "loop.late", "loop.compute", "loop.driver"}  # columns
 STREAM = References(tables=[Table(rows=None, stream=True)])
 
 
@@ -96,17 +98,24 @@ class Ticks:
 # Time
 
 
+def lead_at(rate: float) -> int:
+    """[ns] before its deadlines at which a loop's process lets it wake."""
+    return round(1e9 * min(LEAD[0], LEAD[1] / rate))
+
+
+@pytest.mark.parametrize("early", [False, True])
 @pytest.mark.parametrize("rate", [1000.0, 125.0])
-def test_every_missed_period_is_counted_and_the_grid_is_kept(rate: float) -> None:
+def test_every_missed_period_is_counted_and_the_grid_is_kept(rate: float, early: bool) -> None:
     arm = taut.load_arm("planar2")
     of = Setup(
         taut.compile(taut.laws.ComputedTorque(kp=4.0, kd=4.0), arm, rate=rate), stated(arm, v=None, missed=1e6)
     )
     rng = np.random.default_rng(0)
     late = {20: 1.5, 40: 3.0, 60: 20.0, 80: 100.0} | {
-        100 + 2 * k: float(x) for k, x in enumerate(rng.uniform(0.0, 9.0, 200))
+        100 + 2 * k: float(x) for k, x in enumerate(rng.integers(0, 90, 200) / 10)
     }
-    robot = VirtualRobot(of, [Fault("late", lambda *_, x=x: x, tick=k, ticks=1) for k, x in late.items()])
+    schedule = [Fault("late", lambda *_, x=x: x, tick=k, ticks=1) for k, x in late.items()]
+    robot = VirtualRobot(of, schedule, lead=lead_at(rate) if early else 0)
     robot.start()
     robot.run(600)
     lost = robot.rows("loop.lost")
@@ -119,7 +128,10 @@ def test_every_missed_period_is_counted_and_the_grid_is_kept(rate: float) -> Non
     assert not (wakes % round(1e9 / rate)).any()  # the grid
     assert (wakes > 0).all()  # no burst
     assert {*robot.clock.clocks} == {1}  # CLOCK_MONOTONIC, which no clock step moves
-    np.testing.assert_allclose(robot.rows("loop.late")[21], 1.5 / rate, rtol=1e-6)
+    np.testing.assert_allclose(robot.rows("loop.late")[21], 1.5 / rate, rtol=0.02 if early else 1e-6)
+    on_time = robot.rows("loop.late")[:20]
+    assert (on_time >= 0.0).all()
+    assert (on_time <= 1e-9 * robot.clock.step).all()
     assert robot.acting.fault() is None
 
 
@@ -140,13 +152,13 @@ def test_of_a_robot_that_keeps_the_time_gaps_between_states_are_counted() -> Non
     assert {int(k): int(lost[k]) for k in np.flatnonzero(lost)} == {30: 1, 40: 3, 50: 100}
 
 
-def test_computing_that_takes_longer_than_a_period_is_an_overrun() -> None:
-    robot = started(setup("planar2"))
+@pytest.mark.parametrize("early", [False, True])
+def test_computing_that_takes_longer_than_a_period_is_an_overrun(early: bool) -> None:
+    robot = started(setup("planar2"), lead=lead_at(1000.0) if early else 0)
     clock, times = robot.clock, iter([0] * 30 + [2_500_000] + [0] * 30)
 
     def slow(_: int, at: int) -> int:
-        if robot.status[STATUS["where"]] == 2:  # asked where the tick ends
-            clock.ns += next(times)
+        clock.ns += next(times) if robot.status[STATUS["where"]] == 2 else clock.step  # where the tick ends
         words = (ctypes.c_int64 * 2).from_address(at)
         words[0], words[1] = divmod(clock.ns, 10**9)
         return 0
@@ -156,6 +168,68 @@ def test_computing_that_takes_longer_than_a_period_is_an_overrun() -> None:
     assert robot.status[STATUS["overruns"]] == 1
     assert robot.rows("loop.compute").max() == pytest.approx(2.5e-3)
     assert robot.rows("loop.lost").sum() == 1
+
+
+class Counted:
+    """The kernel of a law that was installed, in whose warm-ups all that it writes is NaN."""
+
+    def __init__(self, robot: VirtualRobot) -> None:
+        loaded, self.ticks, self.warm_ups = robot._sets[-1][1], 0, 0
+        call = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 5)
+        kernel = call(loaded.code["kernel"])
+
+        def counted(*blocks: int) -> None:
+            kernel(*blocks)
+            warms = robot.status[STATUS["where"]] == 0
+            if warms:
+                loaded.blocks["new"][:] = loaded.blocks["outputs"][:] = np.nan
+            self.warm_ups += warms
+            self.ticks += not warms
+
+        self._kept = call(counted)
+        loaded.words[SET["kernel"]] = ctypes.cast(self._kept, ctypes.c_void_p).value
+
+
+@pytest.mark.parametrize("rate", [100.0, 1000.0, 20_000.0])
+def test_a_warm_up_changes_nothing(rate: float) -> None:
+    """Through a stream, changes of gains, another law, a fault and its recovery: rows and commands bit for bit."""
+    arm = taut.load_arm("planar2")
+    laws = [taut.laws.ComputedTorque(kp=100.0, kd=20.0, ki=10.0), taut.laws.GravityPID(kp=50.0, kd=8.0)]
+    setups = [Setup(taut.compile(law, arm, rate=rate), stated(arm, v=None)) for law in laws]
+    kept = []
+    for lead in (0, lead_at(rate)):
+        robot = VirtualRobot(setups[0], lead=lead)
+        rows = []
+        for of in setups:
+            acting = robot.start(of, STREAM, over=0.01)
+            acting.controls.time_out(1e9, 1e9)
+            counted = Counted(robot)
+            for k in range(5):
+                acting.controls.fill(0, np.resize(arm.home + 0.01 * k, (4, 6)))
+                acting.controls.set({"law.kp": np.array(90.0 + k)}, 0.001)
+                robot.run(7)
+            robot.schedule[:] = [Fault("q", lambda x, b: np.nan, 1, robot.k + 2, 3)]
+            robot.run(10)
+            assert acting.fault() is not None
+            robot.recover()
+            robot.run(10)
+            assert acting.fault() is None
+            assert counted.ticks == 55
+            assert counted.warm_ups == (54 if lead else 0)  # it is installed behind the first one's
+            columns = sorted(acting.made.columns().keys() - TIMES)
+            rows += [(path, robot.rows(path).tobytes()) for path in columns]
+        kept.append([*rows, ("sent", np.array(robot.sent).tobytes())])
+    assert kept[0] == kept[1]
+
+
+def test_a_tick_that_woke_late_is_not_delayed_by_a_warm_up() -> None:
+    robot = started(setup("planar2", missed=1e6), lead=lead_at(1000.0))
+    robot.run(1)
+    counted = Counted(robot)
+    late = {2: -0.02, 4: 0.5, 6: 2.5}  # [periods] behind its deadline: within the time of a tick of it
+    robot.schedule[:] = [Fault("late", lambda *_, x=x: x, tick=robot.k + k, ticks=1) for k, x in late.items()]
+    robot.run(10)
+    assert (counted.ticks, counted.warm_ups) == (10, 7)
 
 
 # Samples and parameters

@@ -57,6 +57,7 @@ class VirtualClock:
         self.ns = 10**12
         self.wakes = list[int]()  # [ns] of each deadline
         self.late = 0  # [ns] of the next wake
+        self.step = 0  # [ns] that each look at it takes
         self.clocks = list[int]()  # that were asked
         self.get = self._get
         self._kept = (
@@ -73,6 +74,7 @@ class VirtualClock:
 
     def _get(self, clock: int, at: int) -> int:
         self.clocks.append(clock)
+        self.ns += self.step
         words = (ctypes.c_int64 * 2).from_address(at)
         words[0], words[1] = divmod(self.ns, 10**9)
         return 0
@@ -125,8 +127,10 @@ class VirtualRobot:
         driver: RobotDriver | None = None,
         host_paced: bool = True,
         group: Any = None,
+        lead: int = 0,  # [ns]; the clock then goes on while the loop looks at it
     ) -> None:
         self.setup, self.schedule, self.clock = setup, list(schedule), VirtualClock()
+        self.clock.step, self.lead = lead // 10, lead
         n = setup.arm.n
         self.status, self.group = (
             np.zeros(STATUS_WORDS, dtype=np.int64),
@@ -152,7 +156,7 @@ class VirtualRobot:
         self.words = struct_of(LOOP, {
             "status": self.status.ctypes.data, "read": read, "write": write, "user": 0,
             "measured": self.measured.flat.ctypes.data, "period": round(1e9 / setup.rate),
-            "host_paced": int(host_paced), "group": self.group.ctypes.data,
+            "host_paced": int(host_paced), "group": self.group.ctypes.data, "lead": lead,
         })  # fmt: skip
         self._loop = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p)(self.code["loop"])
         self._end, self._began, self._sets = 0, 10**12, list[Any]()
@@ -223,7 +227,8 @@ class VirtualRobot:
         for one in self.schedule:
             inside = one.tick <= self.k < one.tick + one.ticks
             if one.what == "late":
-                self.clock.late = round(one.change(0, 0) * 1e9 / self.setup.rate) if inside else self.clock.late
+                late = self.lead + round(one.change(0, 0) * 1e9 / self.setup.rate)
+                self.clock.late = late if inside else self.clock.late
                 continue
             view = self.measured.views[one.what]
             if self.k == one.tick - 1:

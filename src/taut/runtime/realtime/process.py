@@ -38,6 +38,7 @@ from taut.runtime.robots.driver import DriverError, NativeCalls, RobotDriver, Ro
 WATCHDOG: Final = (0.08, 3.0)  # [s], [periods] without a tick: after the longer one the process is ended, 5 ms later
 PRIORITY: Final = 80  # of SCHED_FIFO
 WARM_UP: Final = 200  # ticks of a set before it may act
+LEAD: Final = (1e-4, 0.1)  # [s], [periods] before a deadline at which the loop wakes, the shorter; a tenth of a core
 MAX_SHARE: Final = 0.5  # of a period that a tick may take
 STOP_TIME: Final = 2.0  # [s] for the controlled stop where nobody waits for it
 PAGE: Final = 512  # [doubles]
@@ -226,6 +227,7 @@ class Process:
                 "status": self._status.address, "read": self._calls.read, "write": self._calls.write,
                 "user": self._calls.user, "measured": self._flat.ctypes.data, "group": self._group.address,
                 "period": round(1e9 / info.rate), "host_paced": int(info.paced_by == "host"),
+                "lead": round(1e9 * min(LEAD[0], LEAD[1] * self._period)),
             })  # fmt: skip
             self._loop = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p)(servo_code()["loop"])
             gc.collect()
