@@ -8,7 +8,7 @@
 # make bench-peers   docs/benchmarks.md: the same tasks in Drake, MuJoCo, JAX and others, each installed apart (3 GB)
 # make firmware   exported C: time here, instructions on a Cortex-M7 in QEMU
 # make scorecard   the rows of docs/reliability.md and how many hold
-# make soak   a robot's loop for a minute beside a busy program; three laws on a Franka's test server
+# make soak   a robot's loop for a minute beside a busy program, against C, beside a sweep; three laws on a Franka's test server
 # make fuzz   10,000 mutants of every kind of file that is read: N=100 takes fewer
 
 PYTHON ?= python3
@@ -53,6 +53,8 @@ bench-peers: $(VENV)/test.stamp
 
 soak: $(VENV)/test.stamp
 	cd benchmarks && ../$(BIN)/python soak.py
+	cd benchmarks && ../$(BIN)/python soak.py c
+	cd benchmarks && ../$(BIN)/python soak.py sweep
 	cd benchmarks && ../$(BIN)/python soak_franka.py
 
 firmware: $(VENV)/test.stamp
