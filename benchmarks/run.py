@@ -6,6 +6,7 @@ Run it with `make bench`. It prints a table and writes the figures to out/bench.
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 import tempfile
@@ -26,6 +27,8 @@ import taut
 from taut.maths.model import model_of
 
 TICKS = 2000
+CHOICES = Path(__file__).parents[1] / "docs" / "choose.md"
+CHOICE = re.compile(r"^\|[^|`]*\| `([^`]+)`.* ([\d.]+) \|$", re.MULTILINE)  # law and time of a row
 
 
 def main() -> int:
@@ -49,9 +52,14 @@ def main() -> int:
     for row in sizes:
         table.add_row(*(f"{x:g}" for x in row))
     console.print(table)
+    choices = choice_figures()
+    table = Table("law", "bound tick [us]", "on the page", title="docs/choose.md: Panda, or UR10 by its drives")
+    for law, tick, page in choices:
+        table.add_row(law, f"{tick:.2f}", f"{page:g}")
+    console.print(table)
     out = Path("out")
     out.mkdir(exist_ok=True)
-    (out / "bench.json").write_text(json.dumps({"figures": figures, "sizes": sizes}, indent=1))
+    (out / "bench.json").write_text(json.dumps({"figures": figures, "sizes": sizes, "choices": choices}, indent=1))
     console.print(
         f"figures in {out / 'bench.json'}" + (f"; missed: {', '.join(missed)}" if missed else "; all bars met")
     )
@@ -446,6 +454,24 @@ def size_figures() -> list[list[float]]:
         tick = interleaved({"tick": bound.tick}, rounds=7, budget=0.02)["tick"]
         rows.append([n, ctrl.operations, round(1e3 * cold), round(1e3 * cached, 1), round(1e6 * tick.median, 2)])
     return rows
+
+
+def choice_figures() -> list[tuple[str, float, float]]:
+    """Each law of docs/choose.md, its bound tick at home at rest, and the time that the page has [us]."""
+    page, ticks = {}, {}
+    for name, text in zip(("panda", "ur10"), CHOICES.read_text(encoding="utf-8").split("## Velocities"), strict=True):
+        arm = taut.load_arm(name)
+        T = taut.snapshot(arm, arm.home).T()
+        for code, us in CHOICE.findall(text):
+            law = eval(code, {"taut": taut, "laws": taut.laws, "arm": arm})
+            bound = taut.compile(law, arm).bind()
+            bound.q[:] = arm.home
+            for field, value in {"q": arm.home, "p": T.p, "R": T.R}.items():
+                if field in dir(bound.ref):
+                    getattr(bound.ref, field)[:] = value
+            page[code], ticks[code] = float(us), bound.tick
+    timing = interleaved(ticks)
+    return [(code, 1e6 * timing[code].median, us) for code, us in page.items()]
 
 
 if __name__ == "__main__":
