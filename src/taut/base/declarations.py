@@ -21,6 +21,7 @@ IN_WORDS: Final[Mapping[Any, str]] = {
     int: "a whole number",
     float: "a number",
     str: "a text",
+    dict: "a table",
     Callable: "a function",
 }
 ShortForm = Literal["scalar", "pair", "force", "matrix"]

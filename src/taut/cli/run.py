@@ -31,7 +31,7 @@ def _run(arguments: argparse.Namespace, say: Say) -> Answer:
         if arguments.robot is not None:
             from taut.scenarios.on_robot import robot_of
 
-            robot = stack.enter_context(robot_of(scenario, arguments.robot, folder / "robot"))
+            robot = stack.enter_context(robot_of(scenario, arguments.scenario, arguments.robot, folder / "robot"))
         result = run_scenario(scenario, folder, say=say, engine=arguments.engine, robot=robot)
     return Answer(text=str(result), data=result.json(), status=DONE if result.ok else FAILED)
 
@@ -54,8 +54,9 @@ RUN: Final = Command(
         },
         "--gain": GAIN,
         "--robot": {
-            "metavar": "ADDRESS",
-            "help": "on this robot instead of the scenario's plant, once `taut bringup` has passed",
+            "metavar": "ROBOT",
+            "help": "on this robot instead of the scenario's plant, once `taut bringup` has passed: an address, or a "
+            "robot file",
         },
         "--engine": {
             "choices": ("auto", "native", "float"),

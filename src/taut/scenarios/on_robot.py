@@ -1,4 +1,7 @@
-"""A scenario on a robot, in place of its plant: after a bring-up, from the scenario's start, for its duration."""
+"""A scenario on a robot, in place of its plant: after a bring-up, from the scenario's start, for its duration.
+
+A robot of the command line is what `taut.connect` takes as a text, or a robot file: TOML with connect's arguments.
+"""
 
 from __future__ import annotations
 
@@ -12,39 +15,75 @@ import numpy as np
 from taut.analysis.comparison import Experiment
 from taut.arm.description import Arm
 from taut.base.errors import FileError, UsageError
+from taut.base.fields import Declared, Part, Plain
 from taut.base.types import Float64Array
 from taut.control.law import Law
+from taut.control.safety import SafetyLimits
 from taut.control.tasks.task import Task
 from taut.controller import Controller, compile
 from taut.loop import state_at_start
 from taut.record.log.reading import MAGIC, load_run
 from taut.record.run import Run
 from taut.runtime.realtime.bringup import SPEED, passed_before
-from taut.runtime.realtime.connect import connect
+from taut.runtime.realtime.connect import connect, hello_of
 from taut.runtime.realtime.robot import LOOK, Robot
+from taut.runtime.robots.can import CanMotors
+from taut.scenarios.reading import read, read_toml
 from taut.scenarios.scenario import Scenario
 
+TICK: Final = "loop.tick"  # column of a robot's record: number of the tick since it was connected
 LOGGED: Final = 10.0  # [s] for a log to be whole, once its law has stopped
 
 
-def robot_of(scenario: Scenario, address: str, log: Path) -> Robot:
-    """The robot at an address, connected, with a folder of logs, for a scenario whose arm has passed a bring-up.
+class RobotFile(Declared):
+    """A robot file: arguments of `taut.connect`."""
+
+    robot: Plain[str] = Plain(str)  # an address, or a driver of your own: "FILE.py:CLASS"
+    address: Plain[str | None] = Plain(str, optional=True)  # given to a driver of your own
+    motors: Part[CanMotors] = Part(CanMotors, optional=True)
+    limits: Part[SafetyLimits] = Part(SafetyLimits, optional=True)  # the arm's where they are left out
+    options: Plain[dict[str, Any] | None] = Plain(dict, optional=True)
+
+
+def robot_named(words: str, arm: Arm) -> dict[str, Any]:
+    """Arguments of `hello_of` and `taut.connect` for a robot of the command line: of a robot file, or an address.
 
     Raises:
-        UsageError: No bring-up has passed for this address, Arm and load; or the scenario needs its plant.
+        ScenarioError, FileError: Of the robot file.
+    """
+    if not words.endswith(".toml"):
+        return {"robot": words}
+    table = read_toml(words, f"robot file '{words}'", "robot file")
+    file: RobotFile = read(RobotFile, table)
+    given = {name: getattr(file, name) for name in file.specified}
+    if ".py:" in file.robot:
+        given["robot"] = str(table.folder / file.robot)
+    if file.limits is not None:
+        stated = {name: getattr(file.limits, name) for name in table.table("limits").values}
+        given["limits"] = SafetyLimits.of(arm, **stated)
+    return given
+
+
+def robot_of(scenario: Scenario, name: str, words: str, log: Path) -> Robot:
+    """The robot of the command line, connected, with a folder of logs: the scenario's arm has passed a bring-up.
+
+    Raises:
+        UsageError: No bring-up has passed for this robot, Arm and load; or the scenario needs its plant.
     """
     arm = scenario.experiment.arm
+    given = robot_named(words, arm)
+    hello = hello_of(arm=arm, **given)
     if scenario.cases:
         raise UsageError(f"scenario '{scenario.name}' has cases, which differ in their plants; a robot is one plant")
-    if not passed_before(address, arm):
+    if not passed_before(hello, arm):
         raise UsageError(
-            f"no bring-up has passed for {address} with arm '{arm.name}' and its load of {arm.payload.mass:g} kg; "
-            f"nothing was sent; taut bringup {address} --scenario {scenario.name}",
+            f"no bring-up has passed for {words} with arm '{arm.name}' and its load of {arm.payload.mass:g} kg; "
+            f"nothing was sent; taut bringup {words} --scenario {name}",
             name="robot",
         )
     if scenario.experiment.preparation is not None:
         raise UsageError(f"scenario '{scenario.name}' prepares its runs on its plant, which a robot cannot do")
-    return connect(address, arm, log=log)
+    return connect(arm=arm, log=log, **given)
 
 
 def controller_for(robot: Robot, experiment: Experiment, law: Law | Task) -> Controller:
@@ -68,8 +107,8 @@ def run_on_robot(robot: Robot, experiment: Experiment, law: Law | Task, log: Pat
     events = sorted(experiment.events, key=lambda event: event.t)
     for event in events:
         _check(ctrl, event.set, experiment.arm)
-    robot.move_to(start_of(experiment), speed=SPEED)
     others = set(log.iterdir())
+    robot.move_to(start_of(experiment), speed=SPEED)
     robot.start(ctrl, None if ctrl.side.task is not None else experiment.reference, duration=experiment.duration)
     begun = time.monotonic()
     for event in events:
@@ -77,17 +116,17 @@ def run_on_robot(robot: Robot, experiment: Experiment, law: Law | Task, log: Pat
         for path, value in event.set.items():
             robot.parameters[path] = value
     robot.wait(max(0.0, begun + experiment.duration - time.monotonic()))
-    robot.stop()
-    return _logged(log, others).between(0.0, experiment.duration)
+    last = robot.stop().extra[TICK][-1]
+    return _logged(log, others, last).between(0.0, experiment.duration)
 
 
-def _logged(log: Path, others: set[Path]) -> Run:
-    """The law's file among those that have come, as soon as it is whole; the holder's has another name."""
+def _logged(log: Path, others: set[Path], last: float) -> Run:
+    """The file that has the last tick, among those that have come, as soon as it is whole."""
     until = time.monotonic() + LOGGED
     while time.monotonic() < until:
-        files = sorted(file for file in set(log.iterdir()) - others if not file.stem.endswith("-hold"))
-        if files and files[0].read_bytes().endswith(MAGIC):
-            return load_run(files[0])
+        for file in sorted(set(log.iterdir()) - others, reverse=True):
+            if file.read_bytes().endswith(MAGIC) and (run := load_run(file)).extra[TICK][-1] >= last:
+                return run
         time.sleep(LOOK)
     raise FileError(f"the log of the run is not whole after {LOGGED:g} s; what there is, is in {log}", name=str(log))
 

@@ -34,15 +34,15 @@ TEXT_OR_COMMENT: Final = re.compile(
 DOTTED: Final = re.compile(rf"(?<![^\s.,=\[\]{{}}])(?:[^\s.,=\[\]{{}}]+[ \t]*+\.[ \t]*+){{{TABLE_DEPTH}}}")
 
 
-def read_toml(path: str | Path, label: str = "") -> Table:
+def read_toml(path: str | Path, label: str = "", kind: str = "scenario") -> Table:
     """The root table of a file, which messages call `label`. Raises FileError or ScenarioError."""
-    file = readable_file("scenario", path)
+    file = readable_file(kind, path)
     if file.stat().st_size > MAX_BYTES:
-        raise ScenarioError(f"scenario '{file}' is larger than {MAX_BYTES} bytes; a scenario is a page of text")
+        raise ScenarioError(f"{kind} '{file}' is larger than {MAX_BYTES} bytes; a {kind} is a page of text")
     try:
         text = file.read_text(encoding="utf-8-sig")  # editors on Windows begin a file with a mark
     except UnicodeDecodeError as cause:
-        raise ScenarioError(f"scenario '{file}' is no UTF-8 text ({cause.reason} at byte {cause.start})") from cause
+        raise ScenarioError(f"{kind} '{file}' is no UTF-8 text ({cause.reason} at byte {cause.start})") from cause
     root = Table(label or str(file), "", {}, file.parent)
     dotted = DOTTED.search(TEXT_OR_COMMENT.sub(lambda found: "" if found[0][0] == "#" else "_", text))
     if dotted is not None:  # the parser's time grows with the third power of such a key's length
@@ -50,7 +50,7 @@ def read_toml(path: str | Path, label: str = "") -> Table:
     try:
         root.values = tomllib.loads(text)
     except (ValueError, RecursionError) as cause:  # TOML that is wrong, a number with thousands of digits
-        raise ScenarioError(f"scenario '{file}' is no valid TOML: {cause}") from cause
+        raise ScenarioError(f"{kind} '{file}' is no valid TOML: {cause}") from cause
     _refuse_hostile(root)
     return root
 

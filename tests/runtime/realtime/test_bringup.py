@@ -14,6 +14,7 @@ import taut
 from taut.cli.main import main
 from taut.runtime.realtime import bringup
 from taut.runtime.realtime.bringup import BringUp, bring_up, passed_before, remember
+from taut.runtime.realtime.connect import hello_of
 
 RATE = 100.0  # [Hz] at which also a busy machine keeps the time
 
@@ -94,12 +95,14 @@ def test_a_wrong_sign_is_found_on_other_arms(model: str, flipped: int) -> None:
 def test_a_pass_is_for_an_address_an_arm_and_its_load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     arm = taut.load_arm("planar2")
-    assert not passed_before("udp://127.0.0.1:4000", arm)
-    remember("udp://127.0.0.1:4000", arm)
-    assert passed_before("udp://127.0.0.1:4000", arm)
-    assert not passed_before("udp://127.0.0.1:4001", arm)
-    assert not passed_before("udp://127.0.0.1:4000", arm.with_payload(0.5))
-    assert not passed_before("udp://127.0.0.1:4000", taut.load_arm("planar3"))
+    here, other = (hello_of(f"udp://127.0.0.1:{port}", arm) for port in (4000, 4001))
+    assert not passed_before(here, arm)
+    remember(here, arm)
+    assert passed_before(here, arm)
+    assert not passed_before(other, arm)
+    assert not passed_before({**here, "options": {"missed": 30}}, arm)
+    assert not passed_before(here, arm.with_payload(0.5))
+    assert not passed_before(here, taut.load_arm("planar3"))
     assert len(json.loads((tmp_path / "taut" / "bringup.json").read_text())) == 1
 
 

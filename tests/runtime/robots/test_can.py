@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import re
 import sys
 import time
@@ -17,8 +18,10 @@ from can_arm import CanArm
 from refusals import refused
 
 import taut
+from taut.cli.main import main
 from taut.errors import MatchError, RangeError, ShapeError, UnknownNameError, UsageError
 from taut.robots import CanMotors, DriverError, RobotError
+from taut.runtime.realtime import bringup
 from taut.runtime.robots.can import RANGES, CanDriver
 
 pytestmark = pytest.mark.xdist_group("can")
@@ -725,3 +728,93 @@ def test_the_program_on_the_page_runs_the_seven_joints(
     assert names["run"].outcome.ok
     np.testing.assert_allclose(names["run"].q, np.tile(sim.arm.home, (len(names["run"].q), 1)), atol=5e-3)
     assert sim()["status"] == [0] * 7
+
+
+def test_half_a_step_halves_the_steady_state_error(arms: dict[str, CanArm]) -> None:
+    """Of computed torque on the seven joints, which gravity pulls at: values as motors cut them off, and their middles."""
+    errors = {}
+    for cut in (0.5, 0.0):
+        with Host(arms["seven"]) as host:
+            steps = cut * host.motors.steps * host.motors.per_joint("sign")
+            law = taut.laws.ViaMit(law=taut.laws.ComputedTorque(kp=225.0, kd=30.0), kp_motor=0.0, kd_motor=0.0)
+            ctrl, ref = taut.compile(law, host.arm, rate=host.info.rate), taut.JointMotion(q=host.arm.home)
+            host.tick()
+            host.driver.begin()
+            at_rest = [
+                host.tick(lambda x, ctrl=ctrl, ref=ref, steps=steps: ctrl.step(x["q"] - steps[0], x["v"] - steps[1], ref))["q"]
+                for _ in range(1000)
+            ][500:]  # fmt: skip
+            host.driver.end()
+        errors[cut] = float(np.abs(np.array(at_rest) - host.arm.home).mean(axis=0).max())
+    assert errors[0.5] == pytest.approx(1.8e-3, abs=0.2e-3)
+    assert errors[0.0] == pytest.approx(0.9e-3, abs=0.2e-3)
+
+
+ROBOT: Final = """
+robot = "can://{channel}"
+
+[motors]
+types = ["DM8009", "DM4340"]
+sign = {sign}
+offset = [0.3, -1.2]
+rate = 500
+interface = "loopback"
+missed = 250
+
+[limits]
+missed = 250
+v = 3.0
+"""
+SCENARIO: Final = """
+title = "Two joints move on the bus"
+run = { duration = 1.0 }
+reference = { kind = "set-point", q = [0.55, 1.55] }
+outputs = { log = "reach.mcap" }
+
+[arm]
+model = "planar2"
+joint_values = { effort = [50.0, 25.0], velocity = 6.0, lower = [-2.0, 0.0], upper = [2.0, 2.5] }
+gears = { ratio = [9.0, 40.0], motor_inertia = [1.95e-4, 2e-5] }
+
+[laws.pd]
+law = "GravityPID"
+kp = [80.0, 40.0]
+kd = [4.0, 2.0]
+wrapped_by = { law = "ViaMit" }
+
+[plant]
+takes = "mit"
+"""
+
+
+def test_a_robot_file_is_brought_up_and_runs_a_scenario(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    for name, value in {"READ": 0.5, "SHADOW": 0.2, "SPEED": 0.3}.items():
+        monkeypatch.setattr(bringup, name, value)
+    file, wrong, scenario = (tmp_path / name for name in ("arm.toml", "wrong.toml", "reach.toml"))
+    scenario.write_text(SCENARIO)
+    run = ["run", str(scenario), "--robot", str(file), "--out", str(tmp_path / "out")]
+    with CanArm("planar2") as sim:
+        file.write_text(ROBOT.format(channel=sim.channel, sign="[1, -1]"))
+        wrong.write_text(ROBOT.format(channel=sim.channel, sign="[-1, -1]"))
+        assert main(run) == 2
+        assert f"taut bringup {file} --scenario {scenario}" in capsys.readouterr().err
+        assert sim()["commands"] == [0, 0]
+
+        assert main(["bringup", str(wrong), "--scenario", str(scenario), "--yes", "--json"]) == 1
+        (fault,) = json.loads(capsys.readouterr().out)["faults"]
+        assert fault.startswith("gravity")  # the motors alone held the arm meanwhile
+        sim(reset=True)
+
+        assert main(["bringup", str(file), "--scenario", str(scenario), "--yes", "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["passed"]
+        assert main(run) == 0
+        wrong.rename(file)  # the same robot with another sign is another one
+        assert main(run) == 2
+    done = taut.load_run(tmp_path / "out" / "reach.mcap")
+    assert done.outcome.ok
+    assert done.info.plant.startswith("CAN arm")
+    assert np.abs(done.q[0] - sim.arm.home).max() < 0.01
+    assert np.abs(done.q[-1] - [0.55, 1.55]).max() < 0.02

@@ -24,6 +24,7 @@ from taut.base.errors import RangeError, UsageError
 from taut.cli.main import main
 from taut.robots import DriverError, RobotError
 from taut.runtime.realtime.bringup import remember
+from taut.runtime.realtime.connect import hello_of
 from taut.runtime.robots.udp import BUSY, COMMAND, COUNTS, HEAD, HELLO, INFO, LISTEN, STATE, UdpDriver
 
 ARMS = {"planar2": 2, "ur5": 6, "ur10": 6, "panda": 7}
@@ -386,7 +387,7 @@ def test_a_scenario_runs_on_a_robot_whose_bring_up_has_passed(
     )
     with simulated("planar2", info={"rate": 100.0}) as (_, port):
         address = f"udp://127.0.0.1:{port}"
-        remember(address, arm)
+        remember(hello_of(address, arm), arm)
         assert main(["run", str(file), "--robot", address, "--out", str(tmp_path / "out")]) == 0
     run = taut.load_run(tmp_path / "out" / "reach.mcap")
     assert len(run) == 41

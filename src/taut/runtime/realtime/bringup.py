@@ -6,11 +6,11 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -51,6 +51,7 @@ EXCURSION: Final = 0.4  # [rad | m] of them around the start
 RESIDUAL: Final = (0.5, 0.01)  # [N m | N], [-] of the effort limit, allowed between measured torque and the model's
 PUSH_OVER: Final = 2e-3  # [rad/s | m/s] a joint that was pushed has come to rest again
 SETTLE: Final = 3.0  # [s] that this may take
+HELD: Final = 10.0  # [s] likewise, where the motors alone begin to hold the arm
 AVERAGED: Final = 0.3  # [s] over which a torque at rest is averaged
 Ask = Callable[[str], bool]
 
@@ -59,19 +60,19 @@ class Probe(Law):
     """Gravity compensation that holds each joint with at most half a newton metre, and adds a torque.
 
     Law:          tau = h + clip(held M_ii (omega^2 e - 2 omega v) + (1 - held) torque, -0.5, 0.5),   omega = 10 rad/s
-                  held = 1 also of a joint that is 4 mrad or mm away
+                  e from the place where it is held; held = 1 also of a joint that is 4 mrad or mm away from it
     Closed loop:  of a held joint, M diagonal and no clip: e_ddot + 20 e_dot + 100 e = 0
     """
 
     torque: Gain = Gain(unit="N m | N", minimum=-PUSH, maximum=PUSH)
     held: Gain = Gain(minimum=0.0, maximum=1.0)
+    place: Gain = Gain(unit="rad | m", minimum=-np.inf)
 
-    def command(self, x: Snapshot, ref: JointMotion) -> Command:
+    def command(self, x: Snapshot, ref: JointMotion) -> Command:  # noqa: ARG002  (its place is a gain, of each push)
         omega = PROBE_BANDWIDTH
-        hold: Vector = tm.array([x.M[i, i] for i in range(x.n)]) * (
-            omega**2 * x.difference(ref.q) - 2.0 * omega * x.v
-        )
-        near: Vector = tm.array([tm.where(abs(e) < CAUGHT, 1.0, 0.0) for e in x.difference(ref.q)])
+        error = x.difference(self.place.as_array())
+        hold: Vector = tm.array([x.M[i, i] for i in range(x.n)]) * (omega**2 * error - 2.0 * omega * x.v)
+        near: Vector = tm.array([tm.where(abs(e) < CAUGHT, 1.0, 0.0) for e in error])
         free = (1.0 - self.held.as_array()) * near  # in the tick in which it has gone too far, it is held again
         probe = tm.clip((1.0 - free) * hold + free * self.torque.as_array(), -PUSH, PUSH)
         return Torque(Terms(nonlinear=x.h, probe=probe))
@@ -159,7 +160,10 @@ def _steps(
     yield "compare its load with the arm's; nothing is sent", partial(_load, robot)
     rivals = _rivals(robot)
     measured = _Torques(robot)
-    yield "compare its torques with the arm's gravity; nothing is sent", partial(_gravity, measured, rivals, False)
+    how = "nothing is sent"
+    if not robot.info.holds:
+        how = "motors are enabled and hold by themselves: take the support away, the arm sinks until they carry it"
+    yield f"compare its torques with the arm's gravity; {how}", partial(_gravity, measured, rivals, False)
     yield f"let the law run in shadow for {SHADOW:g} s; nothing is sent", partial(_shadow, robot, ctrl, ref)
     yield (
         f"test the sign of each joint with at most {PUSH:g} N m; it moves by some {1e3 * MOVED:g} mrad, keep clear",
@@ -303,6 +307,9 @@ def _gravity(measured: _Torques, rivals: dict[str, Arm], last: bool) -> Step:
     if not measured.known:
         return Step(name="gravity", found="the robot measures no torques")
     if not last:
+        if not measured.robot.info.holds:
+            measured.robot.call("hold")
+            _come_to_rest(measured.robot, HELD)
         measured.take()
     residual = np.abs(measured.residual(arm)).max(axis=0)
     bound = np.maximum(RESIDUAL[0], RESIDUAL[1] * np.where(np.isfinite(arm.effort), arm.effort, 0.0))
@@ -345,7 +352,7 @@ def _signs(robot: Robot) -> Step:
     arm = robot.arm
     if robot.info.takes not in ("torque", "mit"):
         return Step(name="signs", found=f"the robot takes {robot.info.takes} commands: the slow motion shows them")
-    law: Law = Probe(torque=np.zeros(arm.n), held=np.ones(arm.n))
+    law: Law = Probe(torque=np.zeros(arm.n), held=np.ones(arm.n), place=robot.q)
     if robot.info.takes == "mit":
         law = ViaMit(law=law, kp_motor=0.0, kd_motor=0.0)
     sensing = Sensing(velocity="measured" if "v" in robot.info.measures else "difference")
@@ -376,10 +383,10 @@ def _push(robot: Robot, path: str, base: Float64Array, i: int, sign: float) -> t
     others = np.ones(robot.arm.n)
     others[i] = 0.0
     push, here = 1.0 - others, robot.q
-    robot.parameters[f"{path}.held"] = others
+    free = {f"{path}.held": others, f"{path}.place": here}
     found: tuple[float | None, float] = None, 0.0
     for torque in np.linspace(0.0, PUSH, PROBE_STEPS + 1)[1:]:
-        robot.parameters[f"{path}.torque"] = sign * torque * push
+        robot.parameters.update({**free, f"{path}.torque": sign * torque * push})
         until = time.monotonic() + PROBE_STEP
         while time.monotonic() < until:
             moved = robot.arm.difference(robot.q, base)
@@ -401,11 +408,16 @@ def _push(robot: Robot, path: str, base: Float64Array, i: int, sign: float) -> t
             break
     robot.parameters[f"{path}.torque"] = 0.0 * push
     robot.parameters[f"{path}.held"] = np.ones(robot.arm.n)
-    until = time.monotonic() + SETTLE
-    robot.wait(AVERAGED)
-    while np.abs(robot.v).max() > PUSH_OVER and time.monotonic() < until:
-        robot.wait(AVERAGED)
+    _come_to_rest(robot)
     return found
+
+
+def _come_to_rest(robot: Robot, within: float = SETTLE) -> None:
+    """Wait until positions stay where they are: a velocity is zero where a joint turns round, too."""
+    until, moving = time.monotonic() + within, True
+    while moving and time.monotonic() < until:
+        robot.wait(AVERAGED)
+        moving = np.ptp(robot.run().q[-round(AVERAGED * robot.rate) :], axis=0).max() > PUSH_OVER * AVERAGED
 
 
 def _move(robot: Robot, goal: Float64Array) -> Step:
@@ -451,27 +463,28 @@ def _file() -> Path:
     return (Path(base) if base else Path.home() / ".local" / "state") / "taut" / "bringup.json"
 
 
-def _key(address: str, arm: Arm) -> str:
-    """A robot at an address with this arm and load."""
-    text = json.dumps([address, plain(arm)], sort_keys=True)
-    return f"{address} {arm.name} {hashlib.sha256(text.encode()).hexdigest()[:16]}"
+def _key(hello: Mapping[str, Any], arm: Arm) -> str:
+    """A robot, as its driver is told of it, with this arm and load; a driver's file counts by its text."""
+    text = Path(hello["file"]).read_text(encoding="utf-8") if "file" in hello else ""
+    words = json.dumps([plain(hello), text, plain(arm)], sort_keys=True)
+    return f"{hello['class']} {hello['address']} {arm.name} {hashlib.sha256(words.encode()).hexdigest()[:16]}"
 
 
-def passed_before(address: str, arm: Arm) -> bool:
-    """True where a bring-up has passed for this address, Arm and load."""
+def passed_before(hello: Mapping[str, Any], arm: Arm) -> bool:
+    """True where a bring-up has passed for this driver, address and options (`hello_of`), Arm and load."""
     try:
-        return _key(address, arm) in json.loads(_file().read_text(encoding="utf-8"))
+        return _key(hello, arm) in json.loads(_file().read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return False
 
 
-def remember(address: str, arm: Arm) -> Path:
+def remember(hello: Mapping[str, Any], arm: Arm) -> Path:
     """Keep that a bring-up has passed: the file. Raises FileError."""
     file = _file()
     try:
         known = json.loads(file.read_text(encoding="utf-8")) if file.exists() else []
         file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        file.write_text(json.dumps(sorted({*known, _key(address, arm)}), indent=1) + "\n", encoding="utf-8")
+        file.write_text(json.dumps(sorted({*known, _key(hello, arm)}), indent=1) + "\n", encoding="utf-8")
     except (OSError, ValueError) as cause:
         raise FileError(f"the file of bring-ups '{file}' cannot be written: {cause}", name=str(file)) from cause
     return file

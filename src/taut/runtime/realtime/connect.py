@@ -33,6 +33,7 @@ from taut.runtime.realtime.sets import compiled_plant
 from taut.runtime.robots.can import CanMotors
 from taut.runtime.robots.driver import RobotDriver, RobotInfo
 
+NO_MOTORS: Final = "motors= is for an address can://CHANNEL; leave it out"
 OBSERVER: Final = (50.0, 0.1)  # [1/s], and of the rate: bandwidth where a threshold of contact is stated
 # The law by which move_to moves, for up to 40 times the inertia of the model: files leave rotor inertia out.
 HOLD: Final = {"kp": 400.0, "kd": 40.0, "ki": 400.0}
@@ -56,7 +57,7 @@ def connect(
 
     Args:
         robot: An address (franka://172.16.0.2, udp://127.0.0.1:4000, ur://..., can://...), a model plant such as
-            `taut.RigidPlant`; or a class of your own, a RobotDriver in a file.
+            `taut.RigidPlant`; or a driver of your own: a class in a file, a RobotDriver, or "FILE.py:CLASS".
         arm: The robot's model; that of a plant if left out.
         limits: `taut.SafetyLimits.of(arm)` unless given.
         motors: Of an arm at can://, `taut.robots.CanMotors(types=[...])`.
@@ -103,25 +104,16 @@ def connect(
     limits = SafetyLimits.of(arm) if limits is None else limits
     instance_of("limits", limits, SafetyLimits, "taut.SafetyLimits, such as taut.SafetyLimits.of(arm)")
     hello: dict[str, Any] = {}
-    if plant is None:
-        hello = {**driver_of(robot, address), "options": dict(options or {})}  # type: ignore[arg-type]
+    if not isinstance(robot, ModelPlant):
+        hello = hello_of(robot, arm, limits=limits, motors=motors, address=address, options=options)
+    elif motors is not None:
+        raise UsageError(NO_MOTORS, name="motors")
     folder, logs = None if log is None else log_folder(log), None
-    on_can = isinstance(robot, str) and robot.startswith("can://")
-    if on_can and motors is None:
-        raise UsageError(
-            f"{robot} needs the motors of the arm: taut.connect('{robot}', arm, "
-            "motors=taut.robots.CanMotors(types=...)); the command line cannot state them",
-            name="motors",
-        )
-    if motors is not None and not on_can:
-        raise UsageError("motors= is for an address can://CHANNEL; leave it out", name="motors")
-    if motors is not None:
-        hello["options"] |= motors.options(arm, limits)
     if together is not None:
         together.check()
     link = Link(together.link if together is not None else None)
     try:
-        info = link.open(_model(plant, q0, rate) if plant is not None else hello)
+        info = link.open(hello if plant is None else _model(plant, q0, rate))
         if info.n != arm.n:
             raise MatchError(
                 f"{info.name} has {info.n} joints and arm '{arm.name}' has {arm.n}; load the arm that is connected",
@@ -140,6 +132,30 @@ def connect(
         if logs is not None:
             logs.close()
         raise
+
+
+def hello_of(
+    robot: str | type[RobotDriver],
+    arm: Arm,
+    *,
+    limits: SafetyLimits | None = None,
+    motors: CanMotors | None = None,
+    address: str | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """What the loop's process is told of a robot: driver, address and options. Arguments as of `connect`."""
+    found = driver_of(robot, address)
+    on_can = isinstance(robot, str) and robot.startswith("can://")
+    if on_can and motors is None:
+        raise UsageError(
+            f"{robot} needs the motors of the arm: taut.connect('{robot}', arm, "
+            "motors=taut.robots.CanMotors(types=...)), or on the command line a robot file with [motors]",
+            name="motors",
+        )
+    if motors is not None and not on_can:
+        raise UsageError(NO_MOTORS, name="motors")
+    of_motors = {} if motors is None else motors.options(arm, SafetyLimits.of(arm) if limits is None else limits)
+    return {**found, "options": {**dict(options or {}), **of_motors}}
 
 
 def _model(plant: ModelPlant, q0: ArrayLike | None, rate: float) -> dict[str, Any]:

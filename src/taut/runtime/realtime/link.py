@@ -15,6 +15,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
 
+from taut.base.checks import readable_file
 from taut.base.errors import UsageError, unknown_name
 from taut.codegen.servo_loop import STATUS, STATUS_WORDS
 from taut.runtime.realtime.shared import Shared, environment
@@ -136,16 +137,25 @@ class Link:
 
 
 def driver_of(robot: str | type[RobotDriver], address: str | None) -> dict[str, Any]:
-    """Where the loop's process finds a driver, from an address such as franka://172.16.0.2 or a class in a file."""
+    """Where the loop's process finds a driver, from franka://172.16.0.2, FILE.py:CLASS, or a class in a file."""
     if isinstance(robot, str):
+        path, _, name = robot.rpartition(":")
+        if path.endswith(".py"):
+            place = readable_file("driver file", path).resolve()
+            return {"module": place.stem, "class": name, "address": address or "", "file": str(place)}
         scheme, separator, rest = robot.partition("://")
         if not separator or not rest:
             raise UsageError(
-                f"an address is scheme://address, such as franka://172.16.0.2 ({', '.join(SCHEMES)}); got {robot!r}",
+                f"a robot is scheme://address, such as franka://172.16.0.2 ({', '.join(SCHEMES)}), or a driver of "
+                f"your own, FILE.py:CLASS; got {robot!r}",
                 name="robot",
             )
         if scheme not in SCHEMES:
             raise unknown_name("connect", "kind of robot", scheme, SCHEMES)
+        if address is not None:
+            raise UsageError(
+                f"address= is for a driver of your own, and {robot} has one; leave it out", name="address"
+            )
         module, name = SCHEMES[scheme]
         return {"module": module, "class": name, "address": rest}
     file = None

@@ -20,11 +20,12 @@ import threading
 import time
 from collections.abc import Mapping
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from taut.base.errors import TautError
+from taut.base.errors import TautError, UsageError
 from taut.base.types import Float64Array
 from taut.codegen import native
 from taut.codegen.program import Block
@@ -211,7 +212,7 @@ class Process:
         if "plant" in hello:
             driver: RobotDriver = PlantDriver(hello["plant"], RobotInfo(**hello["info"]))
         else:
-            kind = getattr(importlib.import_module(hello["module"]), hello["class"])
+            kind: Any = _driver_class(hello)
             driver = kind(hello["address"], **hello["options"])
         self._driver = driver
         try:
@@ -377,6 +378,17 @@ class Process:
     def _answer(self, *message: Any) -> None:
         with self._lock, contextlib.suppress(OSError, ValueError):
             self._mail.send(message)
+
+
+def _driver_class(hello: Mapping[str, Any]) -> type[RobotDriver]:
+    """The class of a driver, of a module or of a file of its own."""
+    if "file" in hello:
+        sys.path.insert(0, str(Path(hello["file"]).parent))  # as of a script, also for what it imports
+    kind = getattr(importlib.import_module(hello["module"]), hello["class"], None)
+    if not (isinstance(kind, type) and issubclass(kind, RobotDriver)):
+        place = hello.get("file", hello["module"])
+        raise UsageError(f"'{place}' has no class '{hello['class']}' that is a RobotDriver", name="robot")
+    return kind
 
 
 def _in_words(error: BaseException | None) -> tuple[str, str]:

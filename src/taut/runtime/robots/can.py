@@ -267,7 +267,7 @@ class CanDriver(RobotDriver):
         return RobotInfo(
             name=f"CAN arm at {self._address}", n=m.n, rate=m.control_rate, takes="mit", measures=("v", "tau_meas"),
             silence=float(m.timeout), delay=1.0 / m.control_rate, at_rest=REST_STEPS * float(m.steps[1].max()),
-            joint_names=self._joints,
+            holds=False, joint_names=self._joints,
         )  # fmt: skip
 
     def read(self, measured: Mapping[str, Float64Array]) -> None:
@@ -290,7 +290,8 @@ class CanDriver(RobotDriver):
         self._ask_states()
         self._register(TIMEOUT_REGISTER, write=np.full(self._n, self._motors.timeout / TIMEOUT_UNIT))
         self._begun = True
-        self._hold()  # in place of whatever command a motor had before
+        self._tau = (self._motors.lowest[4] + (self._codes[2] + 0.5) * self._motors.steps[4]).astype(np.float64)
+        self._hold()  # in place of whatever command a motor had before; one that holds keeps its torque
         self._send([*((own, ENABLE) for own in self._ids), *self._idle])
         self._wait(lambda: all(self._status))
         self._require_status(ENABLED)
@@ -322,8 +323,12 @@ class CanDriver(RobotDriver):
         self._require_status(0, ENABLED)
 
     def call(self, name: str, arguments: Mapping[str, Any]) -> Any:
-        """The function motors: status, temperatures [degree C] and missing replies by joint, and error frames."""
-        if name != "motors":
+        """`motors`: status, temperatures [degree C], missing replies by joint, and error frames; `hold`: enable them."""
+        if name == "hold":
+            if not self._controls:
+                self.begin()
+                self.end()
+        elif name != "motors":
             return super().call(name, arguments)
         rows = zip(self._joints, self._status, self._hot, self._lost.tolist(), strict=True)
         joints = {j: {"status": s, "t_mos": hot[0], "t_coil": hot[1], "lost": k} for j, s, hot, k in rows}
