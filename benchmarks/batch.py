@@ -65,7 +65,7 @@ def deviation(ctrl: taut.Controller) -> float:
 
 
 def main() -> int:
-    """Measure, print, and say which bars are missed."""
+    """Measure, print, and name the targets that are missed."""
     title = f"{N} laws on the Panda, one core, {host_lanes(DOUBLE)} doubles or {host_lanes(SINGLE)} floats a lane"
     table = Table(
         "law",
@@ -91,7 +91,7 @@ def main() -> int:
     Console(width=120).print(table)
     Path("out").mkdir(exist_ok=True)
     Path("out/batch.json").write_text(json.dumps(figures, indent=1), encoding="utf-8")
-    print(f"bars missed: {', '.join(missed)}" if missed else "all bars are met")
+    print(f"targets missed: {', '.join(missed)}" if missed else "all targets are met")
     return 1 if missed else 0
 
 

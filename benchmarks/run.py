@@ -32,11 +32,11 @@ CHOICE = re.compile(r"^\|[^|`]*\| `([^`]+)`.* ([\d.]+) \|$", re.MULTILINE)  # la
 
 
 def main() -> int:
-    """Measure everything, print it, and say which bars are missed."""
+    """Measure everything, print it, and name the targets that are missed."""
     console = Console(width=110)
     figures = {**tick_figures(), **other_figures(), **phase_figures(), **task_figures(), **loop_figures()}
     figures |= {**joint_figures(), **start_figures(), **long_run_figures()}
-    table = Table("figure", "measured", "bar", title="taut against NumPy + Pinocchio and MuJoCo, Panda, one core")
+    table = Table("figure", "measured", "target", title="taut against NumPy + Pinocchio and MuJoCo, Panda, one core")
     missed = []
     for name, figure in figures.items():
         bar = figure.get("bar")
@@ -61,7 +61,7 @@ def main() -> int:
     out.mkdir(exist_ok=True)
     (out / "bench.json").write_text(json.dumps({"figures": figures, "sizes": sizes, "choices": choices}, indent=1))
     console.print(
-        f"figures in {out / 'bench.json'}" + (f"; missed: {', '.join(missed)}" if missed else "; all bars met")
+        f"figures in {out / 'bench.json'}" + (f"; missed: {', '.join(missed)}" if missed else "; all targets met")
     )
     return 1 if missed else 0
 

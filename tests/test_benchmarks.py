@@ -137,14 +137,14 @@ def test_the_page_shows_what_was_recorded(driver: Any) -> None:
     assert [row[-1] for row in cells(text, "Versions")] == ["ran", "ran", "`ERROR: no wheel`"]
 
 
-def test_bars_are_judged_by_their_figures(driver: Any) -> None:
+def test_targets_are_judged_by_their_figures(driver: Any) -> None:
     page, found = import_module("page"), record()
     median = 1e6 * np.median(np.array(found["peers"]["pinocchio"]["rows"][1]["seconds"])[:, 0])
-    figures = {name: (value, sign, bar) for name, value, sign, bar in page.bars(found)}
-    value, sign, bar = figures["two threads over one process of P"]
-    assert (sign, bar) == (">=", 400.0)
+    figures = {name: (value, sign, target) for name, value, sign, target in page.targets(found)}
+    value, sign, target = figures["two threads over one process of P"]
+    assert (sign, target) == (">=", 400.0)
     assert value == pytest.approx(15.0 * median)
-    met = [row[-1] for row in cells(page.figures(found), "Bars")]
+    met = [row[-1] for row in cells(page.figures(found), "Targets")]
     assert met == ["yes", "**no**", "yes", "**no**", "**no**", "yes", "**no**"]
     found["lanes"]["double"] = 8
-    assert [bar for _, _, _, bar in page.bars(found)][:2] == [4.8, 9.5]
+    assert [target for _, _, _, target in page.targets(found)][:2] == [4.8, 9.5]

@@ -86,8 +86,8 @@ def ahead(record: Record) -> str:
     return f"Ahead of taut in this run: {'; '.join(words) or 'no peer in any case'}."
 
 
-def bars(record: Record) -> list[tuple[str, float, str, float]]:
-    """Name, figure, sign and bar."""
+def targets(record: Record) -> list[tuple[str, float, str, float]]:
+    """Name, figure, sign and target."""
     ratios, speeds, (took, megabytes) = record["ratios"], record["speeds"], record["million"]
     wide = record["lanes"]["double"] == 8
     least = {
@@ -95,11 +95,11 @@ def bars(record: Record) -> list[tuple[str, float, str, float]]:
         "float lanes over the scalar loop, one core": 9.5 if wide else 6.5,
         "two threads over one": 1.8,
     }
-    out = [(name, ratios[name], ">=", bar) for name, bar in least.items()]
-    for name, kind, bar in (("pinocchio", "loop", 400.0), ("mujoco", "loop", 350.0), ("jax", "sweep", 50.0)):
+    out = [(name, ratios[name], ">=", target) for name, target in least.items()]
+    for name, kind, target in (("pinocchio", "loop", 400.0), ("mujoco", "loop", 350.0), ("jax", "sweep", 50.0)):
         for title, row in panda(timed({"peers": {name: record["peers"][name]}}, kind=kind))[:1]:
             figure = speeds["double, two threads, wall"] * us(row)
-            out.append((f"two threads over one process of {title}", figure, ">=", bar))
+            out.append((f"two threads over one process of {title}", figure, ">=", target))
     return [
         *out,
         ("a million loops of 1 s, two threads [s]", took, "<=", 45.0),
@@ -108,12 +108,12 @@ def bars(record: Record) -> list[tuple[str, float, str, float]]:
     ]
 
 
-def bar_table(record: Record) -> str:
+def target_table(record: Record) -> str:
     rows = []
-    for name, value, sign, bar in bars(record):
-        met = value >= bar if sign == ">=" else value <= bar
-        rows.append([name, number(value), f"{sign} {bar:g}", "yes" if met else "**no**"])
-    return table(["", "measured", "bar", "met"], rows)
+    for name, value, sign, target in targets(record):
+        met = value >= target if sign == ">=" else value <= target
+        rows.append([name, number(value), f"{sign} {target:g}", "yes" if met else "**no**"])
+    return table(["", "measured", "target", "met"], rows)
 
 
 def joints(record: Record) -> str:
@@ -169,7 +169,7 @@ def figures(record: Record) -> str:
         f"load of the machine at the start {where['load']:.1f}.",
     ]
     sections = {title: beside(record, kind) for kind, title in TITLES.items()}
-    sections["Bars"] = bar_table(record)
+    sections["Targets"] = target_table(record)
     sections |= {"Growth": f"{joints(record)}\n\n{growth(record)}", "Versions": versions(record)}
     text = "\n\n".join(f"## {title}\n\n{text}" for title, text in sections.items())
     return f"{' '.join(head)}\n\n{ahead(record)}\n\n{text}"

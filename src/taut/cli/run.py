@@ -168,7 +168,7 @@ DOCTOR: Final = Command(
     name="doctor",
     help="Find what went wrong in a recorded run: oscillation, stiction, saturation, ...",
     run=_doctor,
-    arguments={"run": {"metavar": "RUN.mcap", "help": "a log that taut run or run.save wrote"}},
+    arguments={"run": {"metavar": "RUN.mcap", "help": "a log of taut.connect(..., log=), taut run or run.save"}},
     more="""exit status:
   0  done, whatever was found
   2  the request was wrong: not a log, or a log too short or incomplete (a partial diagnosis is printed)
@@ -242,7 +242,7 @@ REPAIR: Final = Command(
         **DOCTOR.arguments,
         "--out": {"type": Path, "metavar": "FILE.mcap", "help": "(default: RUN-repaired.mcap)"},
     },
-    more="""What stands behind a damage becomes a file of its own, RUN-repaired-2.mcap. RUN.mcap stays as it is.
+    more="""Ticks after a damaged stretch go into a file of their own, RUN-repaired-2.mcap. RUN.mcap stays as it is.
 
 exit status:
   0  done

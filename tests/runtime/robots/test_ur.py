@@ -1,4 +1,4 @@
-"""A UR through ur_rtde, the vendor-protocol client of PyPI, over sockets; the controller is a stand-in of our own."""
+"""A UR through ur_rtde, the vendor-protocol client of PyPI, over sockets; the controller is a test server of our own."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ def test_what_a_controller_does_not_allow_is_refused_before_anything_moves(
 
 def test_an_arm_moves_by_the_loop(ur10: None) -> None:
     arm = taut.load_arm("ur10")
-    limits = taut.SafetyLimits.of(arm, missed=10**6)  # the stand-in is a Python program
+    limits = taut.SafetyLimits.of(arm, missed=10**6)  # the test server is a Python program
     with taut.connect(f"ur://{ADDRESS}", arm, options={"command": "velocity"}, limits=limits) as robot:
         goal = robot.q + 0.03
         robot.move_to(goal, speed=0.2)

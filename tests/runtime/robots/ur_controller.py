@@ -1,4 +1,4 @@
-"""A stand-in for a UR controller: the RTDE, script and dashboard ports, as far as ur_rtde's clients use them.
+"""A test server in place of a UR controller: the RTDE, script and dashboard ports, as far as ur_rtde's clients use them.
 
 Messages are those of the vendor's RTDE guide. Of the control script that the client uploads, its command loop is played
 here: the registers by which it takes servoj, speedj, direct_torque, stops and the watchdog, and answers.

@@ -374,7 +374,7 @@ def _signs(robot: Robot) -> Step:
         found += f"; {', '.join(stuck)} did not move: more friction than {PUSH:g} N m, signs not known"
     if wrong:
         found = f"joint '{wrong[0]}' moves against its torque: check the sign of its torque or of its encoder"
-    table = Table(title="torque of break-away", columns=["joint", "to + [N m | N]", "to - [N m | N]"], rows=rows)
+    table = Table(title="break-away torque", columns=["joint", "to + [N m | N]", "to - [N m | N]"], rows=rows)
     return Step(name="signs", found=found, ok=not wrong, table=table)
 
 
@@ -413,7 +413,7 @@ def _push(robot: Robot, path: str, base: Float64Array, i: int, sign: float) -> t
 
 
 def _come_to_rest(robot: Robot, within: float = SETTLE) -> None:
-    """Wait until positions stay where they are: a velocity is zero where a joint turns round, too."""
+    """Wait until positions stay where they are: a velocity is zero at a reversal, too."""
     until, moving = time.monotonic() + within, True
     while moving and time.monotonic() < until:
         robot.wait(AVERAGED)
@@ -464,7 +464,7 @@ def _file() -> Path:
 
 
 def _key(hello: Mapping[str, Any], arm: Arm) -> str:
-    """A robot, as its driver is told of it, with this arm and load; a driver's file counts by its text."""
+    """A robot, by what its driver gets, with this arm and load; a driver's file counts by its text."""
     text = Path(hello["file"]).read_text(encoding="utf-8") if "file" in hello else ""
     words = json.dumps([plain(hello), text, plain(arm)], sort_keys=True)
     return f"{hello['class']} {hello['address']} {arm.name} {hashlib.sha256(words.encode()).hexdigest()[:16]}"

@@ -143,7 +143,7 @@ def hello_of(
     address: str | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """What the loop's process is told of a robot: driver, address and options. Arguments as of `connect`."""
+    """What the loop's process gets of a robot: driver, address and options. Arguments as of `connect`."""
     found = driver_of(robot, address)
     on_can = isinstance(robot, str) and robot.startswith("can://")
     if on_can and motors is None:

@@ -323,7 +323,7 @@ class CanDriver(RobotDriver):
         self._require_status(0, ENABLED)
 
     def call(self, name: str, arguments: Mapping[str, Any]) -> Any:
-        """`motors`: status, temperatures [degree C], missing replies by joint, and error frames; `hold`: enable them."""
+        """`motors`: status, temperatures [degree C], missing replies by joint, error frames; `hold`: enable them."""
         if name == "hold":
             if not self._controls:
                 self.begin()
