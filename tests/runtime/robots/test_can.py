@@ -730,6 +730,23 @@ def test_the_program_on_the_page_runs_the_seven_joints(
     assert sim()["status"] == [0] * 7
 
 
+def test_motors_that_hold_by_themselves_keep_their_torque_when_control_begins(arms: dict[str, CanArm]) -> None:
+    with Host(arms["seven"]) as host:
+        host.tick()
+        host.driver.call("hold", {})
+        host.sim(period=0.05)
+        truth = host.ticks(60)
+        assert truth["status"] == [1] * 7
+        assert truth["timeout"] == [0] * 7
+        weight = np.asarray(taut.snapshot(host.arm, host.x["q"]).g)
+        np.testing.assert_allclose(host.x["tau_meas"], weight, atol=0.1)
+        host.driver.begin()
+        np.testing.assert_allclose(np.array(host.sim()["sent"])[:, 4], weight, atol=0.1)
+        host.driver.call("hold", {})  # they are held
+        assert host.sim()["timeout"] == [2000] * 7
+        host.driver.end()
+
+
 def test_half_a_step_halves_the_steady_state_error(arms: dict[str, CanArm]) -> None:
     """Of computed torque on the seven joints, which gravity pulls at: values as motors cut them off, and their middles."""
     errors = {}
