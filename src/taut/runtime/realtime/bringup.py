@@ -30,6 +30,7 @@ from taut.controller import Controller, compile
 from taut.maths.snapshot import Snapshot, snapshot
 from taut.record.plain import plain
 from taut.runtime.realtime.robot import Robot
+from taut.runtime.robots.driver import DriverError
 from taut.trace import math as tm
 
 READ: Final = 2.0  # [s] in which a robot is only read
@@ -265,10 +266,19 @@ class _Torques:
         """Those at q, reached from either side: what dry friction holds has two signs then."""
         found = list[Float64Array]()
         for aside in (-ASIDE, ASIDE):
-            self.robot.move_to(q + aside, speed=SPEED)
-            self.robot.move_to(q, speed=SPEED)
+            self.near(q + aside)
+            self.near(q)
             found.append(self._at_rest())
         self._keep(found)
+
+    def near(self, q: Float64Array) -> None:
+        """Move to q, or as near as dry friction allows under a wrong model; it is compared where it rests."""
+        try:
+            self.robot.move_to(q, speed=SPEED)
+        except DriverError as error:
+            if error.kind != "rejected":
+                raise
+            self.robot.check()
 
     def _at_rest(self) -> Float64Array:
         """(2, n) pose and torques."""
@@ -438,7 +448,7 @@ def _move(robot: Robot, goal: Float64Array) -> Step:
 
 def _poses(measured: _Torques, rivals: dict[str, Arm], goal: Float64Array) -> Step:
     """Compare torques where those of the rivals differ most."""
-    robot, arm = measured.robot, measured.robot.arm
+    arm = measured.robot.arm
     if not measured.known:
         return Step(name="gravity", found="the robot measures no torques")
     rng = np.random.default_rng(0)
@@ -454,7 +464,7 @@ def _poses(measured: _Torques, rivals: dict[str, Arm], goal: Float64Array) -> St
 
     for q in sorted(tried, key=apart)[-COMPARED:]:
         measured.take_at(q)
-    robot.move_to(goal, speed=SPEED)
+    measured.near(goal)
     return _gravity(measured, rivals, True)
 
 
