@@ -15,6 +15,7 @@ from taut.arm.description import Arm, Payload
 from taut.arm.parts import require_radians
 from taut.base.checks import finite_array, instance_of, positive_scalar, read_only
 from taut.base.errors import MatchError, RangeError, ShapeError, UsageError, count_of
+from taut.base.fields import unchanging
 from taut.base.paths import Parameters, subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.control.combine import SideBySide, all_laws
@@ -249,12 +250,11 @@ _KEPT: Final[WeakKeyDictionary[LawSide, tuple[ModelPlant, str, Kept]]] = WeakKey
 
 
 def _kept(side: LawSide, plant: ModelPlant, engine: str) -> Kept:
-    """What loops of a side and a plant that cannot change have in common."""
-    declared = vars(type(plant)).get("__dataclass_params__")  # of a class of its own, not of one that it extends
-    if declared is None or not declared.frozen:
-        return Kept()
+    """What loops of a side and a plant have in common, where neither can change."""
     last = _KEPT.get(side)
     if last is None or last[0] is not plant or last[1] != engine:
+        if not (unchanging(plant) and unchanging(side)):
+            return Kept()
         last = _KEPT[side] = plant, engine, Kept()
     return last[2]
 
@@ -299,12 +299,25 @@ class Loop:
         self.plant = plant
         check_fit(self.side, plant)
         require_no_reference(self.side, ref)
-        self.ref: Reference = Hold() if ref is None else as_reference(ref)
-        self.duration = duration_of_ticks(duration, self.side.dt)
+        self.ref: Reference
+        self.ref, self.duration = ref, duration  # type: ignore[assignment]
         values = {**ctrl.parameters, **plant.parameters}
         names = {**self.side.parameters, **plant.parameters}  # in one order: code that is kept reads them by place
         self.parameters = LoopParameters(self.side, plant, {name: values[name] for name in names})
         self.kept = _kept(self.side, plant, self.engine)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if name == "ref":
+            value = Hold() if value is None else as_reference(value)
+        elif name == "duration":
+            value = duration_of_ticks(value, self.side.dt)
+        elif name in vars(self):
+            raise UsageError(
+                f"a Loop keeps its {name}; make another one, taut.Loop(ctrl, plant, ref, duration=...); numbers "
+                "change by path, loop.parameters['plant.payload.mass'] = 1.0",
+                name=name,
+            )
+        super().__setattr__(name, value)
 
     @property
     def dt(self) -> float:

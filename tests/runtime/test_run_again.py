@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
+from taut.base.fields import Plain
 
 ARM = taut.load_arm("planar2")
 LAW = taut.laws.ComputedTorque(kp=100.0, kd=20.0)
@@ -78,19 +80,67 @@ def test_a_record_is_its_own() -> None:
     np.testing.assert_array_equal(taut.run(loop).reference.q, wanted)
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
 class Weighted(taut.RigidPlant):
-    """A plant of the user's own, which can change from run to run."""
+    """A plant of the user's own, whose numbers may be another's."""
 
-    def __init__(self, arm: taut.Arm) -> None:
-        super().__init__(arm)
-        self.__dict__["factor"] = 1.0
+    numbers: dict[str, float] = dataclasses.field(default_factory=dict)
 
     def command(self, command: Any, memory: Any, t: Any) -> Any:
-        return super().command(self.__dict__["factor"] * command, memory, t)
+        return super().command(self.numbers["factor"] * command, memory, t)
 
 
-def test_a_plant_that_may_change_is_traced_anew() -> None:
-    ctrl, plant = taut.compile(LAW, ARM), Weighted(ARM)
-    first = taut.run(ctrl, plant, SINE, duration=0.2)
-    plant.__dict__["factor"] = 0.5
-    assert np.abs(taut.run(ctrl, plant, SINE, duration=0.2).q - first.q).max() > 1e-4
+class Floor(taut.environments.Environment):
+    """A part of the user's own."""
+
+    numbers: Plain[dict[str, float]] = Plain(dict)
+
+    def wrench(self, T_WE: Any, twist: Any, t: Any, memory: Any, parameters: Any, dt: Any) -> Any:
+        return np.array([self.numbers["factor"], 0.0, 0.0, 0.0, 0.0, 0.0]), {}
+
+
+class Scaled(taut.Law):
+    """A law of the user's own."""
+
+    kp: taut.Gain
+    numbers: Plain[dict[str, float]] = Plain(dict)
+
+    def command(self, x: Any, ref: Any) -> Any:
+        return taut.Torque(P=self.kp @ (self.numbers["factor"] * x.difference(ref.q)), D=-20.0 * x.v)
+
+
+class Walk(taut.trajectories.Sine):
+    """A motion of the user's own."""
+
+    def rows(self, times: Any) -> Any:
+        rows = super().rows(times)
+        return taut.JointMotion.of({"q": rows.q + 0.01 * NUMBERS["factor"], "v": rows.v, "a": rows.a})
+
+
+NUMBERS = {"factor": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("law", "plant", "ref"),
+    [
+        (LAW, Weighted(ARM, numbers=NUMBERS), SINE),
+        (LAW, taut.RigidPlant(ARM, environment=Floor(numbers=NUMBERS)), SINE),
+        (Scaled(kp=100.0, numbers=NUMBERS), taut.RigidPlant(ARM), SINE),
+        (LAW, taut.RigidPlant(ARM), Walk(center=ARM.home, amplitude=0.2, frequency=0.5)),
+    ],
+    ids=["plant", "environment", "law", "motion"],
+)
+def test_what_a_user_wrote_may_change_between_runs(law: Any, plant: Any, ref: Any) -> None:
+    ctrl = taut.compile(law, ARM)
+    NUMBERS["factor"] = 1.0
+    first = taut.run(ctrl, plant, ref, duration=0.2)
+    NUMBERS["factor"] = 0.5
+    assert np.abs(taut.run(ctrl, plant, ref, duration=0.2).q - first.q).max() > 1e-6
+
+
+def test_a_loop_keeps_its_plant() -> None:
+    loop = taut.Loop(taut.compile(LAW, ARM), taut.RigidPlant(ARM), SINE, duration=0.2)
+    with refused(taut.errors.UsageError):
+        loop.plant = taut.RigidPlant(ARM)
+    with refused(taut.errors.RangeError):
+        loop.duration = -3.0

@@ -15,6 +15,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 from collections.abc import Mapping, Sequence
+from pathlib import PurePath
 from typing import Any, ClassVar, NoReturn, Self, dataclass_transform
 
 import numpy as np
@@ -276,3 +277,20 @@ def _signature(cls: type[Declared]) -> inspect.Signature:
             for name, field in cls.declared.items()
         ]
     )
+
+
+def unchanging(thing: object) -> bool:
+    """Whether a thing is made of numbers, texts and taut's own classes, which do not change.
+
+    A class or a function of the user's may use anything, and something else tomorrow; lists and dicts change too.
+    """
+    if thing is None or isinstance(thing, (str, int, float, np.generic, np.ndarray, PurePath)):
+        return True
+    if isinstance(thing, (tuple, frozenset)):
+        return all(unchanging(part) for part in thing)
+    if type(thing).__module__.partition(".")[0] != "taut":
+        return False
+    if isinstance(thing, Declared):
+        return all(unchanging(vars(thing)[name]) for name in thing.declared)
+    fields = dataclasses.fields(thing) if dataclasses.is_dataclass(thing) else ()
+    return all(unchanging(getattr(thing, field.name)) for field in fields)

@@ -213,8 +213,7 @@ def known_loop(loop: Loop) -> StepLoop | None:
 def steps_of(loop: Loop, inputs: Block, parameters: Block, memory: Block) -> Steps:
     """Start, step and substep of a loop, as it is now; they hold a twin of it, since it keeps the code."""
     twin, n = copy.copy(loop), loop.plant.arm.n
-    twin.side, twin.kept = copy.copy(loop.side), Kept()
-    del twin.parameters
+    vars(twin).update(side=copy.copy(loop.side), kept=Kept(), parameters={})
 
     def start(inputs: Values, parameters: Values, _: Values) -> tuple[Values, Values]:
         return twin.start(inputs["start.q"], inputs["start.v"], inputs, parameters), {}

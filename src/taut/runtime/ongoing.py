@@ -10,7 +10,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from taut.base.errors import NumericalError, RangeError, ShapeError, TautError
-from taut.base.fields import Choice, Field, Whole
+from taut.base.fields import unchanging
 from taut.base.paths import subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.codegen.loop import StepLoop, compiled_loop, known_loop
@@ -136,12 +136,10 @@ class FusedRun(OngoingRun):
         return rows if ref is self._loop.ref and len(rows) == self._ticks else None
 
     def _keep_rows(self) -> None:
-        """Keep the inputs of a short run without noise, whose motion is one of numbers, which do not change."""
+        """Keep the inputs of a short run without noise, whose motion cannot change."""
         ref, rows, noise = self._loop.ref, self.tape.input_rows, self._loop.plant.noise
-        if not isinstance(ref, Motion) or len(rows) > BLOCK or noise or self._known_rows() is not None:
-            return
-        if all(isinstance(field, (Field, Choice, Whole)) for field in ref.declared.values()):
-            self._loop.kept.rows = ref, rows.copy()
+        if isinstance(ref, Motion) and len(rows) <= BLOCK and not noise and self._known_rows() is None:
+            self._loop.kept.rows = (ref, rows.copy()) if unchanging(ref) else None
 
     @property
     def blocks(self) -> tuple[Block, Block, Block]:
