@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,10 +13,12 @@ from refusals import refused
 import taut
 import taut.math as tm
 from taut.codegen.noise import Noise, noise_block
-from taut.drives import Field, FrictionLaw, MotorInput, MotorModel, MotorStep
+from taut.drives import Field, FlexibleLink, FrictionLaw, MotorInput, MotorModel, MotorStep
 from taut.environments import Environment
+from taut.errors import UsageError
 
 LINK = taut.load_arm("one_joint").with_joints(viscous=0.0)
+BENT = FlexibleLink(length=1.0, EI=1.0, density=1.0, hub_inertia=0.1)
 
 
 class HuntCrossley(Environment):
@@ -225,6 +228,18 @@ class Slider(taut.PlantBase):
 
     def extra(self) -> dict[str, Any]:
         return {"kinetic": 0.5 * float(self._mass) * float(self._v @ self._v)}
+
+
+@pytest.mark.parametrize("plant", [taut.RigidPlant(LINK), taut.MujocoPlant(LINK), BENT], ids=lambda plant: plant.name)
+def test_the_parameters_of_a_plant_are_to_be_read(plant: Any) -> None:
+    before = dict(plant.parameters)
+    with refused(UsageError):
+        plant.parameters["plant.payload.mass"] = 3.0
+    for change in (plant.parameters.update, plant.parameters.setdefault, plant.parameters.pop):
+        with pytest.raises(UsageError):
+            change({"plant.payload.mass": 3.0})
+    assert all(plant.parameters[path] is value and not value.flags.writeable for path, value in before.items())
+    assert copy.deepcopy(plant.parameters).keys() == before.keys()
 
 
 def test_a_plant_of_ones_own_runs_with_events_and_columns() -> None:

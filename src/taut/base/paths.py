@@ -73,6 +73,21 @@ class Named(dict[str, T]):
         return type(self), (self._owner, self._kind, dict(self))
 
 
+class PlantParameters(Named[Float64Array]):
+    """Parameters of a plant by path, to be read."""
+
+    __slots__ = ()
+
+    def _refuse(self, *_: object, **__: object) -> NoReturn:
+        raise UsageError(
+            "a plant's parameters cannot be set in it: make it of another arm, such as arm.with_payload(1.0), or set "
+            "loop.parameters of a taut.Loop, or give the run events",
+            name="parameters",
+        )
+
+    __setitem__ = __delitem__ = __ior__ = update = setdefault = pop = popitem = clear = _refuse
+
+
 class Parameters(MutableMapping[str, Float64Array]):
     """Run-time parameters by path; a new value is checked like the first one. Messages name the owner: "the loop"."""
 

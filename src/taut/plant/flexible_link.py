@@ -14,6 +14,7 @@ from taut.arm.builtin import one_joint
 from taut.arm.description import Arm
 from taut.base.checks import finite_scalar, require_range, whole_number
 from taut.base.errors import unknown_name
+from taut.base.paths import PlantParameters
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.plant.parts import Steps
 from taut.trace import math as tm
@@ -82,7 +83,7 @@ class FlexibleLink:
     distorts: ClassVar[frozenset[str]] = frozenset()
     adds: ClassVar[tuple[str, ...]] = ()
     noise: ClassVar[dict[str, tuple[int, ...]]] = {}
-    parameters: ClassVar[dict[str, Float64Array]] = {}
+    parameters: ClassVar[Mapping[str, Float64Array]] = PlantParameters("plant 'FlexibleLink'", "parameter", {})
 
     def __post_init__(self) -> None:
         for name, unit in (UNITS | MAY_BE_ZERO).items():

@@ -12,10 +12,10 @@ import numpy as np
 from taut.arm.description import COMMANDS, Arm, CommandKind
 from taut.arm.friction import AT_REST, check_at_rest
 from taut.arm.parts import checked_payload_entry
-from taut.base.checks import finite_array, in_compiled_shape, require_range
+from taut.base.checks import finite_array, in_compiled_shape, read_only, require_range
 from taut.base.errors import RangeError, ShapeError, UsageError, unknown_name
 from taut.base.fields import Choice, Declared, Part, Plain
-from taut.base.paths import flatten, subtree
+from taut.base.paths import PlantParameters, flatten, subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.maths.dynamics import jacobian, mass_matrix
 from taut.maths.model import Adds, PayloadValues, links_of
@@ -199,7 +199,7 @@ class PlantParts(Declared):
         return self.scene or held or self.environment is not None
 
     @cached_property
-    def values(self) -> dict[str, Float64Array]:
+    def values(self) -> PlantParameters:
         """Run-time parameters by path, as the plant was made with them: those that are there."""
         payload = self.arm.payload
         plant: dict[str, Any] = {
@@ -217,7 +217,8 @@ class PlantParts(Declared):
             "environment": {} if self.environment is None else self.environment.parameters(),
             "contact": {} if self.contacts is None else self.contacts.parameters(),
         }
-        return flatten(below)
+        values = {path: read_only(value) for path, value in flatten(below).items()}
+        return PlantParameters(f"plant '{self.name}'", "parameter", values)
 
     def checked(self, path: str, value: ArrayLike) -> Float64Array:
         """A new value of a parameter, checked like the first one and in its shape."""

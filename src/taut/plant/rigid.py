@@ -161,9 +161,9 @@ class RigidPlant:
         return Motion(parts=self.parts, energy=self.energy)
 
     @property
-    def parameters(self) -> dict[str, Float64Array]:
+    def parameters(self) -> Mapping[str, Float64Array]:
         """Run-time parameters by path: plant.payload.mass, actuation.bandwidth, ..."""
-        return dict(self.parts.values)
+        return self.parts.values
 
     def checked_parameter(self, path: str, value: ArrayLike) -> Float64Array:
         """A new value of a parameter, checked and in its shape. Raises UnknownNameError, ShapeError, RangeError."""

@@ -8,6 +8,7 @@ from typing import Any
 
 from taut.arm.description import Arm
 from taut.base.errors import unknown_name
+from taut.base.paths import PlantParameters
 from taut.base.types import ArrayLike, Float64Array
 from taut.plant.sensors import Sensors
 from taut.record.info import Around
@@ -98,7 +99,7 @@ class PlantBase(ABC):
     @property
     def parameters(self) -> Mapping[str, Float64Array]:
         """Run-time parameters by path."""
-        return {}
+        return PlantParameters(f"plant '{self.name}'", "parameter", {})
 
     def checked_parameter(self, path: str, value: ArrayLike) -> Float64Array:  # noqa: ARG002
         """A new value of a parameter, checked but not set; UnknownNameError where there is no such parameter."""

@@ -12,7 +12,7 @@ import numpy as np
 from taut.arm.description import Arm, CommandKind, Payload
 from taut.base.checks import instance_of, positive_scalar, read_only
 from taut.base.errors import UsageError
-from taut.base.paths import subtree
+from taut.base.paths import PlantParameters, subtree
 from taut.base.types import ArrayLike, Float64Array
 from taut.maths.model import Adds
 from taut.plant.actuation import OF_DRIVES, Actuation, delayed
@@ -155,7 +155,7 @@ class MujocoPlant(PlantInMujoco):
         around = None if scene is None else read_scene(scene)
         rig = built(numbers, tool, around, scene_at or Pose.identity(), limits=limits is not None)
         super().__init__(rig, numbers.name, None if scene is None else SceneView(rig))
-        self._parts, self._values = numbers, {path: read_only(value) for path, value in numbers.values.items()}
+        self._parts, self._values = numbers, numbers.values
         self.friction, self.takes, self.actuation, self.sensors = friction, takes, drives, seen
         self.measures, self.distorts = seen.measures(touched=True), seen.distorts(touched=True)
         self._forces, self._readings = ForceStage(rig, numbers), SensorStage(arm, seen)
@@ -228,7 +228,7 @@ class MujocoPlant(PlantInMujoco):
         """Give parameters new values at once, which act from the next step."""
         checked = {path: self.checked_parameter(path, value) for path, value in values.items()}
         self.check_together({**self.parameters, **checked})
-        self._values = {**self._values, **checked}
+        self._values = PlantParameters(f"plant '{self.name}'", "parameter", {**self._values, **checked})
         put_parameters(self._rig, self._parts, self._values, checked)
         for stage in (self._forces, self._readings):
             stage.take(self._values)
