@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from refusals import refused
 
@@ -125,9 +126,10 @@ def test_each_lane_of_a_vector_environment_begins_anew_in_the_step_after_its_end
     broken = actions.copy()
     broken[2] = np.nan
     for k in range(12):
-        seen, reward, terminated, truncated, _ = envs.step(broken if k == 3 else actions)
+        seen, reward, terminated, truncated, info = envs.step(broken if k == 3 else actions)
         np.testing.assert_array_equal(seen[others], well.step(actions)[0][others])
         assert terminated.tolist() == [False, False, k == 3, False, False]
+        assert info.keys() == ({"reason", "_reason"} if k == 3 else set())
         alone = k - 4  # steps of the lane that ended early
         assert truncated.tolist() == [(k == 9)] * 2 + [alone == 10] + [(k == 9)] * 2
         assert (reward == 0.0).tolist() == [k == 10] * 2 + [k in (3, 4)] + [k == 10] * 2
@@ -138,6 +140,26 @@ def test_each_lane_of_a_vector_environment_begins_anew_in_the_step_after_its_end
             np.testing.assert_array_equal(seen[others], first[others])
     again, _ = envs.reset(seed=3)
     np.testing.assert_array_equal(again, first)
+
+
+def test_an_episode_ends_with_a_reason_and_goes_on_after_a_reset() -> None:
+    one = ScenarioEnv(Episode(scenario="one_joint_pid", action="torque", scale=2.0, values=SHORT))
+    with pytest.raises(ResetNeeded, match="before the first reset"):
+        one.step(np.zeros(1))
+    for action, reason in ((np.nan, "the action is not finite"), (1.0, "the simulation diverged")):
+        one.reset()
+        assert one.step(np.zeros(1))[2:] == (False, False, {})
+        one._lanes.arms.v[:] = 0.0 if np.isnan(action) else np.inf
+        assert one.step(np.array([action]))[1:] == (0.0, True, False, {"reason": reason})
+        with pytest.raises(ResetNeeded, match="after the end"):
+            one.step(np.zeros(1))
+    one.reset()
+    while not one.step(np.zeros(1))[3]:
+        pass
+    with pytest.raises(ResetNeeded, match="after the end"):
+        one.step(np.zeros(1))
+    with pytest.raises(ResetNeeded):
+        ScenarioVectorEnv(Episode(scenario="one_joint_pid"), 2).step(np.zeros((2, 1)))
 
 
 def test_the_example_learns_to_follow() -> None:
@@ -171,5 +193,7 @@ def test_what_is_no_episode_is_refused() -> None:
     for n in (0, 1.5):
         with refused(RangeError):
             ScenarioVectorEnv(one, n)
+    env = ScenarioEnv(one)
+    env.reset()
     with refused(ShapeError):
-        ScenarioEnv(one).step(np.zeros(3))
+        env.step(np.zeros(3))

@@ -82,7 +82,8 @@ class Episode(Declared):
     Observation:  q, v, and the error of the scenario's reference with its rate: of the joints, or of the tool
                   (position, then rotation vector; world axes)
     Reward:       1 / (1 + (|error| / width)^2) - effort mean over the ticks of sum((tau / limit)^2)
-    End:          truncated after the scenario's duration; terminated, with reward 0, where a number is not finite
+    End:          truncated after the scenario's duration; terminated, with reward 0, where a number is not finite,
+                  and info["reason"] says which
 
     Args:
         scenario: Name or file of a scenario with laws and one reference. Its events are left out.
@@ -328,6 +329,7 @@ class Episodes:
     def act(self, actions: Any, rng: np.random.Generator) -> tuple[Float64Array, Mask, Mask]:
         """A step of all lanes by actions (n, k): rewards, and which lanes are terminated and truncated."""
         given = np.clip(float_array("actions", actions, shape=(self._n, self.action_size)), -1.0, 1.0)
+        self._no_number = ~np.isfinite(given).all(axis=1)
         change, rest = given[:, : self._scale.size] * self._scale, given[:, self._scale.size :]
         for path, (low, ratio) in self._gains.items():
             part, rest = rest[:, : low.size].reshape(-1, *low.shape), rest[:, low.size :]
@@ -346,6 +348,11 @@ class Episodes:
         far = np.sum(self._look.error**2, axis=1) / float(self._episode.width) ** 2
         reward = 1.0 / (1.0 + far) - float(self._episode.effort) * self.arms.effort
         return np.where(self.arms.alive, reward, 0.0), ~self.arms.alive, self._step >= self.steps
+
+    def info(self, terminated: Mask) -> dict[str, Any]:
+        """Why lanes are terminated, as a vector environment gives it."""
+        why = np.where(self._no_number, "the action is not finite", "the simulation diverged")
+        return {"reason": np.where(terminated, why, ""), "_reason": terminated} if terminated.any() else {}
 
     def _watch(self) -> None:
         self._look.at(self.arms, {name: rows[self._step] for name, rows in self._reference.items()})
