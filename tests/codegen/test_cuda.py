@@ -350,7 +350,15 @@ def test_a_machine_without_a_gpu_is_refused(monkeypatch: pytest.MonkeyPatch, dri
     with refused(UsageError):
         ctrl.batch(3, device="cuda")
     monkeypatch.setitem(sys.modules, "cuda.bindings", None)
+    monkeypatch.setattr(cuda.ctypes, "CDLL", lambda name: name)
     with refused(MissingExtraError):
+        ctrl.batch(3, device="cuda")
+
+    def no_file(name: str) -> Any:
+        raise OSError(name)
+
+    monkeypatch.setattr(cuda.ctypes, "CDLL", no_file)
+    with refused(UsageError):
         ctrl.batch(3, device="cuda")
 
 

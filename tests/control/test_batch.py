@@ -129,6 +129,16 @@ def test_arrays_are_read_and_written_where_they_are() -> None:
         np.testing.assert_allclose(batch.step(state[:, :3], state[:, 3:6], ref), expected - 7.0, rtol=0.0, atol=1e-13)
 
 
+def test_a_command_takes_the_place_of_a_measurement_or_stands_beside_it() -> None:
+    ctrl, n = taut.compile(L.PID(kp=7.0, kd=2.0), taut.load_arm("planar2")), 9
+    state, ref = np.random.default_rng(0).standard_normal((n, 6)), taut.JointMotion(q=[0.3, 0.2])
+    q, v, expected = state[:, :2], state[:, 2:4], ctrl.batch(n).step(state[:, :2], state[:, 2:4], ref)
+    for out in (state[:, 4:], q, state[:, :2]):  # the last is the same place by another array
+        given = state.copy()
+        np.testing.assert_array_equal(ctrl.batch(n).step(q, v, ref, out=out), expected)
+        state[...] = given
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 @pytest.mark.parametrize("real", ["double", "float"])
 def test_a_lane_that_is_not_finite_is_reported_and_disturbs_no_other(bad: float, real: Any) -> None:
@@ -261,6 +271,19 @@ def test_arrays_that_cannot_be_read_where_they_are_are_refused() -> None:
     for kind, change in wrong:
         with refused(kind):
             batch.step(**{"q": q, "v": q, "ref": ref, **change})
+    rows, state = np.zeros((4, 2)), np.zeros((3, 4))
+    shared = [
+        {"q": rows[:3], "out": rows[1:]},
+        {"q": rows[0], "out": rows[:3]},
+        {"ref": {"q": state[:, :2], "v": q, "a": q}, "out": state[:, 1:3]},
+        {"out": np.lib.stride_tricks.as_strided(rows, (3, 2), (0, 8))},
+        {"out": np.lib.stride_tricks.as_strided(rows, (3, 2), (8, 8))},
+    ]
+    for change in shared:
+        with refused(UsageError):
+            batch.step(**{"q": q, "v": q, "ref": ref, **change})
+        with pytest.raises(UsageError):  # again, where the batch has seen the arrays
+            batch.step(**{"q": q, "v": q, "ref": ref, **change})
     for mask in (np.ones(2, dtype=bool), np.ones(3)):
         with refused(ShapeError):
             batch.reset(mask)
@@ -303,6 +326,7 @@ def test_batches_that_cannot_be_are_refused(monkeypatch: pytest.MonkeyPatch) -> 
     for arguments in (
         {"n": 0},
         {"n": 2.5},
+        {"n": 10**15},
         {"n": 3, "device": "gpu"},
         {"n": 3, "real": "half"},
         {"n": 3, "threads": 0},

@@ -32,6 +32,7 @@ LEGACY: Final = 1  # the default stream, as the driver and DLPack number it
 CODES: Final = ("int", "uint", "float", "handle", "bfloat", "complex", "bool")  # of DLPack's types
 READ_ONLY: Final = 1  # of DLPack's flags
 ELSE: Final = "take device='cpu' and arrays in its memory"
+NO_DRIVER: Final = f"device='cuda' needs the driver of an NVIDIA GPU, libcuda, and this machine has none; {ELSE}"
 
 THREAD: Final = f"""
 declare i32 @llvm.nvvm.read.ptx.sreg.tid.x()
@@ -133,6 +134,10 @@ class Gpu:
         try:
             from cuda.bindings import driver
         except ImportError as cause:
+            try:
+                ctypes.CDLL("nvcuda" if sys.platform == "win32" else "libcuda.so.1")
+            except OSError:
+                raise UsageError(NO_DRIVER, name="device") from cause
             raise missing_extra("device='cuda'", "cuda-bindings", "cuda") from cause
         self._driver: Any = driver
         self._context: Any = None
@@ -142,8 +147,7 @@ class Gpu:
         except TautError as cause:
             raise UsageError(f"device='cuda' needs an NVIDIA GPU: {cause}; {ELSE}", name="device") from cause
         except RuntimeError as cause:
-            text = "device='cuda' needs the driver of an NVIDIA GPU, libcuda, and this machine has none"
-            raise UsageError(f"{text}; {ELSE}", name="device") from cause
+            raise UsageError(NO_DRIVER, name="device") from cause
 
     def call(self, name: str, *arguments: Any) -> Any:
         """The result of one of the driver's functions; TautError where it fails."""

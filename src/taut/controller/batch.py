@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from math import prod
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import numpy as np
@@ -124,13 +125,15 @@ class Batch:
             q_motor: (n, joints) [rad | m].
             v_motor: (n, joints) [rad/s | m/s].
             a_tip: (n, 3) [m/s^2].
-            out: (n, joints) where the command goes; a new array of NumPy's, or on the GPU, if left out.
+            out: (n, joints) where the command goes, which may be q itself, or other columns of its array; a new array
+                of NumPy's, or on the GPU, if left out.
 
         Returns:
             The command, `out`: (n, joints), or (n, 5, joints) of a law that gives a MitCommand.
 
         Raises:
-            UsageError: An array in other memory, of another type, read-only as `out`, or with gaps in a row.
+            UsageError: An array in other memory, of another type, read-only as `out`, or with gaps in a row. On the
+                CPU, an `out` with rows that overlap, each other or those of other lanes in what is read.
             ShapeError: An array of another shape.
         """
         others = {"F_ext": F_ext, "tau_meas": tau_meas, "q_motor": q_motor, "v_motor": v_motor, "a_tip": a_tip}
@@ -142,6 +145,8 @@ class Batch:
             self._take(name, value)
         result = self._arrays.room(self._command.shape) if out is None else out
         self._take(self._command.path, result, name="out")
+        if out is not None and self.n > 1 and not self._arrays.strided:
+            self._require_apart((*given, *(reference if isinstance(ref, Mapping) else ())))
         self._arrays.run(self.threads)
         return result
 
@@ -156,6 +161,18 @@ class Batch:
             )
         lanes = self._arrays.sent("mask", lanes, per_lane=True) if lanes is given else lanes
         self._arrays.begin(self.memory[LANE_FRESH], self.memory[LANE_TICKS], lanes)
+
+    def _require_apart(self, inputs: Iterable[str]) -> None:
+        """UsageError where a row of `out` is one that another lane reads: lanes are computed group by group."""
+        out = self._arrays.kept[self._command.path]
+        for name in inputs:
+            both = self._arrays.kept[name], out
+            if np.shares_memory(*both) and len({(x.ctypes.data, x.shape, x.strides) for x in both}) > 1:
+                raise UsageError(
+                    f"out shares memory with {name}, in other rows; give {name} itself, other columns of its array, "
+                    "or another array",
+                    name="out",
+                )
 
     def _take(self, path: str, value: Any, name: str = "") -> None:
         """Point the code to an array of a caller, which is checked; one of NumPy's that it has already stays."""
@@ -190,6 +207,8 @@ class Batch:
                 name=who,
                 value=array.strides,
             )
+        if name and not self._arrays.strided and self.n > 1 and abs(array.strides[0]) < prod(shape) * array.itemsize:
+            raise UsageError(f"{who} has rows that overlap; give an array with a row for each lane", name=who)
         self._arrays.put(path, array, per_lane=bool(lead))
 
 
@@ -238,9 +257,12 @@ class LaneParameters(Parameters):
             self._check_rows(path, array)
             self._store(path, array, per_lane=True)
         elif array.ndim > len(shape):
+            joints = self._side.arm.n
+            scalar = shape == () and array.shape == (self._n, joints) and path.startswith("law.")
+            way = f"; compile the law with a gain for each joint, such as [100.0] * {joints}" if scalar else ""
             raise ShapeError(
                 f"{path} must have shape {(self._n, *shape)}, or {shape} for all lanes, as it was compiled; got "
-                f"shape {array.shape}",
+                f"shape {array.shape}{way}",
                 name=path,
             )
         else:

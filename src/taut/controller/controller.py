@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from taut.arm.description import Arm
-from taut.base.errors import UsageError
+from taut.base.errors import RangeError, UsageError
 from taut.base.paths import Named, subtree
 from taut.base.types import ArrayLike, Float64Array, Vector
 from taut.codegen.engine import Engine
@@ -236,6 +236,7 @@ class Controller:
 
         Raises:
             UsageError: Another device or type, no GPU, a controller of a task, or one in the float engine.
+            RangeError: More lanes than memory holds.
             MissingExtraError: device="cuda" without cuda-bindings.
 
         Example:
@@ -248,7 +249,12 @@ class Controller:
         """
         from taut.controller.batch import Batch
 
-        return Batch(self, n, device, real, threads)
+        try:
+            return Batch(self, n, device, real, threads)
+        except MemoryError as cause:
+            raise RangeError(
+                f"the arrays of {n:g} lanes need more memory than there is; make n smaller", name="n"
+            ) from cause
 
     @property
     def phase(self) -> str:
