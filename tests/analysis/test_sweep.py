@@ -367,6 +367,7 @@ def test_a_loop_with_mujoco_is_the_same_in_one_process_and_in_several(monkeypatc
         (ShapeError, {"law.kp": [1.0, 2.0]}),
         (ShapeError, {"q0[2]": U(0.0, 1.0)}),
         (UsageError, [("law.kp", U(0.0, 1.0))]),
+        (UsageError, {"q0[1]": U(0.0, 1.0), "q0": U(0.0, 1.0)}),
     ],
 )
 def test_what_the_loop_refuses_is_refused_before_the_first_sample(

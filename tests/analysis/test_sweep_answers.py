@@ -134,6 +134,8 @@ def test_a_sweep_ends_in_a_rate_of_runs_that_meet_what_was_asked(found: taut.ana
     judged = dataclasses.replace(found, bounds={"final_error": (0.05, 0.1), "peak_torque": (-np.inf, 1e9)})
     assert judged.success.count == int((good & (error >= 0.05)).sum())
     assert dataclasses.replace(found, bounds={}).success.count == 397
+    assert "success" in str(found)
+    assert "success:" not in str(dataclasses.replace(found, bounds={}))
     assert f"{100 * good.mean():.4g} %" in str(found)
 
 

@@ -133,6 +133,18 @@ def test_check_exits_with_two_when_something_is_refused(tmp_path: Path, capsys: 
         (["check", "no/such.urdf"], "taut: model 'no/such.urdf' does not exist"),
         (["check", __file__], f"taut: model '{__file__}' is neither a .urdf nor an MJCF .xml file"),
         (["run", "one_joint_pid", "--law", ""], "taut: --law takes FILE.py:CLASS; got ''"),
+        (
+            ["sweep", "geared_force", "--law", "x"],
+            "taut: scenario 'geared_force' has the law 'ForceControl'; got 'x'; leave --law",
+        ),
+        (
+            ["sweep", "one_joint_pid", "--law", "x"],
+            "taut: scenario 'one_joint_pid' has the laws 'PD', 'PID'; got 'x'; gi",
+        ),
+        (
+            ["sweep", "one_joint_pid", "--law", "PD", "--vary", "law.kp=1:2", "--vary", "law.kp=3:4"],
+            "taut: --vary must be given once for each path; got 'law.kp' twice",
+        ),
     ],
 )
 def test_a_wrong_request_is_one_sentence_and_exit_status_two(

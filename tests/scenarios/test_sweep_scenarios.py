@@ -131,6 +131,17 @@ def test_any_sample_as_a_scenario_is_its_run_to_the_last_bit(case: str, tmp_path
         same_bits(run, file)
 
 
+def test_a_value_that_is_given_wins_over_an_event_at_the_start(tmp_path: Path) -> None:
+    scenario_of(RIGID + SINE + PASS, tmp_path)
+    scenario = load_scenario(str(tmp_path / "base.toml"), values={"law.kd": 9.0, "plant.payload.mass": 1.0})
+    subject = sweep_scenario(scenario, LAW, {}, samples=1).plan.subject
+    assert np.all(subject.parameters["law.kd"] == 9.0)
+    (tmp_path / "set.toml").write_text((BASE + RIGID + SINE + PASS).replace("7.0", "9.0"), encoding="utf-8")
+    loaded = load_scenario(str(tmp_path / "set.toml"), values={"plant.payload.mass": 1.0})
+    runs = [one.experiment.run(one.experiment.controller(one.laws[LAW])).q.tobytes() for one in (scenario, loaded)]
+    assert runs[0] == runs[1]
+
+
 def test_a_task_is_judged_by_its_phases_and_written_with_them(tmp_path: Path) -> None:
     phases = """
 [arm]
@@ -189,7 +200,7 @@ def test_the_command_ends_in_files_whose_worst_case_has_the_same_metric(
     assert found.worst == data["worst"]
     assert ran == found.run(found.worst).metrics.json()
     assert main(["run", data["outputs"]["worst"], "--out", str(tmp_path / "run")]) == 2  # its law is not in the file
-    assert "laws" in capsys.readouterr().err
+    assert "--law FILE.py:CLASS" in capsys.readouterr().err
 
 
 def _spring(file: Path) -> taut.Law:

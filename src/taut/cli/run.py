@@ -50,7 +50,8 @@ RUN: Final = Command(
         },
         "--law": {
             "metavar": "FILE.py:CLASS",
-            "help": "a law of your own instead of the scenario's laws, whose pass criteria then do not count",
+            "help": "a law of your own instead of the scenario's laws, which all run without it; their pass criteria "
+            "then do not count",
         },
         "--gain": GAIN,
         "--robot": {
@@ -102,6 +103,12 @@ SCENARIOS: Final = Command(
 )
 
 
+LAW_OF_SCENARIO: Final[Mapping[str, Any]] = {
+    "metavar": "NAME",
+    "help": "name of one of its laws, needed where it has several; or a law of your own, as in run: FILE.py:CLASS",
+}
+
+
 def scenario_with_law(arguments: argparse.Namespace, values: Mapping[str, Any] | None = None) -> tuple[Scenario, str]:
     """A scenario with one of its laws: that of --law, which may be one of the user's own, or its only one."""
     from taut.scenarios.scenario import load_scenario
@@ -113,9 +120,9 @@ def scenario_with_law(arguments: argparse.Namespace, values: Mapping[str, Any] |
         name = next(iter(scenario.laws))
     if name not in scenario.laws:
         got = "none was named" if name is None else f"got '{name}'"
-        raise UsageError(
-            f"scenario '{scenario.name}' has the laws {', '.join(map(repr, scenario.laws))}; {got}; give --law NAME"
-        )
+        laws = f"law{'s' * (len(scenario.laws) > 1)} {', '.join(map(repr, scenario.laws))}"
+        way = "give --law NAME" if len(scenario.laws) > 1 else "leave --law out"
+        raise UsageError(f"scenario '{scenario.name}' has the {laws}; {got}; {way}")
     return scenario, name
 
 
@@ -136,7 +143,7 @@ EXPORT: Final = Command(
     run=_export,
     arguments={
         "scenario": {"metavar": "SCENARIO", "help": "a name that `taut scenarios` lists, or a path"},
-        "--law": {"metavar": "NAME", "help": "one of its laws, or a law of your own: FILE.py:CLASS"},
+        "--law": LAW_OF_SCENARIO,
         "--gain": GAIN,
         "--out": {"type": Path, "default": Path("firmware"), "metavar": "DIR", "help": "(default: firmware)"},
         "--prefix": {"default": "ctrl", "help": "what files, types and functions begin with (default: ctrl)"},

@@ -9,8 +9,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from taut.base.errors import UsageError
 from taut.cli.command import DONE, FAILED, GAIN, STATUS, Answer, ByName, Command, Say, numbers
-from taut.cli.run import scenario_with_law
+from taut.cli.run import LAW_OF_SCENARIO, scenario_with_law
 
 if TYPE_CHECKING:
     from taut.analysis.sweeps.distributions import Distribution
@@ -31,10 +32,12 @@ def _range(text: str) -> Range:
 def _varied(ranges: Sequence[Range]) -> dict[str, Distribution]:
     from taut.analysis.sweeps.distributions import choice, uniform
 
-    return {
-        path: choice(low if isinstance(low, list) else [low]) if high is None else uniform(low, high)
-        for path, low, high in ranges
-    }
+    out: dict[str, Distribution] = {}
+    for path, low, high in ranges:
+        if path in out:
+            raise UsageError(f"--vary must be given once for each path; got {path!r} twice", name="vary")
+        out[path] = choice(low if isinstance(low, list) else [low]) if high is None else uniform(low, high)
+    return out
 
 
 def _count(text: str) -> int:
@@ -89,7 +92,7 @@ SWEEP: Final = Command(
         },
         "--samples": {"type": _count, "default": 1000, "metavar": "N", "help": "number of runs (default: 1000)"},
         "--seed": {"type": int, "default": 0, "metavar": "N", "help": "of all that is drawn (default: 0)"},
-        "--law": {"metavar": "NAME", "help": "one of its laws, or a law of your own: FILE.py:CLASS"},
+        "--law": LAW_OF_SCENARIO,
         "--gain": GAIN,
         "--metric": {"action": "append", "metavar": "NAME", "help": "what is computed of each run; once for each"},
         "--out": {

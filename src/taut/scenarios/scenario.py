@@ -349,8 +349,8 @@ def read_experiment(
     due = [_event(each, check) for each in events]
     if parameters:
         with Table("--set:", "", {}).blamed():
-            due.insert(0, Event(t=0.0, set=parameters))
-            check(due[0])
+            due.append(Event(t=0.0, set=parameters))  # after those at t = 0, over which it wins
+            check(due[-1])
     experiment = Experiment(
         name=root.where,
         reference=reference,
@@ -383,7 +383,8 @@ def _laws(
         return {}, {TASK: root}
     if own_laws is not None:
         return dict(own_laws), {label: Table(f"--law {label}:", "", {}) for label in own_laws}
-    section = root.table("laws", required=True)
+    root.need("laws", "the section [laws], or --law FILE.py:CLASS, which also made the file where it is of a sweep")
+    section = root.table("laws")
     if not section.values:
         raise section.error("needs one law at least: [laws.PID] with law = 'PID' and its gains")
     tables = {label: section.table(label) for label in section.values}

@@ -169,6 +169,13 @@ class Plan:
                 name="vary",
             )
         varied = tuple(_varied(subject, path, value, number) for path, value in vary.items())
+        whole = {each.target for each in varied if each.entry is None}
+        for each in varied:
+            if each.entry is not None and each.target in whole:
+                raise UsageError(
+                    f"vary has '{each.target}' and its entry '{each.path}'; vary the whole, or its entries",
+                    name="vary",
+                )
         plan = cls(subject=subject, varied=varied, samples=number, seed=whole_number("seed", seed, maximum=MAX_SEED))
         plan._check()
         return plan

@@ -203,10 +203,10 @@ class Sweep(Result):
             return Content(title=title, faults=faults)
         ended = [f"{(self.table['outcome'] == kind).sum()} {kind}" for kind in self._kinds]
         rules = ["completed", *(f"{name} {_rule(*ends)}" for name, ends in self.bounds.items())]
-        summary = [
-            f"{count_of(self.samples, 'sample')}: {', '.join(ended)}",
-            f"success: {self.success}: {', '.join(rules)}",
-        ]
+        judged = f"success: {self.success}: {', '.join(rules)}"
+        if not self.bounds:
+            judged = f"completed: {self.success}; no criteria of success were given"
+        summary = [f"{count_of(self.samples, 'sample')}: {', '.join(ended)}", judged]
         if self.worst is not None:
             summary.append(f"worst case: sample {self.worst}; .run({self.worst}) runs it again, to the last bit")
         rows: list[Sequence[Cell]] = []
