@@ -325,6 +325,7 @@ MISUSE: dict[str, Callable[[], Any]] = {
     "an arm's name": lambda: taut.load_arm("plannar2"),
     "a file's name": lambda: taut.load_arm("panda.urfd"),
     "a law's name": lambda: taut.laws.ComputedTorqe,
+    "a name of another module, in other letters": lambda: taut.laws.LQR,
     "a public name": lambda: taut.RigidPlnat,
     "a gain's name": lambda: taut.laws.PID(kP=1.0),
     "a parameter's path": lambda: CTRL.parameters["law.kP"],

@@ -490,6 +490,9 @@ def test_the_result_names_what_the_motion_did_not_excite() -> None:
     assert found.not_excited.shape == (6, 10)
     assert {"I_xy", "I_yz"} <= set(found.directions)
     assert found.mass == pytest.approx(1.0, abs=0.02)
+    assert found.content().tables[0].rows[0][3] == "yes"
+    early = taut.analysis.payload_estimate(run.between(1.8, 2.3))
+    assert early.content().tables[0].rows[0][3] == "yes, still changing"
     learned = [name for name, ok in zip(("m", *"xyz", *rg.PARAMETERS[4:]), found.excited, strict=True) if ok]
     assert learned == ["m", "x", "z", "I_yy"]
     # A step of the parameters along such a direction changes no torque of the run.

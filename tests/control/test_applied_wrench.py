@@ -74,6 +74,19 @@ def test_in_contact_the_environment_gets_the_wrench(engine):
     np.testing.assert_allclose(sum(run.terms.values()), run.command, atol=1e-9)
 
 
+@pytest.mark.part(1)
+@pytest.mark.parametrize("name", ["panda", "ur10", "xarm7", "fr3"])
+def test_the_example_of_the_page_presses_with_light_wrists_too(name):
+    arm = taut.load_arm(name)
+    T = taut.snapshot(arm, arm.home).T()
+    wall = taut.environments.StiffWall(point=T.p - [0, 0, 0.02], normal=[0, 0, 1], stiffness=5e3, damping=50.0)
+    law = AppliedWrench(law=Impedance(K=[500, 500, 1, 30, 30, 30], zeta=1.0), speed=(0.05, 0.2))
+    ref = taut.pressing(TaskMotion(pose=T), F_app=[0, 0, -10.0, 0, 0, 0])
+    run = taut.run(taut.compile(law, arm), RigidPlant(arm, friction=None, environment=wall), ref, duration=1.0)
+    assert run.info.stability.stable
+    assert abs(run.extra["F_ext"][-1, 2] - 10.0) < 0.05
+
+
 def test_a_spring_along_it_holds_it():
     arm = taut.load_arm("panda")
     T = taut.snapshot(arm, arm.home).T()

@@ -114,6 +114,16 @@ def test_intervals_without_width_are_refused_when_the_law_is_compiled() -> None:
     taut.compile(taut.laws.Robust(lam=10.0, k=10.0, phi=0.1, uncertainty=taut.laws.Uncertainty()), dry)
 
 
+def test_friction_with_an_interval_takes_the_place_of_the_models_own() -> None:
+    arm = taut.load_arm("planar2")
+    unknown = taut.laws.Uncertainty(viscous=(0.05, 0.15), coulomb=(0.0, 0.2))
+    law = taut.laws.Robust(lam=10.0, k=10.0, phi=0.1, uncertainty=unknown)
+    moving = [0.3, 0.8], [0.5, -0.7], taut.JointMotion(q=[0.4, 0.7], v=[0.6, -0.6])
+    models = (arm.with_friction(taut.Friction(viscous=b, coulomb=c)) for b, c in ((0.1, 0.1), (10.0, 3.0)))
+    one, other = (taut.compile(law, model, engine="float").step(*moving) for model in models)
+    np.testing.assert_array_equal(one, other)
+
+
 def test_a_plant_that_adds_gravity_is_given_what_is_missing() -> None:
     arm = taut.load_arm("panda")
     law = taut.laws.Robust(

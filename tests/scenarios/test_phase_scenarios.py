@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import taut
 from taut.scenarios.run import run_scenario
@@ -131,13 +132,14 @@ def test_a_transition_begins_with_the_motion_in_which_its_phase_begins(tool: boo
         ('law = "ComputedTorque", kp = 100, kd = 20', 'law = "ForceControl"', "phases 1.reference.kind"),
         ("velocity = 1,", "velocity = 0,", "phases 1.reference.velocity"),
         ("velocity = 1,", "speed = 1,", "phases 1.reference.speed"),
-        ("velocity = 1,", "", "phases 1.reference.kind"),
+        ("velocity = 1,", "", "phases 1.reference"),
+        ('"transition"', '"transitoin"', "phases 1.reference.kind"),
         ("q = [0.1, 0, 0, 0, 0, 0, 0],", "", "phases 1.reference.q"),
     ],
 )
 def test_a_transition_that_is_none_is_refused_by_its_path(old: str, new: str, path: str, tmp_path: Path) -> None:
     assert old in MOVING
-    with pytest.raises(taut.errors.ScenarioError) as caught:
+    with refused(taut.errors.ScenarioError) as caught:
         loaded(MOVING.replace(old, new), tmp_path)
     assert caught.value.name == path
 
@@ -160,7 +162,60 @@ def test_a_task_runs_from_a_file_and_has_a_line_for_each_visit_of_a_phase(tmp_pa
         ("go", None),
     ]
     assert run.phases[0].end == pytest.approx(0.255)  # five ticks from 0.25 s on
-    assert list(result.json()["metrics"]) == ["go", "stay", "go 2"]
+    assert list(result.json()["metrics"]) == ["task", "go", "stay", "go 2"]
+
+
+JUMP = """
+[arm]
+model = "planar2"
+[[phases]]
+name = "one"
+law = { law = "PID", kp = 20, kd = 5 }
+reference = { kind = "set-point", relative_to_home = true, q = [0, 0] }
+until = { elapsed = 0.05 }
+[[phases]]
+name = "two"
+law = { law = "PID", kp = 20, kd = 5 }
+reference = { kind = "set-point", relative_to_home = true, q = [0.1, 0] }
+[plant]
+kind = "rigid"
+[run]
+duration = 0.1
+[outputs]
+columns = ["torque_jump"]
+[[pass]]
+law = "task"
+metric = "torque_jump"
+min = 1.9
+"""
+
+
+def test_a_jump_between_two_phases_is_in_the_row_of_the_whole_run(tmp_path: Path) -> None:
+    result = run_scenario(loaded(JUMP, tmp_path), tmp_path / "out", say=lambda _: None)
+    assert result.ok, result.missed
+    values = {row[0]: row[1] for row in result.content().tables[0].rows}
+    assert list(values) == ["task", "one", "two"]
+    assert values["task"] > 1.9 > 10.0 * max(values["one"], values["two"])
+
+
+def test_a_phase_of_one_tick_in_the_window_has_no_row(tmp_path: Path) -> None:
+    text = JUMP.replace("[outputs]", "[outputs]\nwindow = [0.05, 0.1]")
+    result = run_scenario(loaded(text, tmp_path), tmp_path / "out", say=lambda _: None)
+    assert next(iter(result.runs.values())).phases[0].end == pytest.approx(0.051)
+    table = result.content().tables[0]
+    assert table.columns[1:] == ["two"]
+
+
+def test_a_criterion_is_not_met_by_a_run_that_stopped(tmp_path: Path) -> None:
+    text = JUMP.replace("min = 1.9", "max = 100.0").replace(
+        'kind = "set-point", relative_to_home = true, q = [0.1, 0] }',
+        'kind = "transition", relative_to_home = true, q = [0.1, 0], velocity = 1e-9, acceleration = 5 }',
+    )
+    moving = text.replace("q = [0, 0] }", "q = [0.5, 0] }")  # the second phase begins faster than its limit
+    result = run_scenario(loaded(moving, tmp_path), tmp_path / "out", say=lambda _: None)
+    assert [one.outcome.kind for one in result.runs.values()] == ["stopped"]
+    assert ["this one stopped" in text for text in result.missed] == [True]
+    assert "passed: 0 of 1 pass criteria" in result.content().summary
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,7 @@ def lazy_names(module: str, file: str) -> tuple[Callable[[str], Any], Callable[[
         if name not in homes:
             others = [] if name.startswith("_") else _doors_with(name)
             unknown = unknown_name(module, "public name", name, names)
-            text = f"{module} has no public name {name!r}; it is {others[0]}.{name}" if others else str(unknown)
+            text = f"{module} has no public name {name!r}; it is {others[0]}" if others else str(unknown)
             raise AttributeError(text, name=name, obj=None)
         value = _value(homes[name], name)
         if name != "math":  # whose functions are too quick to wrap
@@ -46,10 +46,12 @@ def lazy_names(module: str, file: str) -> tuple[Callable[[str], Any], Callable[[
 
 
 def _doors_with(name: str) -> list[str]:
-    """The front doors that have a public name."""
+    """Where front doors have a public name, or the same in other letters: lqr for LQR, not Lqr."""
     top = importlib.import_module("taut")
     doors = [top, *(value for word in top.__all__ if isinstance(value := getattr(top, word), ModuleType))]
-    return [door.__name__ for door in doors if name in door.__all__]
+    found = [(door.__name__, each) for door in doors for each in door.__all__ if each.lower() == name.lower()]
+    found.sort(key=lambda one: (one[1] != name, one[1] != name.lower()))
+    return [".".join(one) for one in found]
 
 
 def _value(home: str, name: str) -> Any:

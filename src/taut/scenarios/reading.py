@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import difflib
 import inspect
 import os
 import re
@@ -166,7 +167,9 @@ class Table:
     def choice(self, key: str, options: Iterable[str], default: Any = None) -> Any:
         value, words = self.values.get(key, default), tuple(options)
         if key in self.values and (not isinstance(value, str) or value not in words):
-            raise self.error(f"must be one of {quoted_list(words, most=len(words))}; got {shown(value)}", key)
+            close = difflib.get_close_matches(value, words, n=1) if isinstance(value, str) else []
+            hint = f"; did you mean {close[0]!r}?" if close else ""
+            raise self.error(f"must be one of {quoted_list(words, most=len(words))}; got {shown(value)}{hint}", key)
         return value
 
     def file_of(self, key: str, kind: str) -> Path:

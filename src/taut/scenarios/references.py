@@ -141,6 +141,7 @@ KINDS: Final[Mapping[str, Callable[..., Any]]] = {
 }
 FROM_BEGIN: Final[Mapping[str, Callable[..., Any]]] = {"steady": Steady, "by": _displaced}
 """Motions of the tool from where a phase begins."""
+TRANSITION: Final = "transition"
 GOALS: Final[Mapping[type, str]] = {JointMotion: "set-point", TaskMotion: "pose"}
 """The kind of the goal of a transition, by what its law follows."""
 
@@ -150,6 +151,8 @@ def read_reference(table: Table, arm: Arm, home: Float64Array, laws: Mapping[str
     if not table.values:
         return Hold()
     table.need("kind")
+    if table.get("kind") in (TRANSITION, *FROM_BEGIN):
+        raise table.error(f"'{table.get('kind')}' begins where a phase begins; put it into one of [[phases]]", "kind")
     word = table.choice("kind", KINDS)
     kind = KINDS[word]
     forces = {} if word in FORCE_KINDS else _forces(table)
@@ -293,10 +296,10 @@ def _phase(table: Table, arm: Arm, home: Float64Array) -> Phase:
 
 def _phase_reference(table: Table, law: Law, arm: Arm, home: Float64Array) -> PhaseReference:
     """A reference as in [reference], or a motion of the tool from where the phase begins."""
-    name = table.get("kind")
-    if name == "transition":
+    name = table.choice("kind", (*KINDS, *FROM_BEGIN, TRANSITION))
+    if name == TRANSITION:
         return _transition(table, law, arm, home)
-    kind = FROM_BEGIN.get(name) if isinstance(name, str) else None
+    kind = FROM_BEGIN.get(name)
     if kind is None:
         return read_reference(table, arm, home, {TASK: law}) if table.values else None
     forces = _forces(table)
@@ -328,7 +331,7 @@ def _transition(table: Table, law: Law, arm: Arm, home: Float64Array) -> Callabl
 
     def motion(x: Snapshot) -> Reference:
         start = JointMotion(q=x.q, v=x.v) if joints else TaskMotion(pose=x.T(tool), twist=x.J(tool) @ x.v)
-        with table.blamed("kind"):
+        with table.blamed(made="Transition"):
             return Transition(start=start, goal=goal, **timing)
 
     motion(snapshot(arm, home))  # tried at once, so that an error names its key

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from taut.base.errors import (
     FileError,
     MissingExtraError,
@@ -28,7 +30,7 @@ from taut.record.comparison_plot import MAX_RUNS, compare
 from taut.record.info import ScenarioInfo
 from taut.record.log.files import checked_target, written_aside
 from taut.record.metrics import METRICS, Metrics
-from taut.record.run import Run
+from taut.record.run import HALF, Run
 from taut.runtime.realtime.robot import Robot
 from taut.scenarios.on_robot import run_on_robot
 from taut.scenarios.scenario import FILES, PassFigure, Scenario, Trial
@@ -130,7 +132,7 @@ class ScenarioResult(Result):
     def _of_runs(self) -> Table:
         """A row for each metric and a column for each run; the other way round where there are more runs."""
         joint, window = self.scenario.outputs.joint, self.scenario.outputs.span
-        runs = _apart(self.runs)
+        runs = _apart(self.runs, window)
         rows: list[list[Cell]] = [["", *(trial.label for trial in runs)]]
         rows += [[title, *numbers] for title, numbers in self._rows(runs)]
         rows.append(["outcome", *(one.outcome.kind for one in runs.values())])
@@ -148,15 +150,21 @@ def _within(one: Run, window: tuple[float, float] | None) -> Metrics:
     return one.between(*window).metrics
 
 
-def _apart(runs: Mapping[Trial, Run]) -> dict[Trial, Run]:
-    """Runs of laws side by side by their parts, those of a task by its phases, and all others as they are."""
+def _apart(runs: Mapping[Trial, Run], span: tuple[float, float] | None = None) -> dict[Trial, Run]:
+    """Runs of laws side by side by their parts, those of a task by its phases, and all others as they are.
+
+    Of several phases the whole run is there too, as a jump between two of them is in neither. A phase without two
+    ticks in the span is left out.
+    """
     out: dict[Trial, Run] = {}
     for trial, one in _by_part(runs).items():
+        phases = {}
         for window in one.phases if one.info.phases else ():
             label = f"{window.name} {window.visit + 1}" if window.visit else window.name
-            out[Trial(trial.case, label)] = one.phase(window.name, window.visit)
-        if not one.info.phases:
-            out[trial] = one
+            phase = one.phase(window.name, window.visit)
+            if span is None or np.sum((phase.t > span[0] - HALF) & (phase.t < span[1] + HALF)) > 1:
+                phases[Trial(trial.case, label)] = phase
+        out |= phases if len(phases) == 1 and one.outcome.ok else {trial: one} | phases
     return out
 
 
@@ -184,6 +192,8 @@ def _metrics_by_case(runs: Mapping[Trial, Run]) -> dict[str, Any]:
 def _shortfall(figure: PassFigure, one: Run) -> str:
     """Sentence on how a pass criterion is missed: the run, a law beside others, or a phase; empty if not."""
     what = figure.metric if figure.joint is None else f"{figure.metric} of joint '{figure.joint}'"
+    if not one.outcome.ok:
+        return f"{what} counts only in a run that goes to its end; this one {one.outcome.kind}"
     values = _values(figure, one)
     if not values:
         return "the phase did not act"

@@ -46,6 +46,7 @@ GLANCE: Final = 200  # ticks of a reference that are looked at before a run
 OF_A_CASE: Final = ("arm", "laws", "phases", "control", "plant", "reference", "preparation", "run", "event")
 OF_CONTROLLERS: Final = ("arm", "laws", "control", "preparation")
 OF_ALL_CASES: Final = ("title", "outputs", "pass")
+LQR: Final = "lqr"  # the law of a table that is designed
 MAX_CASES: Final = 200
 MAX_NAME: Final = 200  # bytes of a file's name; systems take 255, and a file is written under a longer one first
 FILES: Final = {
@@ -388,12 +389,12 @@ def _laws(
     if not section.values:
         raise section.error("needs one law at least: [laws.PID] with law = 'PID' and its gains")
     tables = {label: section.table(label) for label in section.values}
-    return {label: _designed(table, out) or read_law(table) for label, table in tables.items()}, tables
+    return {label: _designed(table, out) or read_law(table, [LQR]) for label, table in tables.items()}, tables
 
 
 def _designed(table: Table, out: Mapping[str, Any]) -> Law | None:
     """The law of law = "lqr", for the arm as the controllers know it; None for another one."""
-    if table.get("law") != "lqr":
+    if table.get("law") != LQR:
         return None
     from taut.analysis import lqr
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -55,11 +55,14 @@ def _inner(table: Table, key: str) -> Law:
     return read_law(table.table(key, required=True))
 
 
-def read_law(table: Table) -> Law:
-    """law = "PID" with its gains, or law = ["FeedForward", "PID"] with a table of gains for each."""
+def read_law(table: Table, designed: Sequence[str] = ()) -> Law:
+    """law = "PID" with its gains, or law = ["FeedForward", "PID"] with a table of gains for each.
+
+    `designed` are names that are read elsewhere, for a message.
+    """
     table.need("law")
     if not isinstance(table.get("law"), list):
-        return _one_law(table.without("law"), table, table.text("law"))
+        return _one_law(table.without("law"), table, table.text("law"), designed)
     names = table.texts("law", example='["FeedForward", "PID"]') or []
     if len(names) != len(set(names)) or not names:
         raise table.error(f"must name one law at least, each once; got {names}", "law")
@@ -69,13 +72,13 @@ def read_law(table: Table) -> Law:
         return sum(laws[1:], start=laws[0])
 
 
-def _one_law(gains: Table, table: Table, name: str) -> Law:
+def _one_law(gains: Table, table: Table, name: str, designed: Sequence[str] = ()) -> Law:
     if name == "SideBySide":
         return _side_by_side(gains)
     known = {word: kind for word, kind in law_classes(all_laws).items() if word != "Sum"}
     with table.blamed("law"):
         if name not in known:
-            raise unknown_name("taut.laws", "law", name, known)
+            raise unknown_name("taut.laws", "law", name, [*known, *designed])
     if issubclass(known[name], Wrapper) and "law" not in gains:
         raise table.error(f"'{name}' is around another one: write wrapped_by = {{ law = '{name}' }} there", "law")
     law: Law = read(known[name], gains, others=["wrapped_by"])

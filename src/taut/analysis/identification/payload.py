@@ -22,6 +22,7 @@ from taut.record.run import Run
 
 ESTIMATE: Final = ".estimate"  # ends the column of a run
 EXCITED: Final = 1e-5  # [-] of the largest eigenvalue, 1/300 in torque: below it a direction is not excited
+CHANGING: Final = 0.05  # [-] of mass, centre of mass or inertia: an estimate that changes by more has not settled
 NAMED: Final = 0.05  # [-] of the largest entry of a direction: smaller ones are not named
 
 
@@ -65,7 +66,10 @@ class PayloadEstimate(Result):
         names = ["mass [kg]", *(f"com {axis} [m]" for axis in "xyz")]
         names += [f"{name} [kg m^2]" for name in rg.PARAMETERS[4:]]
         values = map(float, (self.mass, *self.com, *self.inertia))
-        excited = ("yes" if known else "no" for known in self.excited)
+        sizes = np.repeat([abs(self.mass), np.linalg.norm(self.com), np.linalg.norm(self.inertia)], [1, 3, 6])
+        changing = np.abs(self.moving) > CHANGING * sizes
+        words = ("yes, still changing" if moves else "yes" for moves in changing)
+        excited = (word if known else "no" for word, known in zip(words, self.excited, strict=True))
         found = f"the motion excited {self.rank} of 10 directions of the parameters"
         if self.directions:
             found += "; not excited, and so never learned: " + "; ".join(self.directions)

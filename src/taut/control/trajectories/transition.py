@@ -117,8 +117,8 @@ class Transition(Motion[Sample]):
             who = ("linear", "angular")[group] if tool else f"joint {group}"
             self.refuse(
                 ("velocity", "acceleration")[kind],
-                f"is kept by no duration: from this start {who} takes {exceeded.max():.4g} times its limit at least; "
-                "give larger limits, or a slower start",
+                f"is a limit that no duration keeps: from this start {who} reaches {exceeded.max():.4g} times it at "
+                "least; give larger limits, or a slower start",
                 RangeError,
             )
         return min(found, key=lambda each: each[0][-1])

@@ -40,14 +40,14 @@ def _interval(unit: str) -> Field:
 class Uncertainty(Declared):
     """Everything that is not known of an arm, as intervals: stated once, for the law, its layer and its certificate.
 
-    Friction is b v + c sgn(v), whatever the load. Every combination belongs to the set; rotors, lengths and gravity
-    are known.
+    Friction is b v + c sgn(v), whatever the load, and its intervals take the place of the model's own friction. Every
+    combination belongs to the set; rotors, lengths and gravity are known.
 
     Args:
         links: (n,) or a number, relative, below 1: of mass and inertia of each link together [1].
         payload: (min, max) point mass at the tool's origin beyond the arm's own payload, or short of it [kg].
-        viscous: (min, max), each a number or (n,) [N m s/rad | N s/m]; the model's own if left out.
-        coulomb: (min, max), each a number or (n,), static friction included [N m | N]; the model's own if left out.
+        viscous: (min, max), each a number or (n,) [N m s/rad | N s/m]; the model's own, as known, if left out.
+        coulomb: (min, max), each a number or (n,), static friction included [N m | N]; likewise.
         disturbance: (n,) or a number, the largest further torque [N m | N].
 
     Raises:
