@@ -7,7 +7,6 @@ Here: python sweep.py ROUNDS, or python sweep.py million (seconds and megabytes)
 from __future__ import annotations
 
 import dataclasses
-import resource
 import statistics
 import sys
 import threading
@@ -32,7 +31,7 @@ from taut.codegen.native import host_lanes
 from taut.runtime.events import Schedule
 from taut.runtime.ongoing import FusedRun
 
-TICKS, RUN_TICKS = 1000, 2000
+TICKS, RUN_TICKS, RUNS = 1000, 2000, 20
 CHUNK = 1024
 VARY = {"law.kp": taut.uniform(50.0, 400.0), "law.kd": taut.uniform(10.0, 60.0)}
 VARY |= {"plant.payload.mass": taut.uniform(0.0, 2.0)}
@@ -80,6 +79,11 @@ def measured(rounds: int) -> dict[str, list[float]]:
     lanes = {real: runner_of(plan, loop) for real, plan in plans.items()}
     chunk = {real: lambda runner=runner: runner.results(0, CHUNK) for real, runner in lanes.items()}
     core, wall = time.thread_time, time.perf_counter
+
+    def runs() -> None:
+        for _ in range(RUNS):
+            taut.run(longer, q0=rivals.CENTER)
+
     cases = {
         "scalar": (scalar(loop), TICKS, core),
         "double": (chunk["double"], CHUNK * TICKS, core),
@@ -87,7 +91,7 @@ def measured(rounds: int) -> dict[str, list[float]]:
         "double, wall": (chunk["double"], CHUNK * TICKS, wall),
         "double, two threads, wall": (lambda: both(chunk["double"]), 2 * CHUNK * TICKS, wall),
         "double, two threads, each": (lambda: both(chunk["double"]), 2 * CHUNK * TICKS, time.process_time),
-        "taut.run": (lambda: taut.run(longer, q0=rivals.CENTER), RUN_TICKS, core),
+        "taut.run": (runs, RUNS * RUN_TICKS, core),
     }
     for work, _, _ in cases.values():
         work()
@@ -155,7 +159,9 @@ def million(samples: int = 1_000_000) -> tuple[float, float]:
     began = time.perf_counter()
     found = taut.sweep(panda(), VARY, samples=samples, q0=rivals.CENTER, metrics=["rms_error"])
     assert found.completed.all()
-    return time.perf_counter() - began, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    took, status = time.perf_counter() - began, Path("/proc/self/status").read_text(encoding="utf-8")
+    peak = next(line for line in status.splitlines() if line.startswith("VmHWM"))  # ru_maxrss has the parent's too
+    return took, float(peak.split()[1]) / 1024.0
 
 
 def main() -> None:
