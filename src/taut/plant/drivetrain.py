@@ -20,7 +20,7 @@ from taut.trace import math as tm
 Values = Mapping[str, Any]
 SIDES: Final = 3  # times that the side which drives each gear is looked up; a fourth one changes nothing on a Panda
 RESTS: Final = 1e-9  # [rad/s | m/s] of a joint that friction holds: in MuJoCo it is not exactly zero
-UNLOADED: Final = 1e-9  # [N m | N] of the weight on a joint: less is rounding, of which the side is by chance
+UNLOADED: Final = 1e-9  # [N m | N] of the weight on a joint: less is rounding, whose sign is by chance
 
 
 class Transmission(Declared):
@@ -261,7 +261,8 @@ class Drivetrain:
             p = subtree(parameters, "actuation.transmission")
             wound = weight / _per_joint(p["stiffness"], n)
             if "backlash" in p:
-                side = tm.where(tm.abs(weight) > UNLOADED, tm.sign(weight), 0.0)
+                weighs = np.any(self.arm.gravity != 0.0)
+                side = tm.where(weight >= -UNLOADED, 1.0, -1.0) if weighs else tm.sign(weight)
                 wound = wound + 0.5 * p["backlash"] * side
             memory["q_motor"], memory["v_motor"] = q + wound, v + 0.0
         return memory
