@@ -25,6 +25,7 @@ from taut.trace.graph import LARGEST
 
 BRAKE_PER_SPEED: Final = 5.0  # [1/s] default deceleration over the speed limit: at rest within 0.2 s
 STOP_BANDWIDTH: Final = (20.0, 0.05)  # [rad/s], [-] of a controlled stop: at most this, and this part of the rate
+LAG: Final = 0.03  # [s] that a torque within its rate may be behind what the stop asks before that begins anew
 EASE: Final = 0.05  # [s] in which its deceleration rises; at the end the speed falls by 1/e in that time
 SOFT_GAIN: Final = 10.0  # [1/s] admissible speed towards a limit in its soft zone, over the distance
 SOFT_DAMPING: Final = (50.0, 0.25)  # [1/s], [-] deceleration over the speed above that, and of the rate
@@ -277,6 +278,7 @@ class SafeSide:
             "mode": tm.where(runs, 1.0, 0.0), "fault": fault, "blind": tm.where(seen.lost, 1.0, 0.0 * command),
             "residual": seen.residual, "index": tm.where(new_fault, index, safe["index"]),
             "value": tm.where(new_fault, value, safe["value"]), "started": 1.0, **stopping,
+            "late": tm.where(runs, 0.0, self._late(chosen, sent)),
         }  # fmt: skip
         out = {"command": sent}
         if tick.mit is not None:
@@ -436,8 +438,9 @@ class SafeSide:
         Closed loop:  e'' + 2 omega e' + omega^2 e = 0, with omega 20 rad/s or a twentieth of the rate
 
         It begins with the speed that is measured, as far as that can have come about since the tick before. A joint
-        that is lost has no feedback. Where commands are velocities or positions, these are v_ref and q_ref, which
-        begin with the last command.
+        that is lost has no feedback. While the rate of the torque holds a joint's command back, the stop begins anew
+        in each tick: feedback behind a rate that is too slow for it would swing up. Where commands are velocities or
+        positions, these are v_ref and q_ref, which begin with the last command.
         """
         brake, kind, v_now = self.deceleration, self.side.probe.kind, tm.array(x.v)
         q_now = safe["tau"] if kind == "position" else x.q
@@ -446,7 +449,8 @@ class SafeSide:
         else:
             most = SUDDEN * brake * dt
             v_now = tm.where(lost, v_now, tm.clip(v_now, safe["v"] - most, safe["v"] + most))
-        q_from, v_from = tm.where(enters, q_now, safe["q_stop"]), tm.where(enters, v_now, safe["v_stop"])
+        begins = enters | ((safe["late"] > 0.5) & ~lost)
+        q_from, v_from = tm.where(begins, q_now, safe["q_stop"]), tm.where(begins, v_now, safe["v_stop"])
         ease = tm.minimum(tm.where(enters, 0.0, safe["ease"]) + dt / EASE, 1.0)
         change = tm.clip(min(1.0, self.side.dt / EASE) * v_from, -ease * brake * dt, ease * brake * dt)
         v_ref = v_from - change
@@ -467,6 +471,14 @@ class SafeSide:
             a = a - sign * tm.where((room < self.limits.soft) & ~lost, too_fast, 0.0)
         damping = min(SOFT_DAMPING[0], SOFT_DAMPING[1] * self.side.rate)
         return damping * tm.array([x.M[i, i] for i in range(x.n)]) * a
+
+    def _late(self, asked: Vector, sent: Vector) -> Vector:
+        """(n,) 1.0 for each joint whose torque needs longer than `LAG` to become what is asked for."""
+        rate = self.limits.tau_dot if self._torques else None
+        if rate is None:
+            return tm.zeros(len(asked))
+        late: Vector = tm.where(tm.abs(asked - sent) > LAG * np.minimum(rate, LARGEST), 1.0, 0.0)
+        return late
 
     def _limited(self, command: Vector, before: Vector, dt: Any) -> Vector:
         """The command within its rate, and then within its magnitude, which wins."""
@@ -493,7 +505,7 @@ class SafeSide:
 
 def safe_shapes(n: int) -> dict[str, tuple[int, ...]]:
     """Shapes of the memory below "safe", which goes on from law to law."""
-    joints = ("q", "v", "tau", "law", "bump", "residual", "q_stop", "v_stop", "blind")
+    joints = ("q", "v", "tau", "law", "bump", "residual", "q_stop", "v_stop", "blind", "late")
     numbers = ("phase", "mode", "fault", "index", "value", "started", "ease")
     return dict.fromkeys(joints, (n,)) | dict.fromkeys(numbers, ())
 

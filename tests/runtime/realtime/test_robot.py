@@ -510,3 +510,20 @@ def test_many_starts_leave_nothing_behind(calm: Robot, share: Callable[[int], in
         f"{count} starts of a law on a robot: file descriptors and memory maps more",
         f"{max(np.subtract(after, before))}",
     )
+
+
+def test_a_stop_whose_torque_must_turn_round_comes_to_rest() -> None:
+    """Feedback behind a torque that changes too slowly once swung up: 53 rad/s, 38 rad of travel."""
+    arm = taut.load_arm("planar2").with_joints(effort=[50.0, 25.0], velocity=6.0)
+    arm = arm.with_gears(ratio=[9.0, 40.0], motor_inertia=[1.95e-4, 2e-5])
+    law = taut.laws.GravityPID(kp=[80.0, 40.0], kd=[4.0, 2.0])
+    with taut.connect(taut.RigidPlant(arm), limits=taut.SafetyLimits.of(arm, v=3.0), rate=500.0) as robot:
+        ctrl = taut.compile(law, arm, rate=robot.rate, adds=robot.adds)
+        robot.start(ctrl, taut.JointMotion(q=arm.home - 0.6))
+        with pytest.raises(taut.errors.RobotError, match="speed"):
+            robot.wait(2.0)
+        time.sleep(1.0)
+        run = robot.run()
+    after = run.extra["safe.fault"] > 0.0
+    assert np.abs(run.v[-1]).max() < 0.01
+    assert np.ptp(run.q[after], axis=0).max() < 1.5
