@@ -145,7 +145,7 @@ def bring_up(
             steps.append(Step(name=question, found=str(error), ok=False))
         finally:
             if robot.link.word("control") and robot.link.alive:
-                robot.link.ask("end")
+                robot.stop()  # which ends when the arm stands, also after Ctrl-C
         say(f"{steps[-1].name}: {steps[-1].found}")
         if not steps[-1].ok:
             break
