@@ -439,7 +439,7 @@ class SafeSide:
 
         It begins with the speed that is measured, as far as that can have come about since the tick before. A joint
         that is lost has no feedback. While the rate of the torque holds a joint's command back, the stop begins anew
-        in each tick: feedback behind a rate that is too slow for it would swing up. Where commands are velocities or
+        in each tick: feedback behind a rate that is too slow for it is unstable. Where commands are velocities or
         positions, these are v_ref and q_ref, which begin with the last command.
         """
         brake, kind, v_now = self.deceleration, self.side.probe.kind, tm.array(x.v)
