@@ -18,6 +18,7 @@ from taut.base.types import Float64Array, Vector
 from taut.control.faults import CODES
 from taut.control.lawside import HELD, KNOWN, LawSide, Tick
 from taut.control.limits import RATE_PER_EFFORT, left
+from taut.control.trajectories.compound import PhaseSample
 from taut.maths.model import PayloadValues
 from taut.maths.snapshot import Snapshot, measurement_shapes
 from taut.trace import math as tm
@@ -31,11 +32,18 @@ SOFT_GAIN: Final = 10.0  # [1/s] admissible speed towards a limit in its soft zo
 SOFT_DAMPING: Final = (50.0, 0.25)  # [1/s], [-] deceleration over the speed above that, and of the rate
 CONSISTENCY_TIME: Final = 0.02  # [s] over which positions and velocities are compared
 CONSISTENCY: Final = (0.1, 0.3)  # [-] allowed difference: of the speed limit, and of the speed
-JUMP: Final = (2.0, 0.005)  # [-], [rad | m] allowed step of a position: of the speed limit in a period, and besides
+JUMP: Final = (
+    2.0,
+    0.005,
+)  # [-], [rad | m] step of a position beyond its speeds: of their limit in a period, and more
+BELIEVED: Final = 10.0  # [-] of the speed limit, up to which a speed is
 PLAUSIBLE: Final = 1e6  # [any unit] a measurement beyond is as good as none
 SUDDEN: Final = 10.0  # [-] times the deceleration: change of a speed beyond is none from which a stop begins
 FOLLOWS: Final = 1.1  # [-] of the speed limit, which commands of speed and position keep, that a joint may reach
 OUTWARD: Final = 5e-3  # [rad/s | m/s] slower is at rest: an arm beyond a limit may be moved back
+REFERENCE_STEP: Final = 0.1  # [rad | m | -] of a reference's positions (and elements of R) in a tick
+POSITIONS: Final = ("q", "p", "R")  # fields of a reference that may not jump
+OF_ARM: Final = {"tau": "effort", "v": "velocity", "lower": "lower", "upper": "upper"}  # limits that an arm has too
 NO_TIME_OUT: Final = 1e9  # [s] time-out of a reference that does not go stale
 SIGNALS: Final = (
     "valid", "age", "hold_after", "stop_after", "hold", "recover", "begin", "over", "changed", "fault", "lost",
@@ -59,7 +67,8 @@ class SafetyLimits(Declared):
 
     Args:
         tau: Largest torque [N m | N], one number or one per joint.
-        tau_dot: Largest change of torque per second [N m/s | N/s]; magnitudes win over rates.
+        tau_dot: Largest change of a law's torque per second [N m/s | N/s]; magnitudes win over rates. A stop keeps
+            only the rate that the robot allows.
         v: Largest speed of the joints [rad/s | m/s].
         lower, upper: Positions [rad | m]; a joint that could not be braked before them any more is stopped.
         soft: Zone before these in which the speed towards them is damped to 10/s times the distance [rad | m].
@@ -96,6 +105,23 @@ class SafetyLimits(Declared):
                 self.refuse(
                     "soft", f"must be below half of the range of every joint, {np.min(room) / 2:.4g}", RangeError
                 )
+
+    def require_within(self, arm: Arm) -> None:
+        """RangeError for a finite limit beyond that of the arm: it would never act, or too late."""
+        for name, field in OF_ARM.items():
+            given = getattr(self, name)
+            if given is None:
+                continue
+            limit, own = np.broadcast_to(given, (arm.n,)), getattr(arm, field)
+            slack = 1e-9 * np.abs(own)
+            beyond = limit < own - slack if name == "lower" else limit > own + slack
+            for i in np.flatnonzero(np.isfinite(limit) & np.isfinite(own) & beyond):
+                most = "at least" if name == "lower" else "at most"
+                raise RangeError(
+                    f"limits.{name} of joint '{arm.joint_names[i]}' must be {most} that of arm '{arm.name}', "
+                    f"{own[i]:.4g}; got {limit[i]:.4g}; where the robot allows that: arm.with_joints({field}=...)",
+                    name=name, joint=arm.joint_names[i], value=float(limit[i]),
+                )  # fmt: skip
 
     @classmethod
     def of(cls, arm: Arm, **limits: Any) -> SafetyLimits:
@@ -149,13 +175,15 @@ class Seen:
 class SafeSide:
     """A law side under safety limits: the tick that a robot's loop repeats.
 
-    Its memory has `safe.*`, the same for every law, then `held.*`, the sample to hold, then that of the law side.
+    Its memory has `safe.*`, the same for every law, then `held.*`, the sample to hold, and `last.*`, the positions of
+    the one before, then that of the law side.
     """
 
     side: LawSide
     limits: SafetyLimits
     measures: tuple[str, ...]  # by the robot, besides positions
     at_rest: float = 0.0  # [rad/s | m/s] what measured velocities show at rest
+    torque_rate: float = 0.0  # [N m/s | N/s] that the robot allows; 0 where it takes any
 
     @cached_property
     def measured(self) -> dict[str, tuple[int, ...]]:
@@ -184,10 +212,18 @@ class SafeSide:
             )
 
     def check_pose(self, q: Float64Array) -> None:
-        """RangeError where the torque limits do not carry the arm at rest at q (n,)."""
+        """RangeError where the tool is outside the box, or torque limits do not carry the arm, at rest at q (n,)."""
+        x = Snapshot(self.side.model, q=q, v=np.zeros(len(q)), adds=self.side.adds)
+        if self.limits.box is not None:
+            p, (low, high) = np.asarray(x.T().p, dtype=np.float64), np.asarray(self.limits.box)
+            if np.any((p < low) | (p > high)):
+                raise RangeError(
+                    f"the tool is at {np.round(p, 4).tolist()} m, outside limits.box, {low.tolist()} to "
+                    f"{high.tolist()}; move the arm by hand, or state another box", name="box",
+                )  # fmt: skip
         if self.limits.tau is None or not self._torques:
             return
-        g = np.abs(np.asarray(Snapshot(self.side.model, q=q, v=np.zeros(len(q)), adds=self.side.adds).g))
+        g = np.abs(np.asarray(x.g))
         most = np.broadcast_to(self.limits.tau, g.shape)
         i = int(np.argmax(g - most))
         if g[i] > most[i]:
@@ -204,8 +240,14 @@ class SafeSide:
         return (
             {f"safe.{name}": shape for name, shape in safe_shapes(n).items()}
             | {f"held.{name}": shape for name, shape in fields.items()}
+            | {f"last.{name}": fields[name] for name in self.positions}
             | dict(self.side.probe.shapes)
         )
+
+    @cached_property
+    def positions(self) -> tuple[str, ...]:
+        """Fields of the reference that may not jump."""
+        return tuple(name for name in self.side.law.reference.fields(self.side.arm.n) if is_position(name))
 
     def start(
         self, inputs: Mapping[str, Any], parameters: Mapping[str, Any], memory: Mapping[str, Any]
@@ -217,6 +259,7 @@ class SafeSide:
         law = self.side.start({**seen.measured, "t": inputs["t"], **held}, rest, parameters)
         out = {path: memory[path] for path in memory if path.startswith("safe.")}
         out |= {f"held.{name}": getattr(rest, name) for name in self.side.law.reference.fields(self.side.arm.n)}
+        out |= {f"last.{name}": getattr(rest, name) for name in self.positions}
         return {**out, **law}
 
     def tick(
@@ -255,7 +298,9 @@ class SafeSide:
         latched = tm.where(recovers, 0.0, safe["fault"])
         acts = (tm.where(started, 1.0, safe["mode"]) > 0.5) & (latched < 0.5)
         of_motion = [*self._checks(x, safe, tick), *self._of_loop(signal)]
-        found = [*seen.findings, culprit.only(acts), *(one.only(control) for one in of_motion)]
+        last = {name: tm.where(begins, getattr(rest, name), memory[f"last.{name}"]) for name in self.positions}
+        jumps = [one.only(acts & fresh & (signal["hold"] < 0.5)) for one in self._jumps(sample, last, memory)]
+        found = [*seen.findings, culprit.only(acts), *(one.only(control) for one in (*jumps, *of_motion))]
         code, index, value = _first(found)
         new_fault = (latched < 0.5) & (code > 0.5)
         fault = tm.where(new_fault, code, latched)
@@ -266,7 +311,7 @@ class SafeSide:
         chosen = tm.where(runs, wanted, stop)
         chosen = chosen + self._soft(x, seen.lost) if self._torques else chosen
         chosen = tm.where(tm.abs(chosen) <= LARGEST, chosen, safe["tau"])
-        sent = self._limited(chosen, tm.where(control, safe["tau"], chosen), dt)
+        sent = self._limited(chosen, tm.where(control, safe["tau"], chosen), runs, dt)
         # Without control the robot holds itself, and the next command begins from what that takes.
         sends = tm.where(control, sent, self._resting(x))
 
@@ -294,7 +339,9 @@ class SafeSide:
         out |= {column: law_memory[path] for column, path in side.recorded.items()}
         out |= {f"reference.{name}": getattr(sample, name) for name in fields}
         out |= {} if "v" in self.measures else {"v": measured["v"]}
-        return out, {f"safe.{k}": v for k, v in new.items()} | {f"held.{k}": v for k, v in held.items()} | law_memory
+        of_reference = {f"held.{k}": v for k, v in held.items()}
+        of_reference |= {f"last.{name}": getattr(sample, name) for name in self.positions}
+        return out, {f"safe.{k}": v for k, v in new.items()} | of_reference | law_memory
 
     @property
     def _torques(self) -> bool:
@@ -335,7 +382,12 @@ class SafeSide:
         lost = ((safe["blind"] > 0.5) & ~recovers) | bad["q"] | bad.get("v", bad["q"])
         residual, contrary = 0.0 * moved, np.zeros(self.side.arm.n) > 0.0
         if self._v_max is not None:
-            jumped = (tm.abs(moved) > JUMP[0] * self._v_max * periods + JUMP[1]) & known & ~lost
+            # A joint that really is too fast moves as its speeds say.
+            most = BELIEVED * self._v_max
+            ways = [0.0 * moved, tm.clip(safe["v"], -most, most) * periods]
+            ways += [tm.clip(out["v"], -most, most) * periods] if "v" in self.measures else []
+            beyond = tm.maximum(moved - reduce(tm.maximum, ways), reduce(tm.minimum, ways) - moved)
+            jumped = (beyond > JUMP[0] * self._v_max * periods + JUMP[1]) & known & ~lost
             findings.append(Finding.of("sensor_jump", jumped, tm.abs(moved)))
             lost = lost | jumped
         if self._v_max is not None and "v" in self.measures:
@@ -406,6 +458,28 @@ class SafeSide:
             Finding(code=fault, holds=fault > 0.5, index=-1.0, value=0.0),
         ]
 
+    def _jumps(self, sample: Any, last: Mapping[str, Any], memory: Mapping[str, Any]) -> list[Finding]:
+        """Positions of the reference that are further from those of the tick before than `REFERENCE_STEP`."""
+        out, arm = list[Finding](), self.side.arm
+        for name in self.positions:
+            moved = tm.abs(np.ravel(tm.array(step_of(arm, name, getattr(sample, name), last[name]))))
+            found = Finding.of("reference_jump", moved > REFERENCE_STEP, moved)
+            followed = self._followed(name, memory)
+            found = found if followed is True else found.only(followed)
+            out.append(found if of_joints(arm, name, len(moved)) else replace(found, index=-1.0))
+        return out
+
+    def _followed(self, name: str, memory: Mapping[str, Any]) -> Any:
+        """Whether the law, or that of the phase that acts, follows a field of the reference."""
+        task = self.side.task
+        if task is None or not issubclass(task.reference, PhaseSample):
+            return True
+        parts = [task.follows(phase) for phase in task.names]
+        acts = [
+            abs(memory["law.next"] - i) < 0.5 for i, part in enumerate(parts) if part and name.startswith(f"{part}_")
+        ]
+        return reduce(lambda a, b: a | b, acts, np.bool_(False))
+
     @cached_property
     def _ends(self) -> list[tuple[Float64Array, float]]:
         """Position limits (n,) that are stated, huge for joints without one, with the sign of their direction."""
@@ -474,14 +548,13 @@ class SafeSide:
 
     def _late(self, asked: Vector, sent: Vector) -> Vector:
         """(n,) 1.0 for each joint whose torque needs longer than `LAG` to become what is asked for."""
-        rate = self.limits.tau_dot if self._torques else None
-        if rate is None:
+        if not (self._torques and self.torque_rate):
             return tm.zeros(len(asked))
-        late: Vector = tm.where(tm.abs(asked - sent) > LAG * np.minimum(rate, LARGEST), 1.0, 0.0)
+        late: Vector = tm.where(tm.abs(asked - sent) > LAG * self.torque_rate, 1.0, 0.0)
         return late
 
-    def _limited(self, command: Vector, before: Vector, dt: Any) -> Vector:
-        """The command within its rate, and then within its magnitude, which wins."""
+    def _limited(self, command: Vector, before: Vector, runs: Any, dt: Any) -> Vector:
+        """The command within its rate, that of a stop within the robot's; then within its magnitude, which wins."""
         limits, kind = self.limits, self.side.probe.kind
         if kind == "position":
             if limits.v is not None:
@@ -491,16 +564,34 @@ class SafeSide:
             high = LARGEST if limits.upper is None else np.minimum(limits.upper, LARGEST)
             within: Vector = tm.clip(command, low, high)
             return within
-        rate, most = (None, limits.v) if kind == "velocity" else (limits.tau_dot, limits.tau)
-        if kind == "velocity" and limits.deceleration is not None:
-            rate = 2.0 * np.asarray(limits.deceleration)
-        if rate is not None:
-            step = np.minimum(rate, LARGEST) * dt
+        if kind == "velocity":
+            most, stops = limits.v, LARGEST if limits.deceleration is None else 2.0 * np.asarray(limits.deceleration)
+            rate = stops
+        else:
+            most, stops = limits.tau, self.torque_rate or LARGEST
+            rate = stops if limits.tau_dot is None else np.minimum(limits.tau_dot, stops)
+        if np.min(rate) < LARGEST:
+            step = tm.where(runs, rate, stops) * dt
             command = tm.clip(command, before - step, before + step)
         if most is not None:
             most = np.minimum(most, LARGEST)
             command = tm.clip(command, -most, most)
         return command
+
+
+def is_position(name: str) -> bool:
+    """Whether a field of a reference, also of laws side by side, is one that may not jump."""
+    return name.rpartition("_")[2] in POSITIONS
+
+
+def of_joints(arm: Arm, name: str, size: int) -> bool:
+    """Whether a field of a reference has a position for each joint."""
+    return name.rpartition("_")[2] == "q" and size == arm.n
+
+
+def step_of(arm: Arm, name: str, now: Any, last: Any) -> Any:
+    """Difference (..., k) of a field of a reference; floats or symbols."""
+    return arm.difference(now, last) if of_joints(arm, name, np.shape(now)[-1]) else now - last
 
 
 def safe_shapes(n: int) -> dict[str, tuple[int, ...]]:

@@ -161,6 +161,8 @@ class ServoInfo:
     measures: tuple[str, ...]  # by the robot, besides q
     limits: Mapping[str, Float64Array]  # fields of its `taut.SafetyLimits`
     adds: Adds  # by the robot, to its commands
+    at_rest: float = 0.0  # [rad/s | m/s] what its velocities show at rest
+    torque_rate: float = 0.0  # [N m/s | N/s] that it allows; 0 where it takes any
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

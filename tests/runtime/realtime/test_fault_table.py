@@ -115,7 +115,7 @@ def check_stop(
     assert (faults[k:] == CODES[code]).all()
     assert np.isfinite(command).all()
     assert (np.abs(command) <= np.asarray(of.limits.tau) + ROUNDING).all()
-    steps = np.abs(np.diff(command, axis=0)) / (np.asarray(of.limits.tau_dot) / of.rate)
+    steps = np.abs(np.diff(command[:k], axis=0)) / (np.asarray(of.limits.tau_dot) / of.rate)
     assert steps.max() <= 1.0 + ROUNDING
     true = robot._true.views["v"]
     held = [i for i in range(arm.n) if i not in np.arange(arm.n)[list(lost)]]
@@ -247,6 +247,75 @@ def test_a_limit_is_met(kind: str, bar: Any) -> None:
     q = robot.rows("q")
     assert (q <= np.asarray(of.limits.upper) + 1e-3).all()  # it stands before its limit
     assert (q >= np.asarray(of.limits.lower) - 1e-3).all()
+
+
+TURN = np.array([[np.cos(0.12), -np.sin(0.12), 0.0], [np.sin(0.12), np.cos(0.12), 0.0], [0.0, 0.0, 1.0]])
+POSE: dict[str, Any] = {  # of a reference at rest, and how it jumps
+    "a joint": lambda x: {"q": np.asarray(x.q) + 0.11 * np.eye(7)[3]},
+    "the tool": lambda x: {"p": np.asarray(x.T().p) - 0.11 * np.eye(3)[1]},
+    "the tool's axes": lambda x: {"R": np.asarray(x.T().R) @ TURN},
+}
+
+
+@pytest.mark.parametrize("kind", POSE)
+def test_a_reference_jumps(kind: str, bar: Any) -> None:
+    arm = taut.load_arm("panda")
+    law = (
+        taut.laws.ComputedTorque(kp=100.0, kd=20.0) if kind == "a joint" else taut.laws.Impedance(K=(500, 30), zeta=1)
+    )
+    of = Setup(taut.compile(law, arm, rate=1000.0), stated(arm))
+    x = taut.snapshot(arm, arm.home)
+    fields = {name: np.asarray(getattr(of.ctrl.side.at_rest(arm.home), name)) for name in of.made.fields}
+    rows = [np.concatenate([np.ravel({**fields, **more}[name]) for name in fields]) for more in ({}, POSE[kind](x))]
+    robot = VirtualRobot(of)
+    robot.start(references=References(tables=[Table(rows=np.repeat(rows, [AT, 50], axis=0))]), over=0.005)
+    robot.run(AT + 1)
+    check_stop(robot, "reference_jump", AT, joint="panda_joint4" if kind == "a joint" else None, again=False)
+    in_table(bar, f"the reference of {kind} jumps by 0.11", "reference_jump")
+
+
+class Effort(taut.Law):
+    """A constant torque."""
+
+    torque: taut.Gain = taut.Gain(minimum=-np.inf)
+
+    def command(self, x: Any, ref: Any) -> Any:
+        return taut.Torque(all=self.torque.as_array())
+
+
+def light_arm() -> taut.Arm:
+    """Two light links whose motors have 50 and 25 N m."""
+    arm = taut.load_arm("planar2").with_joints(effort=[50.0, 25.0], velocity=6.0)
+    return arm.with_gears(ratio=[9.0, 40.0], motor_inertia=[1.95e-4, 2e-5])
+
+
+@pytest.mark.parametrize("name", ["light", "planar2", "gantry3", "ur10", "panda", "panda within 1000 N m/s", "panda late",
+                                  "light late", "ur10 late"])  # fmt: skip
+def test_joints_at_their_full_effort_come_to_rest(name: str, share: Callable[[int], int], bar: Any) -> None:
+    """Stopped where they pass their speed limits, with torques that must turn round."""
+    arm, rng = light_arm() if "light" in name else taut.load_arm(name.partition(" ")[0]), np.random.default_rng(0)
+    limits, most, rest = stated(arm), 0.0, 0.0
+    most_torque = np.broadcast_to(np.asarray(limits.tau), arm.n)
+    count = share(40)
+    for _ in range(count):
+        signs = rng.choice([-1.0, 1.0], arm.n) if rng.random() < 0.5 else np.eye(arm.n)[rng.integers(arm.n)]
+        ctrl = taut.compile(Effort(torque=signs * most_torque), arm, rate=rng.choice([500.0, 1000.0]))
+        delay = taut.drives.Actuation(delay=1.0 / ctrl.rate if "late" in name else 0.0)
+        plant = taut.RigidPlant(arm, actuation=delay)
+        robot = VirtualRobot(Setup(ctrl, limits, plant=plant, torque_rate=1000.0 if "within" in name else 0.0))
+        robot.start(over=0.05)
+        robot.run(round(2.0 * ctrl.rate))
+        k, v = fault_tick(robot), np.abs(robot.rows("v")) / np.asarray(limits.v)
+        assert k > 0
+        assert v[-1].max() < 1e-3
+        most = max(most, v[k:].max())
+        rest = max(rest, (np.flatnonzero((v[k:] > 1e-2).any(axis=1))[-1] + 1) / ctrl.rate)
+    assert most < (
+        5.0 if name == "ur10 late" else 2.3 if name != "light" else 1.1
+    )  # UR10's file has no rotor inertia
+    assert rest < 1.0
+    bar(f"{name} at full effort, stopped at its speed limits: peak over the limit [-], at rest after [s]",
+        f"{most:.2f}, {rest:.2f}")  # fmt: skip
 
 
 @cache

@@ -333,14 +333,15 @@ def test_every_limit_holds_for_any_command_and_state(arm: str, share: Callable[[
             q[rng.integers(0, 1000, 50)] = np.nan
             a[rng.integers(0, 1000, 50)] = np.inf
             v[rng.integers(0, 1000, 50)] = -np.inf
-        out = np.zeros((1000, n))
+        out, acts = np.zeros((1000, n)), np.zeros((1000, 1))
         for k in range(1000):
             i["q"][:], i["v"][:], i["ref.a"][:], m["safe.tau"][:] = q[k], v[k], a[k], before[k]
             m["safe.mode"][...], m["safe.fault"][...] = mode[k], codes[k]
             m["safe.q"][:], m["safe.v"][:], m["safe.blind"][:] = 1.0, 0.0, 0.0
             ticks._tick()
-            out[k] = ticks.o["command"]
-        low, high = np.maximum(before - step, -tau), np.minimum(before + step, tau)
+            out[k], acts[k] = ticks.o["command"], ticks.o["safe.mode"]
+        of_tick = np.where(acts > 0.5, step, np.inf)  # a stop has no rate of its own
+        low, high = np.maximum(before - of_tick, -tau), np.minimum(before + of_tick, tau)
         low, high = np.minimum(low, tau), np.maximum(high, -tau)  # beyond the magnitude: that wins over the rate
         slack = ROUNDING * tau
         broken += int((~((low - slack <= out) & (out <= high + slack))).sum())
@@ -362,7 +363,7 @@ def test_start_switch_and_changes_begin_at_the_torque_that_is_sent(
     for _ in range(share(3000)):
         q, v, sent = rng.standard_normal(n), rng.standard_normal(n), 50.0 * rng.standard_normal(n)
         i["q"][:], i["v"][:], m["safe.q"][:], m["safe.v"][:], m["safe.tau"][:] = q, v, q, v, sent
-        i["ref.q"][:], i["ref.v"][:] = q + 0.3 * rng.standard_normal(n), rng.standard_normal(n)
+        i["ref.q"][:], i["ref.v"][:] = q + rng.uniform(-0.09, 0.09, n), rng.standard_normal(n)
         m["safe.mode"][...] = m["safe.fault"][...] = m["safe.blind"][...] = 0.0
         i["signal.begin"][...] = 1.0
         ticks.start()

@@ -51,6 +51,8 @@ def test_a_program_streams_samples_and_chunks_and_stops(robot: Robot) -> None:
         [0.1, 0.2],
         taut.JointMotion(q=[0.1]),
         taut.TaskMotion(pose=taut.Pose([0.0, 0.0, 0.0])),
+        taut.JointMotion(q=here + 1.5),
+        taut.chunk([0.0, 0.1, 0.101], [here, here, here + 1.5]),
     ):
         with refused(taut.TautError):
             send(wrong)  # type: ignore[arg-type]
@@ -66,6 +68,8 @@ def test_a_program_streams_samples_and_chunks_and_stops(robot: Robot) -> None:
     np.testing.assert_array_equal(run.reference.v[held], 0.0)
     k = int(np.argmax(run.extra["safe.fault"] > 0))
     assert age[k - 1] <= 0.6 < age[k]
+    with pytest.raises(RobotError):
+        send(taut.JointMotion(q=here))
     with refused(taut.errors.UsageError):
         robot.recover()
         robot.start(compiled(robot, SOFT))
@@ -175,6 +179,28 @@ def test_a_task_approaches_presses_and_retreats(robot: Robot) -> None:
     assert not force[phase == 3].any()
     np.testing.assert_allclose(run.reference.q[phase == 2][-1], begun["retreat"] + 0.05, atol=1e-9)
     assert not run.extra["safe.fault"].any()
+
+
+@pytest.mark.parametrize("ahead", [0.0, 0.3])
+def test_a_phase_in_another_space_begins_where_the_one_before_ended(ahead: float) -> None:
+    """Only what a phase follows may not jump: joints are where the task began in the table of the second one."""
+    goal = ARM.home + np.array([-0.3, 0.2])
+    T = taut.snapshot(ARM, goal).T()
+    line = taut.TaskMotion(pose=taut.Pose.of(T.R, T.p + ahead * np.eye(3)[2]))
+    task = [
+        taut.Phase(
+            SOFT, taut.trajectories.Quintic(q0=ARM.home, q1=goal, duration=0.8), name="move",
+            until=lambda x: x.elapsed > 0.9,
+        ),
+        taut.Phase(L.Impedance(K=(500.0, 10.0), zeta=1.0), line, name="stay", timeout=0.5),
+    ]  # fmt: skip
+    of = Setup(taut.compile(task, ARM, rate=1000.0), stated(ARM))
+    virtual = VirtualRobot(of)
+    virtual.start(references=references_of(of.ctrl, None, ARM.home, None))
+    virtual.run(1200)
+    fault = virtual.acting.fault()
+    assert [int(k) for k in np.unique(virtual.rows("phase"))] == [0, 1]
+    assert (fault.name if fault else "") == ("reference_jump" if ahead else "")
 
 
 def test_references_that_do_not_fit(robot: Robot) -> None:

@@ -97,12 +97,13 @@ class Setup:
     measures: tuple[str, ...] = ("v",)
     plant: Any = None
     adds: tuple[str, ...] = ()
+    torque_rate: float = 0.0
     made: ServoSet = field(init=False)
 
     def __post_init__(self) -> None:
         self.arm, self.rate = self.ctrl.arm, self.ctrl.rate
         self.plant = taut.RigidPlant(self.arm) if self.plant is None else self.plant
-        safe = SafeSide(side=self.ctrl.side, limits=self.limits, measures=self.measures)
+        safe = SafeSide(side=self.ctrl.side, limits=self.limits, measures=self.measures, torque_rate=self.torque_rate)
         safe.check()
         self.made = ServoSet(safe)
         self.started: dict[bytes, Any] = {}
@@ -305,6 +306,6 @@ def stop_torque(
         fast = np.maximum(sign * v - 10.0 * np.maximum(room, 0.0), 0.0) * (room < np.asarray(limits.soft))
         fast[list(lost)] = 0.0
         tau = tau - sign * min(50.0, 0.25 * setup.rate) * np.diag(np.asarray(x.M)) * fast
-    if limits.tau_dot is not None:
-        tau = np.clip(tau, before - np.asarray(limits.tau_dot) * dt, before + np.asarray(limits.tau_dot) * dt)
+    if setup.torque_rate:
+        tau = np.clip(tau, before - setup.torque_rate * dt, before + setup.torque_rate * dt)
     return tau if limits.tau is None else np.clip(tau, -np.asarray(limits.tau), np.asarray(limits.tau))

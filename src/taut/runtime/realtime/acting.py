@@ -80,6 +80,8 @@ class Acting:
             measures=safe.measures,
             limits={name: np.asarray(value) for name, value in limits.items() if value is not None},
             adds=side.adds,
+            at_rest=safe.at_rest,
+            torque_rate=safe.torque_rate,
         )
         info = info_of(side, side.law, name, arm, q, side.parameters, servo=servo)
         return Run(

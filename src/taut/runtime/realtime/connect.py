@@ -103,6 +103,8 @@ def connect(
     assert arm is not None
     limits = SafetyLimits.of(arm) if limits is None else limits
     instance_of("limits", limits, SafetyLimits, "taut.SafetyLimits, such as taut.SafetyLimits.of(arm)")
+    limits.check_size(arm.joint_names, "limits.")
+    limits.require_within(arm)
     hello: dict[str, Any] = {}
     if not isinstance(robot, ModelPlant):
         hello = hello_of(robot, arm, limits=limits, motors=motors, address=address, options=options)

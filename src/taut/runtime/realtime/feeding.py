@@ -10,12 +10,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from taut.arm.parts import require_radians, short_way
+from taut.arm.parts import require_radians
 from taut.base.checks import instance_of
 from taut.base.errors import RangeError, TautError, UsageError
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.control.lawside import LawSide
+from taut.control.safety import REFERENCE_STEP, is_position, of_joints, step_of
 from taut.control.tasks.feed import ReferenceFeed, TaskFeed
 from taut.control.trajectories.reference import (
     Hold,
@@ -32,7 +33,6 @@ from taut.maths.snapshot import Snapshot
 from taut.runtime.realtime.acting import Acting
 from taut.runtime.realtime.sets import MADE_ROWS, NO_ROWS, Table
 
-STARTS_NEAR: Final = 0.1  # [rad | m] between the arm and the first sample of a joint motion
 MAX_TICKS: Final = 1_200_000  # of a reference that is made beforehand
 FEED_EVERY: Final = 0.002  # [s] between two looks at whether a phase has begun
 IDLE_EVERY: Final = 0.05  # [s] between two looks where nothing is fed
@@ -68,8 +68,7 @@ def references_of(ctrl: Controller, ref: object, q: Float64Array, duration: floa
         if isinstance(reference, Stream):
             return References(tables=[_of_stream(reference)], streams={0: reference}, feed=feed)
         rows = NO_ROWS if _here(reference) else _rows(side, feed, duration, lambda: None)
-        if isinstance(reference, Trajectory):
-            _require_near(side, rows, q)
+        require_steady(side, rows, _row(side, side.at_rest(q)), "where the arm is")
         return References(tables=[Table(rows=rows)])
     if ref is not None:
         raise UsageError("each phase of a task has its own reference; leave ref out", name="ref")
@@ -86,6 +85,9 @@ def references_of(ctrl: Controller, ref: object, q: Float64Array, duration: floa
             tables.append(Table(rows=None))
         else:
             tables.append(Table(rows=_phase_rows(side, feeds, name, Snapshot(side.model, q=q, v=np.zeros(len(q))))))
+    if tables[0].rows is not None:
+        follows = task.follows(task.names[0])
+        require_steady(side, tables[0].rows, _row(side, side.at_rest(q)), "where the arm is", follows)
     return References(tables=tables, streams=streams, feed=feeds)
 
 
@@ -136,18 +138,36 @@ def _filled(
     return np.concatenate([view.reshape(count, -1) for view in views.values()], axis=1)
 
 
-def _require_near(side: LawSide, rows: Float64Array, q: Float64Array) -> None:
-    """A joint motion must begin where the arm is."""
-    fields, n = side.law.reference.fields(side.arm.n), side.arm.n
-    if next(iter(fields)) != "q":
-        return
-    apart = np.abs(short_way(rows[0, :n] - q, side.arm.continuous))
-    i = int(np.argmax(apart))
-    if apart[i] > STARTS_NEAR:
-        joint = side.arm.joint_names[i]
-        far = f"the reference begins {apart[i]:.3g} {side.arm.units[i]} away from joint '{joint}'"
-        hint = "robot.move_to its beginning first"
-        raise RangeError(f"{far}; {hint}", name="ref", joint=joint, value=float(apart[i]))
+def _row(side: LawSide, sample: Sample) -> Float64Array:
+    """(reference_size,) a sample."""
+    fields = side.law.reference.fields(side.arm.n)
+    return np.concatenate([np.ravel(np.asarray(getattr(sample, name), dtype=np.float64)) for name in fields])
+
+
+def require_steady(
+    side: LawSide, rows: Float64Array, before: Float64Array, beginning: str, part: str | None = None
+) -> None:
+    """RangeError where positions of the rows (k, reference) jump, the first ones from the row before.
+
+    `part` is what is followed of a sample of a task whose phases follow several kinds.
+    """
+    arm, first = side.arm, 0
+    for name, shape in side.law.reference.fields(arm.n).items():
+        at, first = slice(first, first + math.prod(shape)), first + math.prod(shape)
+        if not (is_position(name) and len(rows) and name.startswith(f"{part}_" if part else "")):
+            continue
+        moved = np.abs(step_of(arm, name, rows[:, at], np.vstack([before[at], rows[:-1, at]])))
+        if (moved > REFERENCE_STEP).any():
+            k, i = (int(x) for x in np.argwhere(moved > REFERENCE_STEP)[0])
+            joint = arm.joint_names[i] if of_joints(arm, name, moved.shape[1]) else None
+            whose = f"ref.{name}" if joint is None else f"ref.{name} of joint '{joint}'"
+            unit = {"p": " m", "R": ""}.get(name[-1], " rad" if joint is None else f" {arm.units[i]}")
+            where = f"the tick before, {k * side.dt:.4g} s after its beginning" if k else beginning
+            raise RangeError(
+                f"{whose} must be within {REFERENCE_STEP:g}{unit} of {where}; it is {moved[k, i]:.3g} away; robot.move_to "
+                "it first, or take a trajectory from there",
+                name="ref", joint=joint, value=float(moved[k, i]),
+            )  # fmt: skip
 
 
 class Feeder(threading.Thread):
@@ -212,7 +232,10 @@ class Feeder(threading.Thread):
         rest = side.law.at_rest(self._seen(rows))  # for what the phase does not follow
         table = {name: np.broadcast_to(getattr(rest, name), (count, *shape)) for name, shape in fields.items()}
         table |= {name if part is None else f"{part}_{name}": values for name, values in given.items()}
-        self._publish(phase, stream, np.concatenate([np.reshape(table[name], (count, -1)) for name in fields], 1), -1)
+        made = np.concatenate([np.reshape(table[name], (count, -1)) for name in fields], axis=1)
+        last = {name: self._acting.column(rows, f"reference.{name}")[-1] for name in fields}
+        require_steady(side, made, np.concatenate([np.ravel(x) for x in last.values()]), "the last sample", part)
+        self._publish(phase, stream, made, -1)
 
     def _feed(self, rows: Float64Array) -> None:
         phase, feed, side = self._phase(rows), self._references.feed, self._side

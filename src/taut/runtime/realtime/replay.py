@@ -118,7 +118,10 @@ def _same(run: Run, ctrl: Controller, known: Mapping[str, Float64Array]) -> Serv
     """The compiled tick of a controller, which is that of the record. Raises MatchError."""
     servo = require_servo(run)
     try:
-        safe = SafeSide(side=ctrl.side, limits=SafetyLimits(**servo.limits), measures=servo.measures)
+        safe = SafeSide(
+            side=ctrl.side, limits=SafetyLimits(**servo.limits), measures=servo.measures, at_rest=servo.at_rest,
+            torque_rate=servo.torque_rate,
+        )  # fmt: skip
         safe.check()
         made = ServoSet(safe)
         shapes = {f"{prefix}{field.path}": field.shape for block, prefix in made.row for field in block.fields}

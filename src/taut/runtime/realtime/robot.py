@@ -42,6 +42,7 @@ BLEND: Final = 0.2  # [s] in which another law, or new parameters, come in
 THERE: Final = 5e-3  # [rad | m] from the goal of move_to
 SETTLE: Final = 3.0  # [s] for a controlled stop
 ARRIVAL: Final = 10.0  # [s] for the last part of move_to: dry friction gives way to an integral
+FASTEST_MOVE: Final = 0.9  # [-] of the speed limits, of move_to
 STANDING: Final = 0.01  # [rad/s | m/s]
 LOOK: Final = 0.02  # [s] between two looks at what is latched
 SAME_LOAD: Final = 0.05  # [kg]
@@ -217,6 +218,8 @@ class Robot:
     def move_to(self, q: ArrayLike, *, speed: float = 0.2) -> None:
         """Move the joints to q (n,) [rad | m], at most at `speed` times their speed limits; returns when there.
 
+        `speed` is at most 0.9: what is measured varies about the reference, and beyond the limit it is a fault.
+
         Raises:
             DriverError: They are not there 10 s after they should be.
         """
@@ -229,7 +232,7 @@ class Robot:
         i = int(np.argmax(np.maximum(low - goal, goal - high)))
         name = f"q of joint '{arm.joint_names[i]}'"
         require_range(name, goal[i], unit=arm.units[i], minimum=float(low[i]), maximum=float(high[i]))
-        require_range("speed", np.asarray(speed, dtype=np.float64), above=0.0, maximum=1.0)
+        require_range("speed", np.asarray(speed, dtype=np.float64), above=0.0, maximum=FASTEST_MOVE)
         here = self.q
         there = here + short_way(goal - here, arm.continuous)
         most = arm.velocity if own.v is None else np.minimum(arm.velocity, own.v)
@@ -248,11 +251,15 @@ class Robot:
             self.wait(LOOK)
 
     def hold(self) -> None:
-        """The controlled stop, from the next tick on: brake, then hold where the arm is."""
+        """The controlled stop, from the next tick on: brake, then hold where the arm is.
+
+        Raises RangeError where it is not controlled yet and its limits do not carry it here.
+        """
         self.check()
         self.link.set_word("hold", 1)
         with self._verbs:
             if not self.link.word("control"):
+                self._holding.safe.check_pose(self.q)
                 self._act(self.holder, self._holding, HOLD, begins=False, controls=True)
 
     def stop(self) -> Run:
@@ -301,6 +308,7 @@ class Robot:
         def send(sample: Sample | Chunk) -> None:
             if feeder is not self._feeder:
                 raise UsageError("the law of this stream does not act any more; robot.stream() again", name="stream")
+            self.check()
             feeder.send(sample)
 
         return send
@@ -495,8 +503,9 @@ class Robot:
 
     def _compiled(self, ctrl: Controller) -> ServoSet:
         safe = SafeSide(
-            side=ctrl.side, limits=self.limits, measures=tuple(self.info.measures), at_rest=self.info.at_rest
-        )
+            side=ctrl.side, limits=self.limits, measures=tuple(self.info.measures), at_rest=self.info.at_rest,
+            torque_rate=self.info.torque_rate,
+        )  # fmt: skip
         safe.check()
         return ServoSet(safe)
 

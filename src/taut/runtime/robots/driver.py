@@ -52,6 +52,7 @@ class RobotInfo:
     silence: float = 0.0  # [s] without commands after which it stops itself; 0 where it never does
     delay: float = 0.0  # [s] whole periods, from a measured state to the command that acts on it
     at_rest: float = 0.0  # [rad/s | m/s] what its velocities show at rest, by their resolution
+    torque_rate: float = 0.0  # [N m/s | N/s] of commands, beyond which it stops itself; 0 where it takes any
     holds: bool = True  # the arm while it is not controlled; else from call("hold") on
     joint_names: tuple[str, ...] = ()  # where it knows them
     load: tuple[float, tuple[float, float, float]] | None = None  # that it compensates: [kg], centre at the tool [m]
@@ -69,7 +70,12 @@ class RobotInfo:
         Adds.of(self.adds)
         one_of("paced_by", self.paced_by, ("robot", "host"))
         instance_of("holds", self.holds, bool, "true or false")
-        for name, unit in {"silence": "s", "delay": "s", "at_rest": "rad/s | m/s"}.items():
+        for name, unit in {
+            "silence": "s",
+            "delay": "s",
+            "at_rest": "rad/s | m/s",
+            "torque_rate": "N m/s | N/s",
+        }.items():
             finite_scalar(name, getattr(self, name), unit=unit, minimum=0.0)
         if self.load is not None:
             finite_scalar("load", self.load[0], unit="kg", minimum=0.0)

@@ -23,6 +23,7 @@ BESIDE_START: Final = 10.0  # [s] for the process beside the loop's, which takes
 FIRST_ANSWER: Final = 1.0  # [s] for a robot to take a client, which takes 3 ms
 MAX_TORQUE: Final = 100.0  # [N m], the largest joints take 87; a command beyond is an error
 SILENCE: Final = 0.02  # [s] without commands after which it brakes: 20 in a row, by libfranka's documentation
+TORQUE_RATE: Final = 1000.0  # [N m/s] beyond which it stops itself (controller_torque_discontinuity)
 FUNCTIONS: Final[Mapping[str, tuple[str, ...]]] = {
     "collision": ("lower_torque", "upper_torque", "lower_force", "upper_force"),
     "grasp": ("width", "speed", "force", "epsilon_inner", "epsilon_outer"),
@@ -97,7 +98,7 @@ class FrankaDriver(RobotDriver):
         com = self._T_FE[:3, :3].T @ (np.array(state.F_x_Cload) - self._T_FE[:3, 3]) * (state.m_load > 0.0)
         return RobotInfo(
             name=self._who, n=N, rate=1000.0, takes="torque", measures=("v", "tau_meas", "F_ext"),
-            adds=("gravity", "friction"), paced_by="robot", silence=SILENCE,
+            adds=("gravity", "friction"), paced_by="robot", silence=SILENCE, torque_rate=TORQUE_RATE,
             load=(state.m_load, tuple(com.tolist())), facts=self._facts(),
         )  # fmt: skip
 
