@@ -164,8 +164,8 @@ def require_steady(
             unit = {"p": " m", "R": ""}.get(name[-1], " rad" if joint is None else f" {arm.units[i]}")
             where = f"the tick before, {k * side.dt:.4g} s after its beginning" if k else beginning
             raise RangeError(
-                f"{whose} must be within {REFERENCE_STEP:g}{unit} of {where}; it is {moved[k, i]:.3g} away; robot.move_to "
-                "it first, or take a trajectory from there",
+                f"{whose} must be within {REFERENCE_STEP:g}{unit} of {where}; it is {moved[k, i]:.3g} away; "
+                "robot.move_to it first, or take a trajectory from there",
                 name="ref", joint=joint, value=float(moved[k, i]),
             )  # fmt: skip
 
