@@ -99,6 +99,30 @@ def test_observation_and_reward_are_those_of_the_reference() -> None:
     assert seen[1, 0] > seen[0, 0] > seen[2, 0]
 
 
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        pytest.param("touch_and_press", {"run.duration": 0.4}, marks=pytest.mark.long),
+        ("geared_force", {}),
+        ("policy_10hz", {"run.duration": 0.4}),
+        pytest.param("panda_springs", {}, marks=pytest.mark.long),
+        pytest.param("panda_writes_round", {"run.duration": 0.4}, marks=pytest.mark.long),
+        pytest.param("two_arms", {}, marks=pytest.mark.long),
+    ],
+)
+def test_without_a_motion_that_is_known_its_own_law_shows_what_to_follow(name: str, values: Any) -> None:
+    """Phases, forces, a source, a stiffness, a wall in MuJoCo, two arms."""
+    env, scenario = ScenarioEnv(Episode(scenario=name, values=values)), load_scenario(name, values=values)
+    place = next(iter(scenario.cases.values()), scenario)
+    run = place.experiment.run(place.experiment.controller(next(iter(place.laws.values()))))
+    n, action = run.q.shape[1], np.zeros(env.action_space.shape or ())
+    seen, _ = env.reset(seed=0)
+    for k in range(0, 300, 10):
+        shown = (seen[: 2 * n] + seen[2 * n :]).reshape(2, n)
+        np.testing.assert_allclose(shown, [run.q[k], run.v[k]], atol=1e-5 * max(1.0, np.abs(run.v[k]).max()))
+        seen, *_ = env.step(action)
+
+
 def test_poses_and_gains_of_an_action_reach_the_law() -> None:
     episode = Episode(scenario="panda_pushed", action="pose", values=RIGID | {"run.duration": 3.0}, decimation=100)
     x, y, turned = np.zeros(6), np.zeros(6), np.zeros(6)
@@ -172,8 +196,6 @@ def test_what_is_no_episode_is_refused() -> None:
     wrong: list[tuple[Any, Any]] = [
         (UnknownNameError, {"scenario": "panda_paylod"}),
         (UsageError, {"scenario": "one_joint_pid", "action": "torques"}),
-        (UsageError, {"scenario": "touch_and_press"}),
-        (UsageError, {"scenario": "geared_force", "action": "torque", "scale": 1.0}),
         (UnknownNameError, {"scenario": "gain_bounds", "case": "none of them"}),
         (UnknownNameError, {"scenario": "one_joint_pid", "law": "PDD"}),
         (UnknownNameError, {"scenario": "one_joint_pid", "gains": {"law.K": (1.0, 2.0)}}),

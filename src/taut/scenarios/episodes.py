@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from taut.analysis.comparison import Experiment
 from taut.arm.description import Arm
 from taut.base.checks import float_array, instance_of, whole_number
 from taut.base.errors import ShapeError, UsageError, unknown_name
@@ -26,6 +27,7 @@ from taut.control.law import Law
 from taut.control.laws.impedance import Impedance
 from taut.control.laws.joint import ComputedTorque
 from taut.control.tasks.feed import ReferenceFeed
+from taut.control.tasks.task import Task
 from taut.control.trajectories.reference import JointMotion, Sample, Shapes, Stream
 from taut.control.trajectories.task_reference import TaskMotion
 from taut.controller import Controller
@@ -80,13 +82,15 @@ class Episode(Declared):
                   "pose change": the same, from the desired pose before
                   `gains`: further numbers are parameters, from one end to the other on a logarithmic scale
     Observation:  q, v, and the error of the scenario's reference with its rate: of the joints, or of the tool
-                  (position, then rotation vector; world axes)
+                  (position, then rotation vector; world axes). Where the scenario has phases, a source or forces in
+                  place of a motion that is known beforehand, it is of the joints, from the motion that its first law
+                  makes in a run
     Reward:       1 / (1 + (|error| / width)^2) - effort mean over the ticks of sum((tau / limit)^2)
     End:          truncated after the scenario's duration; terminated, with reward 0, where a number is not finite,
                   and info["reason"] says which
 
     Args:
-        scenario: Name or file of a scenario with laws and one reference. Its events are left out.
+        scenario: Name or file of a scenario. Its events are left out of the episodes.
         action: Kind of action.
         law: Label of the law that follows the action. If left out it is the first of the scenario that can, else
             ComputedTorque(kp=400, kd=40) for joints, Impedance(K=(800, 40), zeta=1) for poses.
@@ -223,14 +227,10 @@ class Look:
             ref, T = kind.of(subtree(given, "ref")).motion, x.T(tool)
             if isinstance(ref, JointMotion):
                 error, rate = x.difference(ref.q), ref.v - x.v
-            elif isinstance(ref, TaskMotion):
+            else:
+                assert isinstance(ref, TaskMotion)
                 error = np.concatenate([ref.p - T.p, rotation_log(ref.R @ T.R.T)])
                 rate = ref.twist - x.J(tool) @ x.v
-            else:
-                raise UsageError(
-                    "the scenario's reference asks for no motion of one arm; take a scenario with one",
-                    name="scenario",
-                )
             return {"seen": np.concatenate([x.q, x.v, error, rate]), "error": error, "p": T.p, "R": T.R}, {}
 
         fields = {f"ref.{name}": shape for name, shape in kind.fields(arm.n).items()}
@@ -260,24 +260,12 @@ class Episodes:
             raise unknown_name(f"scenario '{scenario.name}'", "case", episode.case, cases)
         place = cases[episode.case or next(iter(cases))]
         experiment, plant = place.experiment, place.experiment.plant
-        laws = {label: law for label, law in place.laws.items() if isinstance(law, Law)}
-        if not laws or isinstance(experiment.reference, Stream):
-            raise UsageError(
-                f"scenario '{scenario.name}' makes its references as it goes, by phases or a source; an episode is "
-                "judged by one reference that is known beforehand: take a scenario with one",
-                name="scenario",
-            )
-        law, joints = _law(laws, episode), plant.arm.n
-        side = experiment.controller(next(iter(laws.values())), engine="float").side
-        self._look = Look(plant.arm, side.law.reference, law.controlled_frame, n)
+        law, joints = _law({k: one for k, one in place.laws.items() if isinstance(one, Law)}, episode), plant.arm.n
         self._q0, self._v0 = state_at_start(plant.arm, experiment.q0, experiment.v0)
-        self.steps = max(1, math.ceil(round(experiment.duration * side.rate) / episode.decimation))
-        feed = ReferenceFeed(experiment.reference, side.law.reference, side.arm, side.dt, side.at_rest(self._q0))
-        ticks, fields, done = self.steps * episode.decimation + 1, side.law.reference.fields(joints), 0
-        rows = {name: np.zeros((ticks, *shape)) for name, shape in fields.items()}
-        while done < ticks:
-            done += feed.fill({name: row[done:] for name, row in rows.items()}, done, lambda: None)
+        self.steps = max(1, math.ceil(round(experiment.duration * experiment.rate) / episode.decimation))
+        kind, rows = _followed(experiment, next(iter(place.laws.values())), self.steps * episode.decimation + 1)
         self._reference = {name: row[:: episode.decimation] for name, row in rows.items()}
+        self._look = Look(plant.arm, kind, law.controlled_frame, n)
         ctrl, self._arm, self._fields = experiment.controller(law), plant.arm, law.reference.fields(joints)
         usual: Any = plant.arm.effort if episode.action == "torque" else SCALES[episode.action]
         scale = np.asarray(usual if episode.scale is None else episode.scale)
@@ -356,6 +344,25 @@ class Episodes:
 
     def _watch(self) -> None:
         self._look.at(self.arms, {name: rows[self._step] for name, rows in self._reference.items()})
+
+
+def _followed(experiment: Experiment, law: Law | Task, ticks: int) -> tuple[type[Sample], dict[str, Float64Array]]:
+    """What is to be followed, by field: a reference that is known beforehand, or the motion of the scenario's law."""
+    ctrl = experiment.controller(law, engine="float")
+    side, kind = ctrl.side, ctrl.side.law.reference
+    moves = issubclass(getattr(kind, "kind", kind), (JointMotion, TaskMotion))
+    if side.task is None and moves and not isinstance(experiment.reference, Stream):
+        q0 = state_at_start(experiment.plant.arm, experiment.q0, experiment.v0)[0]
+        feed = ReferenceFeed(experiment.reference, kind, side.arm, side.dt, side.at_rest(q0))
+        rows, done = {name: np.zeros((ticks, *shape)) for name, shape in kind.fields(side.arm.n).items()}, 0
+        while done < ticks:
+            done += feed.fill({name: row[done:] for name, row in rows.items()}, done, lambda: None)
+        return kind, rows
+    prepared = experiment.prepared(law)
+    run = prepared.run(prepared.controller(law))
+    k = np.minimum(np.arange(ticks), len(run) - 1)
+    v = np.where(np.arange(ticks)[:, np.newaxis] < len(run), run.v[k], 0.0)
+    return JointMotion, {"q": run.q[k], "v": v, "a": 0.0 * v}
 
 
 def _law(laws: Mapping[str, Law], episode: Episode) -> Law:
