@@ -162,6 +162,8 @@ class TestVerbs:
         assert len(timing.plot().axes) == 3
         assert "periods missed" in str(timing)
         assert "timing" in calm.status.json()
+        assert len(repr(calm.status)) < 250
+        assert f"RobotStatus({calm.status.state}" in repr(calm.status)
         with refused(taut.errors.UsageError):
             Timing.of(taut.run(taut.compile(CT, ARM), taut.RigidPlant(ARM), duration=0.01))
 
@@ -458,6 +460,20 @@ class TestMisuse:
         with refused(taut.errors.ShapeError):
             calm.move_to([0.1])
         assert calm.link.word("control") == 0  # nothing was sent
+        assert calm.status.state == "idle"
+
+    def test_of_a_start_elsewhere_is_known_before_the_arm_is_there(self, calm: Robot) -> None:
+        away, ctrl = ARM.home + np.array([0.5, 0.0]), compiled(calm)
+        path = taut.trajectories.Quintic(q0=away, q1=ARM.home, duration=1.0)
+        calm.require(ctrl, path, q=away)
+        for wrong in (
+            lambda: calm.require(ctrl, path),
+            lambda: calm.require(compiled(calm, L.ComputedTorque(kp=100.0, kd=3000.0)), path, q=away),
+            lambda: calm.require(ctrl, L.ComputedTorque, q=away),
+            lambda: calm.require(ctrl, path, q=[0.5]),
+        ):
+            with pytest.raises(taut.TautError):
+                wrong()  # type: ignore[no-untyped-call]
         assert calm.status.state == "idle"
 
     def test_after_it_is_closed(self) -> None:

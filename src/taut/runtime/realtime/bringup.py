@@ -29,7 +29,7 @@ from taut.control.trajectories.reference import JointMotion
 from taut.controller import Controller, compile
 from taut.maths.snapshot import Snapshot, snapshot
 from taut.record.plain import plain
-from taut.runtime.realtime.robot import Robot
+from taut.runtime.realtime.robot import LOAD_HINT, SAME_LOAD, Robot
 from taut.runtime.robots.driver import DriverError
 from taut.trace import math as tm
 
@@ -37,7 +37,6 @@ READ: Final = 2.0  # [s] in which a robot is only read
 SHADOW: Final = 1.0  # [s] in which a law runs and nothing is sent
 MISSED: Final = 0.05  # [-] of the periods that may be missed, and by which the rate may be off
 SAME_PLACE: Final = 1e-3  # [m], [rad] between the tool that the robot reports and a frame of the arm
-SAME_LOAD: Final = 0.05  # [kg]
 PUSH: Final = 0.5  # [N m | N] largest torque beside gravity in the test of signs
 PROBE_STEPS: Final = 10  # in which it is reached
 PROBE_STEP: Final = 0.05  # [s]
@@ -244,7 +243,7 @@ def _load(robot: Robot) -> Step:
         return Step(name="load", found=f"the robot reports none; the arm carries {own.mass:g} kg")
     found = f"the robot compensates {known[0]:g} kg at {list(known[1])} m; the arm carries {own.mass:g} kg"
     ok = abs(known[0] - own.mass) <= SAME_LOAD
-    return Step(name="load", found=found if ok else f"{found}; robot.set_load(arm.payload), or load the arm", ok=ok)
+    return Step(name="load", found=found if ok else f"{found}; {LOAD_HINT}", ok=ok)
 
 
 class _Torques:

@@ -46,6 +46,7 @@ FASTEST_MOVE: Final = 0.9  # [-] of the speed limits, of move_to
 STANDING: Final = 0.01  # [rad/s | m/s]
 LOOK: Final = 0.02  # [s] between two looks at what is latched
 SAME_LOAD: Final = 0.05  # [kg]
+LOAD_HINT: Final = "robot.set_load(arm.payload), or load the arm with what is there: payload in a scenario's [arm]"
 LATER: Final = 3  # ticks after which a request has surely been seen
 SILENT: Final = 0.5  # [s] after which a state is no news
 HOLD: Final = References(tables=[Table(rows=NO_ROWS)])
@@ -214,6 +215,14 @@ class Robot:
         if self.link.word("control"):
             raise UsageError("shadow is for a robot that is not controlled now; stop it first", name="shadow")
         self._begin(ctrl, ref, duration, sends=False)
+
+    def require(
+        self, ctrl: Controller, ref: object = None, *, duration: float | None = None, q: ArrayLike | None = None
+    ) -> None:
+        """Everything that `start` checks and refuses, for an arm at q (n,) [rad | m], where it is if left out."""
+        self.check()
+        here = self.q if q is None else finite_array("q", q, shape=(self.arm.n,), unit="rad | m")
+        self._checked(ctrl, ref, duration, here)
 
     def move_to(self, q: ArrayLike, *, speed: float = 0.2) -> None:
         """Move the joints to q (n,) [rad | m], at most at `speed` times their speed limits; returns when there.
@@ -477,19 +486,18 @@ class Robot:
         self.check()
         stops = self._stops
         with self._verbs:
-            references = self._checked(ctrl, ref, duration)
-            made = self._holding if ctrl is self.holder else self._compiled(ctrl)
-            made.safe.check_pose(self.q)
-            require_stable(ctrl, self.plant, self.q)
+            made, references = self._checked(ctrl, ref, duration, self.q)
             if self._stops != stops:
                 raise UsageError("the robot was stopped while it started", name="start")
             self.link.set_word("hold", 0)
             self._act(ctrl, made, references, begins=True, sends=sends, controls=sends, over=over)
 
-    def _checked(self, ctrl: Controller, ref: object, duration: float | None) -> References:
-        """What feeds a controller that fits this robot."""
+    def _checked(
+        self, ctrl: Controller, ref: object, duration: float | None, q: Float64Array
+    ) -> tuple[ServoSet, References]:
+        """The compiled tick, and what feeds it, of a controller that fits this robot and is stable at q."""
         instance_of("ctrl", ctrl, Controller, "a controller from taut.compile")
-        name, q = self.info.name, self.q
+        name = self.info.name
         check_fit(ctrl.side, self.plant)
         if abs(ctrl.rate - self.rate) > 1e-6 * self.rate:
             rates = f"takes commands at {self.rate:g} Hz and the controller was compiled for {ctrl.rate:g} Hz"
@@ -497,9 +505,12 @@ class Robot:
         load, mass = self.info.load, float(ctrl.arm.payload.mass)
         if load is not None and "gravity" in self.info.adds and abs(load[0] - mass) > SAME_LOAD:
             loads = f"compensates a load of {load[0]:g} kg and the controller's arm carries {mass:g} kg"
-            hint = "robot.set_load(arm.payload), or load the arm with what is there"
-            raise MatchError(f"{name} {loads}; {hint}", name="load")
-        return references_of(ctrl, ref, q, duration)
+            raise MatchError(f"{name} {loads}; {LOAD_HINT}", name="load")
+        references = references_of(ctrl, ref, q, duration)
+        made = self._holding if ctrl is self.holder else self._compiled(ctrl)
+        made.safe.check_pose(q)
+        require_stable(ctrl, self.plant, q)
+        return made, references
 
     def _compiled(self, ctrl: Controller) -> ServoSet:
         safe = SafeSide(

@@ -139,6 +139,11 @@ class RobotStatus(Result):
     dropped: int
     notes: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        arrays = ", ".join(f"{name}={np.round(getattr(self, name), 4).tolist()}" for name in ("q", "v", "command"))
+        fault = None if self.fault is None else self.fault.name
+        return f"RobotStatus({self.state}, fault={fault}, t={self.t:.4g}, {arrays}, ticks={self.ticks})"
+
     def json(self) -> dict[str, Any]:
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         values |= {name: values[name].tolist() for name in ("q", "v", "command")}

@@ -210,7 +210,7 @@ class CanMotors(Declared):
                 raise RangeError(
                     f"limits.{name} of joint '{arm.joint_names[i]}' must be in the range of its motor, a "
                     f"{self.types[i]} with +-{self.highest[row, i]:g}; got {limit[i]:g}{there}; "
-                    f"limits=taut.SafetyLimits.of(arm, {name}=...)",
+                    f"state {name} in [limits] of a robot file, or limits=taut.SafetyLimits.of(arm, {name}=...)",
                     name=name, joint=arm.joint_names[i], value=float(limit[i]),
                 )  # fmt: skip
         return {"motors": {name: getattr(self, name) for name in self.specified}, "joints": arm.joint_names}

@@ -58,7 +58,8 @@ class UrDriver(RobotDriver):
         if self._command == "torque" and version < least:
             raise DriverError(
                 f"direct_torque needs PolyScope {'.'.join(map(str, least))}, and {self._address} has {text}; "
-                'options={"command": "velocity"}', kind="rejected",
+                'options={"command": "velocity"}, in a robot file options = { command = "velocity" }',
+                kind="rejected",
             )  # fmt: skip
         self._rate = 500.0 if version[0] >= 5 else 125.0
         self._variables = [
