@@ -12,7 +12,7 @@ from refusals import refused
 
 import taut
 from taut.cli.main import main
-from taut.runtime.realtime import bringup
+from taut.runtime.realtime import bringup, robot
 from taut.runtime.realtime.bringup import BringUp, bring_up, passed_before, remember
 from taut.runtime.realtime.connect import hello_of
 
@@ -66,6 +66,15 @@ def test_a_load_that_the_arm_does_not_have_stops_before_anything_is_sent() -> No
     assert steps_of(done) == {"states": True, "kinematics": True, "load": True, "gravity": False}
     done = brought_up("planar2", payload=1.0, known=1.0)
     assert steps_of(done) == {"states": True, "kinematics": True, "load": False}
+
+
+def test_signs_are_tested_without_judging_the_loop_at_each_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It takes longer than a step, in which nobody would see a joint that runs away."""
+    judged: list[object] = []
+    monkeypatch.setattr(robot, "require_stable", lambda *given: judged.append(given))
+    done = brought_up("planar2", ask=lambda question: "slowly" not in question)
+    assert steps_of(done)["signs"]
+    assert len(judged) == 2  # in shadow, and before the first step
 
 
 def test_nothing_goes_on_after_no() -> None:

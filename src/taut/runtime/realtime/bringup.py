@@ -39,7 +39,7 @@ MISSED: Final = 0.05  # [-] of the periods that may be missed, and by which the 
 SAME_PLACE: Final = 1e-3  # [m], [rad] between the tool that the robot reports and a frame of the arm
 PUSH: Final = 0.5  # [N m | N] largest torque beside gravity in the test of signs
 PROBE_STEPS: Final = 10  # in which it is reached
-PROBE_STEP: Final = 0.05  # [s]
+PROBE_STEP: Final = 0.2  # [s], in which a joint of 10 kg m^2 moves before the last one
 PROBE_BANDWIDTH: Final = 10.0  # [rad/s] by which joints are held meanwhile
 MOVED: Final = 2e-3  # [rad | m] a joint has broken away
 CAUGHT: Final = 4e-3  # [rad | m] the law itself holds it again
@@ -394,8 +394,10 @@ def _push(robot: Robot, path: str, base: Float64Array, i: int, sign: float) -> t
     push, here = 1.0 - others, robot.q
     free = {f"{path}.held": others, f"{path}.place": here}
     found: tuple[float | None, float] = None, 0.0
+    # As they are: to judge the loop again with each value would take longer than a step, in which nobody looks.
+    send = partial(robot.acting.controls.set, over=PROBE_STEP)
     for torque in np.linspace(0.0, PUSH, PROBE_STEPS + 1)[1:]:
-        robot.parameters.update({**free, f"{path}.torque": sign * torque * push})
+        send({**free, f"{path}.torque": sign * torque * push})
         until = time.monotonic() + PROBE_STEP
         while time.monotonic() < until:
             moved = robot.arm.difference(robot.q, base)
@@ -415,8 +417,7 @@ def _push(robot: Robot, path: str, base: Float64Array, i: int, sign: float) -> t
             time.sleep(1.0 / robot.rate)
         if found[0] is not None:
             break
-    robot.parameters[f"{path}.torque"] = 0.0 * push
-    robot.parameters[f"{path}.held"] = np.ones(robot.arm.n)
+    send({f"{path}.torque": 0.0 * push, f"{path}.held": np.ones(robot.arm.n)})
     _come_to_rest(robot)
     return found
 
