@@ -7,6 +7,7 @@ import contextlib
 import importlib.util
 import json
 import re
+import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,6 +18,7 @@ from taut.base.errors import FileError, TautError, UsageError, unknown_name
 
 if TYPE_CHECKING:
     from taut.control.law import Law
+    from taut.scenarios.scenario import Scenario
 
 DONE, FAILED, WRONG = 0, 1, 2
 STATUS: Final = """exit status:
@@ -114,6 +116,42 @@ def load_law(place: str, gains: Mapping[str, Any] | None) -> Law:
         raise unknown_name(f"law file '{file}'", "law", name, own)
     with _blamed(f"law '{name}' of '{file}' cannot be made", str(file)):
         return own[name](**(gains or {}))
+
+
+OF_SCENARIO: Final[Mapping[str, Mapping[str, Any]]] = {
+    "--set": {
+        "action": ByName,
+        "metavar": "NAME=VALUE",
+        "help": "another value of a key, by its path in the file, or of a parameter: law.kp=5; once for each",
+    },
+    "--law": {
+        "metavar": "FILE.py:CLASS",
+        "help": "a law of your own instead of the scenario's laws, which all run without it; their pass criteria "
+        "then do not count",
+    },
+    "--gain": GAIN,
+}
+"""Arguments of a command that runs a scenario with all its laws."""
+
+
+def scenario_of(arguments: argparse.Namespace) -> Scenario:
+    """The scenario of a command with --set, --law and --gain."""
+    from taut.scenarios.scenario import load_scenario
+
+    if arguments.gain and arguments.law is None:
+        raise UsageError("--gain is for a law of your own: --law FILE.py:CLASS --gain kp=100")
+    own = None if arguments.law is None else {arguments.law: load_law(arguments.law, arguments.gain)}
+    return load_scenario(arguments.scenario, own, values=arguments.set)
+
+
+def words_again(arguments: argparse.Namespace, *options: str) -> str:
+    """Options as they were given, for another command line."""
+    words = list[str]()
+    for option in options:
+        given = getattr(arguments, option) or {}
+        for value in [given] if isinstance(given, str) else (f"{k}={json.dumps(x)}" for k, x in given.items()):
+            words += [f"--{option}", value]
+    return shlex.join(words)
 
 
 @contextlib.contextmanager

@@ -10,7 +10,21 @@ from typing import TYPE_CHECKING, Any, Final
 
 from taut.base.errors import TautError, UsageError
 from taut.base.result import Table
-from taut.cli.command import DONE, FAILED, GAIN, STATUS, WRONG, Answer, ByName, Command, Say, load_law
+from taut.cli.command import (
+    DONE,
+    FAILED,
+    GAIN,
+    OF_SCENARIO,
+    STATUS,
+    WRONG,
+    Answer,
+    Command,
+    Say,
+    load_law,
+    scenario_of,
+    words_again,
+)
+from taut.cli.robots import connected
 
 if TYPE_CHECKING:
     from taut.record.run import Run
@@ -19,21 +33,23 @@ if TYPE_CHECKING:
 
 def _run(arguments: argparse.Namespace, say: Say) -> Answer:
     from taut.scenarios.run import run_scenario
-    from taut.scenarios.scenario import load_scenario
 
-    if arguments.gain and arguments.law is None:
-        raise UsageError("--gain is for a law of your own: --law FILE.py:CLASS --gain kp=100")
-    own = None if arguments.law is None else {arguments.law: load_law(arguments.law, arguments.gain)}
-    scenario = load_scenario(arguments.scenario, own, values=arguments.set)
+    scenario, remarks = scenario_of(arguments), list[str]()
     folder = arguments.out or Path("out") / scenario.name
     with contextlib.ExitStack() as stack:
         robot = None
         if arguments.robot is not None:
             from taut.scenarios.on_robot import robot_of
 
-            robot = stack.enter_context(robot_of(scenario, arguments.scenario, arguments.robot, folder / "robot"))
+            again = words_again(arguments, "scenario", "set", "law", "gain")
+            robot = robot_of(scenario, again, arguments.robot, folder / "robot")
+            stack.enter_context(connected(robot, yes=arguments.yes))
+            rate = scenario.experiment.rate
+            if robot.rate != rate:
+                remarks = [f"[control] rate = {rate:g} Hz is not used on a robot: this one has {robot.rate:g} Hz"]
         result = run_scenario(scenario, folder, say=say, engine=arguments.engine, robot=robot)
-    return Answer(text=str(result), data=result.json(), status=DONE if result.ok else FAILED)
+    status = DONE if result.ok else FAILED
+    return Answer(text=str(result), data=result.json(), status=status, remarks=remarks)
 
 
 RUN: Final = Command(
@@ -43,22 +59,13 @@ RUN: Final = Command(
     arguments={
         "scenario": {"metavar": "SCENARIO", "help": "a name that `taut scenarios` lists, or a path"},
         "--out": {"type": Path, "metavar": "DIR", "help": "folder for the files (default: out/SCENARIO)"},
-        "--set": {
-            "action": ByName,
-            "metavar": "NAME=VALUE",
-            "help": "another value of a key, by its path in the file, or of a parameter: law.kp=5; once for each",
-        },
-        "--law": {
-            "metavar": "FILE.py:CLASS",
-            "help": "a law of your own instead of the scenario's laws, which all run without it; their pass criteria "
-            "then do not count",
-        },
-        "--gain": GAIN,
+        **OF_SCENARIO,
         "--robot": {
             "metavar": "ROBOT",
             "help": "on this robot instead of the scenario's plant, once `taut bringup` has passed: an address, or a "
             "robot file",
         },
+        "--yes": {"action": "store_true", "help": "an arm that falls without its motors is supported: do not ask"},
         "--engine": {
             "choices": ("auto", "native", "float"),
             "default": "auto",

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from taut.base.errors import UsageError
-from taut.cli.command import DONE, FAILED, GAIN, STATUS, Answer, ByName, Command, Say, numbers
+from taut.cli.command import DONE, FAILED, GAIN, STATUS, Answer, ByName, Command, Say, numbers, words_again
 from taut.cli.run import LAW_OF_SCENARIO, scenario_with_law
 
 if TYPE_CHECKING:
@@ -65,17 +63,10 @@ def _sweep(arguments: argparse.Namespace, say: Say) -> Answer:
         say(f"writing to {arguments.out} ...")
         law = scenario.laws[name]
         own = {name: law} if ":" in name and isinstance(law, Law) else None
-        made = written(scenario, name, found, arguments.out, own=own, more=_own_law(arguments) if own else "")
+        more = f" {words_again(arguments, 'law', 'gain')}" if own else ""
+        made = written(scenario, name, found, arguments.out, own=own, more=more)
     data = {"scenario": scenario.name, "law": name, **made.json()}
     return Answer(text=str(made), data=data, status=DONE if found.complete else FAILED)
-
-
-def _own_law(arguments: argparse.Namespace) -> str:
-    """The words that name a law of the user's own again."""
-    words = ["--law", arguments.law]
-    for gain, value in (arguments.gain or {}).items():
-        words += ["--gain", f"{gain}={json.dumps(value)}"]
-    return f" {shlex.join(words)}"
 
 
 SWEEP: Final = Command(

@@ -5,8 +5,9 @@ A robot of the command line is what `taut.connect` takes as a text, or a robot f
 
 from __future__ import annotations
 
+import shlex
 import time
-from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from taut.analysis.comparison import Experiment
 from taut.arm.description import Arm
-from taut.base.errors import FileError, UsageError
+from taut.base.errors import FileError, TautError, UsageError
 from taut.base.fields import Declared, Part, Plain
 from taut.base.types import Float64Array
 from taut.control.law import Law
@@ -23,10 +24,12 @@ from taut.control.tasks.task import Task
 from taut.controller import Controller, compile
 from taut.loop import state_at_start
 from taut.record.log.reading import MAGIC, load_run
-from taut.record.run import Run
+from taut.record.run import HALF, Run
+from taut.runtime.events import Event
 from taut.runtime.realtime.bringup import SPEED, passed_before
 from taut.runtime.realtime.connect import connect, hello_of
-from taut.runtime.realtime.robot import LOOK, Robot
+from taut.runtime.realtime.robot import LOOK, Robot, require_stable
+from taut.runtime.realtime.status import RobotError
 from taut.runtime.robots.can import CanMotors
 from taut.scenarios.reading import read, read_toml
 from taut.scenarios.scenario import Scenario
@@ -64,11 +67,12 @@ def robot_named(words: str, arm: Arm) -> dict[str, Any]:
     return given
 
 
-def robot_of(scenario: Scenario, name: str, words: str, log: Path) -> Robot:
+def robot_of(scenario: Scenario, again: str, words: str, log: Path) -> Robot:
     """The robot of the command line, connected, with a folder of logs: the scenario's arm has passed a bring-up.
 
     Raises:
-        UsageError: No bring-up has passed for this robot, Arm and load; or the scenario needs its plant.
+        UsageError: No bring-up has passed for this robot, arm and load, and `again` are the words for it behind
+            `taut bringup ROBOT`; or the scenario needs its plant.
     """
     arm = scenario.experiment.arm
     given = robot_named(words, arm)
@@ -78,7 +82,7 @@ def robot_of(scenario: Scenario, name: str, words: str, log: Path) -> Robot:
     if not passed_before(hello, arm):
         raise UsageError(
             f"no bring-up has passed for {words} with arm '{arm.name}' and its load of {arm.payload.mass:g} kg; "
-            f"nothing was sent; taut bringup {words} --scenario {name}",
+            f"nothing was sent; taut bringup {shlex.quote(words)} {again}",
             name="robot",
         )
     if scenario.experiment.preparation is not None:
@@ -87,10 +91,42 @@ def robot_of(scenario: Scenario, name: str, words: str, log: Path) -> Robot:
 
 
 def controller_for(robot: Robot, experiment: Experiment, law: Law | Task) -> Controller:
-    """The law of a scenario, compiled for a robot: what the robot adds itself is left out."""
-    return compile(
+    """The law of a scenario, compiled for a robot: with the parameters of events at t = 0, without what it adds."""
+    ctrl = compile(
         law, experiment.arm, rate=robot.rate, sensing=experiment.sensing, limits=experiment.limits, adds=robot.adds
     )
+    for event in experiment.events:
+        for path, value in event.set.items():
+            if path not in ctrl.parameters:
+                arm = experiment.arm.name
+                raise UsageError(
+                    f"the event sets {path}, which is of the plant; a robot with arm '{arm}' has none", name=path
+                )
+            if event.t == 0.0:
+                ctrl.parameters[path] = value
+    return ctrl
+
+
+def ready_for(robot: Robot, experiment: Experiment, law: Law | Task) -> Controller:
+    """Likewise, where the robot takes it at the start of the scenario, with its reference and all its events."""
+    ctrl, q = controller_for(robot, experiment, law), start_of(experiment)
+    robot.require(ctrl, _reference(experiment, ctrl), duration=experiment.duration, q=q)
+    values = dict(ctrl.parameters)
+    for event in _later(experiment):
+        new = {path: ctrl.side.checked_parameter(path, value) for path, value in event.set.items()}
+        ctrl.side.check_change(q, values, new)
+        values |= new
+        require_stable(ctrl, robot.plant, q, values)
+    return ctrl
+
+
+def _later(experiment: Experiment) -> list[Event]:
+    """Its events in the order of time, without those at its start."""
+    return sorted((event for event in experiment.events if event.t > 0.0), key=lambda event: event.t)
+
+
+def _reference(experiment: Experiment, ctrl: Controller) -> object:
+    return None if ctrl.side.task is not None else experiment.reference
 
 
 def start_of(experiment: Experiment) -> Float64Array:
@@ -101,40 +137,47 @@ def start_of(experiment: Experiment) -> Float64Array:
     return q
 
 
-def run_on_robot(robot: Robot, experiment: Experiment, law: Law | Task, log: Path) -> Run:
-    """Move slowly to the start of a scenario, let the law act for its duration, and stop: its log, read again."""
-    ctrl = controller_for(robot, experiment, law)
-    events = sorted(experiment.events, key=lambda event: event.t)
-    for event in events:
-        _check(ctrl, event.set, experiment.arm)
-    others = set(log.iterdir())
-    robot.move_to(start_of(experiment), speed=SPEED)
-    robot.start(ctrl, None if ctrl.side.task is not None else experiment.reference, duration=experiment.duration)
-    begun = time.monotonic()
-    for event in events:
-        robot.wait(max(0.0, begun + event.t - time.monotonic()))
-        for path, value in event.set.items():
-            robot.parameters[path] = value
-    robot.wait(max(0.0, begun + experiment.duration - time.monotonic()))
-    last = robot.stop().extra[TICK][-1]
-    return _logged(log, others, last).between(0.0, experiment.duration)
+def run_on_robot(robot: Robot, experiment: Experiment, ctrl: Controller, log: Path) -> tuple[Run, Path]:
+    """Move slowly to the start of a scenario, let a law act for its duration, and stop: its log, read, and the file.
+
+    A fault ends the run, and is its outcome. One before the law acts is raised.
+    """
+    others, error = set(log.iterdir()), None
+    try:
+        robot.move_to(start_of(experiment), speed=SPEED)
+        robot.start(ctrl, _reference(experiment, ctrl), duration=experiment.duration)
+        begun = time.monotonic()
+        try:
+            for event in _later(experiment):
+                robot.wait(max(0.0, begun + event.t - time.monotonic()))
+                robot.parameters.update(event.set)
+            robot.wait(max(0.0, begun + experiment.duration - time.monotonic()))
+        except TautError as cause:
+            error = cause
+        sent = robot.stop()
+    except KeyboardInterrupt:
+        robot.stop()
+        files = sorted(set(log.iterdir()) - others)
+        raise KeyboardInterrupt(*[f"what was logged until then is in {file}" for file in files[-1:]]) from None
+    ticks = sent.extra[TICK][sent.extra["loop.sent"] > 0.5]
+    if error is not None and not len(ticks):
+        raise error
+    run, file = _logged(log, others, ticks[-1])
+    count = int(np.searchsorted(run.t, experiment.duration + HALF))
+    if isinstance(error, RobotError):
+        count = min(count, int(np.searchsorted(run.extra[TICK], error.fault.tick, "right")))
+    outcome = run.outcome
+    if error is not None and outcome.ok:  # the log knows no faults of a driver
+        outcome = replace(outcome, kind="stopped", message=f"{error}; {outcome.message}", joint=error.joint)
+    return replace(run.ticks(slice(count)), outcome=replace(outcome, tick=count - 1)), file
 
 
-def _logged(log: Path, others: set[Path], last: float) -> Run:
+def _logged(log: Path, others: set[Path], last: float) -> tuple[Run, Path]:
     """The file that has the last tick, among those that have come, as soon as it is whole."""
     until = time.monotonic() + LOGGED
     while time.monotonic() < until:
         for file in sorted(set(log.iterdir()) - others, reverse=True):
             if file.read_bytes().endswith(MAGIC) and (run := load_run(file)).extra[TICK][-1] >= last:
-                return run
+                return run, file
         time.sleep(LOOK)
     raise FileError(f"the log of the run is not whole after {LOGGED:g} s; what there is, is in {log}", name=str(log))
-
-
-def _check(ctrl: Controller, values: Mapping[str, Any], arm: Arm) -> None:
-    for path, value in values.items():
-        if path not in ctrl.parameters:
-            raise UsageError(
-                f"the event sets {path}, which is of the plant; a robot with arm '{arm.name}' has none", name=path
-            )
-        ctrl.side.checked_parameter(path, value)

@@ -32,7 +32,7 @@ from taut.record.log.files import checked_target, written_aside
 from taut.record.metrics import METRICS, Metrics
 from taut.record.run import HALF, Run
 from taut.runtime.realtime.robot import Robot
-from taut.scenarios.on_robot import run_on_robot
+from taut.scenarios.on_robot import ready_for, run_on_robot
 from taut.scenarios.scenario import FILES, PassFigure, Scenario, Trial
 
 SECTIONS: Final = {"duration": "run", "ref": "reference"}  # which an error of a run is about, by its name
@@ -62,6 +62,8 @@ class ScenarioResult(Result):
     runs: Mapping[Trial, Run]
     outputs: Mapping[str, Path]
     skipped: Mapping[str, str]  # outputs that could not be made, and why
+    logs: Mapping[Trial, Path] = dataclasses.field(default_factory=dict)  # of a robot
+    ended: str = ""  # why a robot did not run all laws
 
     @property
     def verdicts(self) -> list[str]:
@@ -82,7 +84,8 @@ class ScenarioResult(Result):
     @property
     def ok(self) -> bool:
         """True where every run went to its end, every pass criterion was reached and every file was made."""
-        return not self.missed and not self.skipped and all(one.outcome.ok for one in self.runs.values())
+        faults = self.missed or self.skipped or self.ended
+        return not faults and all(one.outcome.ok for one in self.runs.values())
 
     def json(self) -> dict[str, Any]:
         return {
@@ -91,6 +94,8 @@ class ScenarioResult(Result):
             "outcomes": _by_case({trial: one.outcome.json() for trial, one in self.runs.items()}),
             "outputs": {kind: str(path) for kind, path in self.outputs.items()},
             "skipped": dict(self.skipped),
+            "logs": _by_case({trial: str(path) for trial, path in self.logs.items()}),
+            "ended": self.ended,
             "ok": self.ok,
             "missed": self.missed,
         }
@@ -111,10 +116,14 @@ class ScenarioResult(Result):
             faults=[
                 *(f"missed: {text}" for text in missed),
                 *(f"no {kind}: {reason}" for kind, reason in self.skipped.items()),
+                *filter(None, [self.ended]),
             ],
             summary=[*outcomes, *([reached] if verdicts else [])],
-            tables=[self._of_runs()],
-            notes=[f"{kind:8} {path}" for kind, path in self.outputs.items()],
+            tables=[self._of_runs()] if self.runs else [],
+            notes=[
+                *(f"{kind:8} {path}" for kind, path in self.outputs.items()),
+                *(f"robot    {path} ({trial.label})" for trial, path in self.logs.items()),
+            ],
             texts=self.scenario.experiment.texts,
         )
 
@@ -234,24 +243,55 @@ def run_scenario(
 ) -> ScenarioResult:
     """Run every law of a scenario and write its files to a folder; the result lists files that could not be made.
 
-    On a robot, if one is given, in place of the scenario's plant; its logs are in the folder's `robot`.
+    On a robot, if one is given, in place of the scenario's plant, until a law ends in a fault; its logs are in the
+    folder's `robot`.
 
-    Raises ScenarioError, and FileError before the first run where something stands in the way of a file. `say` takes
-    lines of progress.
+    Raises ScenarioError before the first motion of a robot, and FileError before the first run where something stands
+    in the way of a file. `say` takes lines of progress.
     """
-    files = _targets(scenario, folder)
+    files, logs, ended = _targets(scenario, folder), dict[Trial, Path](), ""
+    if robot is None:
+        runs = _simulated(scenario, files, say, engine)
+    else:
+        runs, logs, ended = _on_robot(scenario, robot, folder / "robot", say)
+    outputs, skipped = _written(scenario, runs, files, say)
+    return ScenarioResult(scenario=scenario, runs=runs, outputs=outputs, skipped=skipped, logs=logs, ended=ended)
+
+
+def _on_robot(
+    scenario: Scenario, robot: Robot, log: Path, say: Callable[[str], None]
+) -> tuple[dict[Trial, Run], dict[Trial, Path], str]:
+    """The runs until one ends in a fault, their logs, and a sentence on laws behind it."""
+    ready: dict[Trial, Controller] = {}
+    for trial, one in scenario.trials.items():
+        with _blamed(one, trial):
+            ready[trial] = ready_for(robot, one.experiment, one.laws[trial.law])
+    runs, logs, why = dict[Trial, Run](), dict[Trial, Path](), ""
+    for trial, ctrl in ready.items():
+        say(f"running {trial.label} ...")
+        try:
+            done, logs[trial] = run_on_robot(robot, scenario.experiment, ctrl, log)
+        except TautError as error:
+            why = f"{error}; its logs are in {log}"
+            break
+        runs[trial] = _labelled(done, scenario, trial)
+        say(f"{trial.label}: {done.outcome}")
+        if not done.outcome.ok:
+            why = f"{trial.label} stopped"
+            break
+    left = ", ".join(trial.label for trial in ready if trial not in runs)
+    return runs, logs, f"not run: {left}, as {why}" if left else ""
+
+
+def _simulated(
+    scenario: Scenario, files: Mapping[str, Path], say: Callable[[str], None], engine: EngineChoice
+) -> dict[Trial, Run]:
     runs: dict[Trial, Run] = {}
     made: dict[str, Controller] = {}
     for trial, one in scenario.trials.items():
         say(f"running {trial.label} ...")
         with _blamed(one, trial), warnings.catch_warnings():
             warnings.simplefilter("ignore", StabilityWarning)  # the outcome has its sentence
-            if robot is not None:
-                done = run_on_robot(robot, one.experiment, one.laws[trial.law], folder / "robot")
-                runs[trial] = dataclasses.replace(
-                    done, info=dataclasses.replace(done.info, scenario=_info(one, trial))
-                )
-                continue
             ctrl, law, adds = made.get(trial.law), one.laws[trial.law], one.experiment.plant.adds
             experiment = one.experiment.prepared(law, engine)
             if ctrl is None or ctrl.law is not law or ctrl.side.adds != adds or experiment is not one.experiment:
@@ -263,18 +303,19 @@ def run_scenario(
                 if log is None or not log.exists():
                     raise
                 raise KeyboardInterrupt(f"the run until then is in {log}") from None
-            runs[trial] = dataclasses.replace(done, info=dataclasses.replace(done.info, scenario=_info(one, trial)))
-    outputs, skipped = _written(scenario, runs, files, say)
-    return ScenarioResult(scenario=scenario, runs=runs, outputs=outputs, skipped=skipped)
+            runs[trial] = _labelled(done, one, trial)
+    return runs
 
 
-def _info(scenario: Scenario, trial: Trial) -> ScenarioInfo:
-    return ScenarioInfo(
+def _labelled(done: Run, scenario: Scenario, trial: Trial) -> Run:
+    """The run with the scenario that it is of."""
+    info = ScenarioInfo(
         name=scenario.name,
         **trial._asdict(),
         text=scenario.experiment.texts["Scenario"],
         built_in=scenario.experiment.name.partition(":")[0] == f"scenario '{scenario.name}'",
     )
+    return dataclasses.replace(done, info=dataclasses.replace(done.info, scenario=info))
 
 
 @contextmanager
@@ -305,11 +346,10 @@ def _written(
     scenario: Scenario, runs: Mapping[Trial, Run], files: Mapping[str, Path], say: Callable[[str], None]
 ) -> tuple[dict[str, Path], dict[str, str]]:
     """The files that were made, and why others were not: what happened in the runs must not be lost with them."""
-    shown = runs[scenario.shown]
     writers: dict[str, Callable[[Path], object]] = {
         "plot": lambda path: _save_plot(scenario, runs, path),
-        "video": lambda path: _film(shown, path),
-        "log": lambda path: _save_log(shown, path),
+        "video": lambda path: _film(_shown(scenario, runs), path),
+        "log": lambda path: _save_log(_shown(scenario, runs), path),
         "metrics": lambda path: _save_metrics(runs, path),
     }
     made: dict[str, Path] = {}
@@ -323,6 +363,13 @@ def _written(
         else:
             made[kind] = path
     return made, skipped
+
+
+def _shown(scenario: Scenario, runs: Mapping[Trial, Run]) -> Run:
+    """The run of video and log; the last one where a robot did not come to it."""
+    if not runs:
+        raise UsageError("no law was run", name="shown")
+    return runs.get(scenario.shown, list(runs.values())[-1])
 
 
 def _partial(log: Path) -> Path:

@@ -44,6 +44,42 @@ TYPES: Final = {
 SIGNS: Final = {"planar2": [1.0, -1.0], "seven": [1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0]}
 OFFSETS: Final = {"planar2": [0.3, -1.2], "seven": [0.0, 0.1, -0.4, 1.0, 0.0, 0.2, -0.1]}
 
+ROBOT: Final = """
+robot = "can://{channel}"
+
+[motors]
+types = ["DM8009", "DM4340"]
+sign = {sign}
+offset = [0.3, -1.2]
+rate = 500
+interface = "loopback"
+missed = 250
+
+[limits]
+missed = 250
+v = 3.0
+"""
+SCENARIO: Final = """
+title = "Two joints move on the bus"
+run = { duration = 1.0 }
+reference = { kind = "set-point", q = [0.55, 1.55] }
+outputs = { log = "reach.mcap" }
+
+[arm]
+model = "planar2"
+joint_values = { effort = [50.0, 25.0], velocity = 6.0, lower = [-2.0, 0.0], upper = [2.0, 2.5] }
+gears = { ratio = [9.0, 40.0], motor_inertia = [1.95e-4, 2e-5] }
+
+[laws.pd]
+law = "GravityPID"
+kp = [80.0, 40.0]
+kd = [4.0, 2.0]
+wrapped_by = { law = "ViaMit" }
+
+[plant]
+takes = "mit"
+"""
+
 
 def load(name: str) -> taut.Arm:
     """One of the two arms, with the rotors of its motors."""

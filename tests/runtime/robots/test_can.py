@@ -767,43 +767,6 @@ def test_half_a_step_halves_the_steady_state_error(arms: dict[str, CanArm]) -> N
     assert errors[0.0] == pytest.approx(0.9e-3, abs=0.2e-3)
 
 
-ROBOT: Final = """
-robot = "can://{channel}"
-
-[motors]
-types = ["DM8009", "DM4340"]
-sign = {sign}
-offset = [0.3, -1.2]
-rate = 500
-interface = "loopback"
-missed = 250
-
-[limits]
-missed = 250
-v = 3.0
-"""
-SCENARIO: Final = """
-title = "Two joints move on the bus"
-run = { duration = 1.0 }
-reference = { kind = "set-point", q = [0.55, 1.55] }
-outputs = { log = "reach.mcap" }
-
-[arm]
-model = "planar2"
-joint_values = { effort = [50.0, 25.0], velocity = 6.0, lower = [-2.0, 0.0], upper = [2.0, 2.5] }
-gears = { ratio = [9.0, 40.0], motor_inertia = [1.95e-4, 2e-5] }
-
-[laws.pd]
-law = "GravityPID"
-kp = [80.0, 40.0]
-kd = [4.0, 2.0]
-wrapped_by = { law = "ViaMit" }
-
-[plant]
-takes = "mit"
-"""
-
-
 def test_a_robot_file_is_brought_up_and_runs_a_scenario(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -811,11 +774,11 @@ def test_a_robot_file_is_brought_up_and_runs_a_scenario(
     for name, value in {"READ": 0.5, "SHADOW": 0.2, "SPEED": 0.3}.items():
         monkeypatch.setattr(bringup, name, value)
     file, wrong, scenario = (tmp_path / name for name in ("arm.toml", "wrong.toml", "reach.toml"))
-    scenario.write_text(SCENARIO)
-    run = ["run", str(scenario), "--robot", str(file), "--out", str(tmp_path / "out")]
+    scenario.write_text(can_arm.SCENARIO)
+    run = ["run", str(scenario), "--robot", str(file), "--out", str(tmp_path / "out"), "--yes"]
     with CanArm("planar2") as sim:
-        file.write_text(ROBOT.format(channel=sim.channel, sign="[1, -1]"))
-        wrong.write_text(ROBOT.format(channel=sim.channel, sign="[-1, -1]"))
+        file.write_text(can_arm.ROBOT.format(channel=sim.channel, sign="[1, -1]"))
+        wrong.write_text(can_arm.ROBOT.format(channel=sim.channel, sign="[-1, -1]"))
         assert main(run) == 2
         assert f"taut bringup {file} --scenario {scenario}" in capsys.readouterr().err
         assert sim()["commands"] == [0, 0]

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 import taut
 
-RATE, LIFE = 500.0, 60.0
+RATE, LIFE = 500.0, 120.0
 VECTOR6, VECTOR3 = "VECTOR6D", "VECTOR3D"
 TYPES = {VECTOR6: "6d", VECTOR3: "3d", "DOUBLE": "d", "UINT32": "I", "INT32": "i"}
 OUTPUTS = {

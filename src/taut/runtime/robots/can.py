@@ -323,7 +323,9 @@ class CanDriver(RobotDriver):
         self._require_status(0, ENABLED)
 
     def call(self, name: str, arguments: Mapping[str, Any]) -> Any:
-        """`motors`: status, temperatures [degree C], missing replies by joint, error frames; `hold`: enable them."""
+        """`hold`: enable them; `enabled`; `motors`: status, temperatures [degree C], lost replies; error frames."""
+        if name == "enabled":
+            return ENABLED in self._status
         if name == "hold":
             if not self._controls:
                 self.begin()

@@ -53,7 +53,7 @@ class RobotInfo:
     delay: float = 0.0  # [s] whole periods, from a measured state to the command that acts on it
     at_rest: float = 0.0  # [rad/s | m/s] what its velocities show at rest, by their resolution
     torque_rate: float = 0.0  # [N m/s | N/s] of commands, beyond which it stops itself; 0 where it takes any
-    holds: bool = True  # the arm while it is not controlled; else from call("hold") on
+    holds: bool = True  # the arm while it is not controlled; else from call("hold") to close: call("enabled")
     joint_names: tuple[str, ...] = ()  # where it knows them
     load: tuple[float, tuple[float, float, float]] | None = None  # that it compensates: [kg], centre at the tool [m]
     facts: Mapping[str, Any] = field(
