@@ -207,7 +207,8 @@ class SafeSide:
         if limits.contact is not None and self.side.sensing.observer is None:
             raise UsageError(
                 "limits.contact needs an observer: compile the law with "
-                "sensing=taut.Sensing(observer=taut.sensors.MomentumObserver(bandwidth=...))",
+                "sensing=taut.Sensing(observer=taut.sensors.MomentumObserver(bandwidth=...)), or state "
+                "observer = { bandwidth = ... } in [control] of the scenario",
                 name="contact",
             )
 

@@ -167,8 +167,8 @@ def run_on_robot(robot: Robot, experiment: Experiment, ctrl: Controller, log: Pa
     if isinstance(error, RobotError):
         count = min(count, int(np.searchsorted(run.extra[TICK], error.fault.tick, "right")))
     outcome = run.outcome
-    if error is not None and outcome.ok:  # the log knows no faults of a driver
-        outcome = replace(outcome, kind="stopped", message=f"{error}; {outcome.message}", joint=error.joint)
+    if error is not None and str(error) not in outcome.message:  # the log has no words of a driver
+        outcome = replace(outcome, kind="stopped", message=str(error), joint=error.joint)
     return replace(run.ticks(slice(count)), outcome=replace(outcome, tick=count - 1)), file
 
 

@@ -20,6 +20,8 @@ import pytest
 from refusals import refused
 
 import taut
+from taut.codegen.servo_loop import STATUS, STATUS_WORDS
+from taut.control.faults import CODES
 from taut.control.safety import SafeSide
 from taut.record.log.reading import intact_parts
 from taut.runtime.realtime import logger
@@ -28,6 +30,7 @@ from taut.runtime.realtime.logger import LogProcess
 from taut.runtime.realtime.ring import HEAD, Ring
 from taut.runtime.realtime.robot import HOLD
 from taut.runtime.realtime.sets import ServoSet
+from taut.runtime.realtime.shared import Shared
 
 SMALL = 400  # rows of a ring that overflows soon
 SOON = 20.0  # [s] for what happens within milliseconds on a machine that does nothing else
@@ -60,7 +63,8 @@ class Loop:
         self.rows = np.zeros((0, made.row_size))
         self.read: dict[Path, tuple[int, list[taut.Run]]] = {}
         self.closed = False
-        self.log = LogProcess(logger.log_folder(folder))
+        self.status = Shared.create(STATUS_WORDS)
+        self.log = LogProcess(logger.log_folder(folder), self.status.name)
         self.log.follow(self.acting, "loop", self.arm, "Computed torque")
 
     def tick(self, count: int, *, sent: bool = True, fault: float = 0.0) -> None:
@@ -120,6 +124,21 @@ def loop(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Loop]:
     made = Loop(tmp_path / "logs", getattr(request, "param", 8192))
     yield made
     made.close()
+
+
+def test_a_fault_of_the_driver_is_the_outcome_of_the_law_that_acted(loop: Loop) -> None:
+    loop.status.words[STATUS["running"]] = 2
+    loop.status.words[STATUS["fault"]] = CODES["disconnected"]
+    loop.tick(100)
+    loop.tick(1, sent=False)
+    loop.written()
+    loop.status.words[STATUS["running"]] = 1  # this one
+    loop.tick(100)
+    loop.close()
+    first, second = loop.files()
+    assert first.outcome.ok
+    assert second.outcome.kind == "stopped"
+    assert second.outcome.message.startswith("disconnected (50) in tick 0: ")
 
 
 small = pytest.mark.parametrize("loop", [SMALL], indirect=True)

@@ -241,6 +241,14 @@ class TestDriverFaults:
         robot.wait(0.02)
         assert np.abs(robot.stop().command[:5]).max() < 1e-6
 
+    def test_an_answer_that_nobody_waits_for_any_more_is_not_taken_for_another(
+        self, driven: tuple[Robot, Path]
+    ) -> None:
+        robot, _ = driven
+        robot.call("grasp")
+        robot.link._send(("call", ("gripper", {}), 0))  # as Ctrl-C leaves one
+        assert robot.call("push", v=0.0) is None
+
     def test_a_gripper_is_the_drivers(self, driven: tuple[Robot, Path]) -> None:
         robot, _ = driven
         robot.start(compiled(robot))
@@ -264,7 +272,10 @@ class TestProcess:
     @pytest.fixture
     def acting(self, tmp_path: Path) -> Iterator[tuple[Robot, Path]]:
         log = tmp_path / "log"
-        robot = taut.connect(FaultyDriver, ARM, limits=limits(), address="here", options={"log": str(log)})
+        options = {"log": str(log)}
+        robot = taut.connect(
+            FaultyDriver, ARM, limits=limits(), address="here", options=options, log=tmp_path / "logs"
+        )
         robot.start(compiled(robot))
         robot.wait(0.05)
         yield robot, log
@@ -272,7 +283,7 @@ class TestProcess:
 
     @pytest.mark.parametrize("how", ["hang in read", "hang in write", "stopped", "killed"])
     def test_a_loop_that_does_not_tick_is_ended(self, acting: tuple[Robot, Path], how: str, bar: Any) -> None:
-        robot, _ = acting
+        robot, log = acting
         pid = robot.link.process.pid
         if how.startswith("hang"):
             robot.call("fail", **{how.split()[-1]: "hang"})
@@ -289,6 +300,10 @@ class TestProcess:
         with pytest.raises(RobotError):
             robot.recover()
         assert robot.status.state == "gone"
+        robot.close()
+        (file,) = (log.parent / "logs").iterdir()
+        assert taut.load_run(file).outcome.kind == "stopped"
+        assert taut.load_run(file).outcome.message.startswith(found.value.fault.name)
         bar(
             f"a loop that is {how.replace('hang', 'hung')}: ended from outside, after the last tick [ms]",
             f"{1e3 * took:.0f}",

@@ -127,7 +127,7 @@ def connect(
                 "the world (T_WB); state how it is mounted by arm.with_gravity(...), without T_WB",
                 name="T_WB",
             )
-        logs = None if folder is None else LogProcess(folder)
+        logs = None if folder is None else LogProcess(folder, link.status.name)
         return Robot(link, info, arm, limits, partial(_holder, limits=limits), logs)
     except BaseException:
         link.close()

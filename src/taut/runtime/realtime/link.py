@@ -41,7 +41,7 @@ class Link:
         self.group: Shared = Shared.create(1) if partner is None else partner.group
         self.failure: tuple[int, str] | None = None  # code and text of a driver's fault
         self._owner, self._closed, self._shares = os.getpid(), False, partner is not None
-        self._alone = threading.RLock()  # of the messages
+        self._alone, self._asked = threading.RLock(), 0  # of the messages
         ours, theirs = socket.socketpair()
         with theirs:
             self.process = subprocess.Popen(
@@ -53,8 +53,7 @@ class Link:
 
     def open(self, hello: Mapping[str, Any]) -> RobotInfo:
         """Connect to the robot. Raises DriverError."""
-        self._send(("hello", {**hello, "status": self.status.name, "group": self.group.name}))
-        info, self.notes = self._answer("info")
+        info, self.notes = self.ask("hello", {**hello, "status": self.status.name, "group": self.group.name})
         return RobotInfo(**info)
 
     def word(self, name: str) -> int:
@@ -83,8 +82,9 @@ class Link:
         """A message, and the answer to it. Raises DriverError with the error of the loop's process."""
         with self._alone:
             self.hear()
-            self._send((kind, given))
-            return self._answer("done")[1]
+            self._asked += 1
+            self._send((kind, given, self._asked))
+            return self._answer(self._asked)
 
     def _send(self, message: Any) -> None:
         try:
@@ -92,17 +92,19 @@ class Link:
         except (OSError, ValueError) as cause:
             raise DriverError("the loop's process is gone; connect again", kind="process_died") from cause
 
-    def _answer(self, kind: str) -> tuple[Any, ...]:
+    def _answer(self, number: int) -> Any:
+        """The answer to the request of a number; those to earlier ones, which Ctrl-C ended, are dropped."""
         until = time.monotonic() + ANSWER_TIME
         with contextlib.suppress(EOFError, OSError):
             while self._mail.poll(0.05) or self.alive:
                 if self._mail.poll(0):
                     message = self._mail.recv()
-                    if message[0] == kind:
-                        return tuple(message[1:])
-                    if message[0] == "error":
-                        raise DriverError(message[2], kind=message[1])
-                    self.failure = message[1], message[2]
+                    if message[0] == "fault":
+                        self.failure = message[1], message[2]
+                    elif message[1] == number and message[0] == "error":
+                        raise DriverError(message[3], kind=message[2])
+                    elif message[1] == number:
+                        return message[2]
                 if time.monotonic() > until:
                     raise DriverError(f"the loop's process did not answer within {ANSWER_TIME:g} s", kind="driver")
         raise DriverError("the loop's process died; connect again", kind="process_died")
@@ -123,7 +125,7 @@ class Link:
             return self._closed
         self._closed = True
         with contextlib.suppress(DriverError):
-            self._send(("close", None))
+            self._send(("close", None, 0))
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.process.wait(CLOSING)
         if self.alive:

@@ -29,11 +29,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taut.base.types import Float64Array
-from taut.control.faults import Fault
+from taut.codegen.servo_loop import STATUS, STATUS_WORDS
+from taut.control.faults import CODES, Fault, fault_of
 from taut.record.log.files import cannot_write
 from taut.record.log.writing import CDR_HEAD, Header, Log, TickLayout
 from taut.runtime.realtime.ring import DROPPED, ENDED, ERRNO, HEAD, LOGGER, SAFE, Ring, Rows, outcome_of
-from taut.runtime.realtime.shared import environment
+from taut.runtime.realtime.shared import Shared, environment
 
 if TYPE_CHECKING:
     from taut.arm.description import Arm
@@ -60,6 +61,8 @@ class Following:
     header: Header
     title: str
     shadow: bool
+    status: str  # shared memory of the loop's state
+    number: int  # of the law
 
     def meant(self, rows: Float64Array) -> NDArray[np.bool_]:
         """(k,) rows whose commands went out, or all of a shadow."""
@@ -77,7 +80,9 @@ class Book:
 
     def __init__(self, law: Following, folder: Path) -> None:
         self._law, self._folder, self.ring = law, folder, Ring.attach(law.ring)
-        self._words = self.ring.header
+        self._words, self._status = self.ring.header, np.zeros(STATUS_WORDS, dtype=np.int64)
+        with contextlib.suppress(FileNotFoundError):  # the loop is gone
+            self._status = Shared.attach(law.status).words
         self._words[LOGGER] = os.getpid()
         # Where the numbers of a message stand in a row: a row of these numbers is written as one.
         numbers = TickLayout(law.header).rows(law.rows.of_run(np.arange(float(self.ring.width))[None]))
@@ -156,9 +161,15 @@ class Book:
         """End the file, if there is one."""
         if self._log is not None:
             dropped, why = int(self._words[DROPPED]), int(self._words[ERRNO])
-            self._log.finish(outcome_of(self._counts, self._fault, dropped, why))
+            self._log.finish(outcome_of(self._counts, self._fault or self._of_driver(), dropped, why))
             self._log.close()
             self._forget()
+
+    def _of_driver(self) -> Fault | None:
+        """The fault that ended the loop of this law: its rows know none of the driver and of the watchdog."""
+        words = {name: int(self._status[STATUS[name]]) for name in ("fault", "control", "running", "ticks")}
+        code = words["fault"] or CODES["process_died"] * words["control"]  # no more rows, and still in control
+        return fault_of(code, words["ticks"]) if code and words["running"] == self._law.number else None
 
     def _abandon(self, cause: OSError, now: float) -> None:
         """Leave the file as it is; what is not safely in it goes into another one."""
@@ -188,8 +199,8 @@ def log_folder(path: str | os.PathLike[str]) -> Path:
 class LogProcess:
     """The parent's end of the log process, which it starts again where it dies."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder, self._closed = folder, False
+    def __init__(self, folder: Path, status: str) -> None:
+        self._folder, self._status, self._closed = folder, status, False
         self._rings: list[Ring] = []
         self._followed: list[tuple[Ring, Following]] = []  # that are not done
         self._waiting: queue.SimpleQueue[tuple[Ring, Following]] = queue.SimpleQueue()
@@ -211,8 +222,9 @@ class LogProcess:
         header = Header.of(acting.run(robot, arm, None, np.zeros((0, acting.ring.width))))
         title = re.sub("[^A-Za-z0-9]+", "_", title)[:MAX_TITLE]
         law = Following(
-            ring=acting.ring.name, rows=acting.layout, header=header, title=title, shadow=not acting.sends
-        )
+            ring=acting.ring.name, rows=acting.layout, header=header, title=title, shadow=not acting.sends,
+            status=self._status, number=acting.number,
+        )  # fmt: skip
         self._rings.append(acting.ring)
         self._waiting.put((acting.ring, law))  # the thread sends it: a process that is stalled takes nothing
         if not self._thread.is_alive():

@@ -174,14 +174,14 @@ class Process:
 
     def __init__(self, connection: Connection) -> None:
         self._mail = connection
-        self._jobs: queue.Queue[tuple[str, Any]] = queue.Queue()
+        self._jobs: queue.Queue[tuple[str, Any, int]] = queue.Queue()  # kind, argument, number
         self._sets: list[LoadedSet] = []
         self._lock = threading.Lock()
         self._parent = os.getppid()
 
     def run(self) -> None:
         """Take the first message, connect, and work until the parent ends it or is gone."""
-        kind, hello = self._mail.recv()
+        kind, hello, self._hello = self._mail.recv()
         if kind == "close":
             return
         self._status, self._group = Shared.attach(hello["status"]), Shared.attach(hello["group"])
@@ -190,7 +190,7 @@ class Process:
         try:
             self._serve(hello, _real_time(PRIORITY))  # which threads of the driver inherit
         except BaseException as error:
-            self._answer("error", *_in_words(error))
+            self._answer("error", self._hello, *_in_words(error))
         self._words[STATUS["dead"]] = 1
         os.waitpid(watchdog, 0)
 
@@ -235,7 +235,7 @@ class Process:
             gc.freeze()
             gc.disable()
             sys.setswitchinterval(1e-4)
-            self._answer("info", dataclasses.asdict(info), notes)
+            self._answer("done", self._hello, (dataclasses.asdict(info), notes))
             threading.Thread(target=self._take_mail, daemon=True).start()
             self._work()
         finally:
@@ -250,9 +250,9 @@ class Process:
                 while not self._mail.poll(PARENT):
                     if os.getppid() != self._parent:  # a child of the parent may hold the other end
                         raise EOFError
-                kind, given = self._mail.recv()
+                kind, given, number = self._mail.recv()
             except (EOFError, OSError):
-                kind, given = "close", None
+                kind, given, number = "close", None, 0
             if kind == "close":
                 self._leave()
             try:
@@ -261,13 +261,13 @@ class Process:
                     made.warm_up(self._period)
                     if not given["control"]:
                         self._install(made)
-                        self._answer("done", kind, None)
+                        self._answer("done", number, None)
                         continue
                     kind, given = "begin", made
             except BaseException as error:
-                self._answer("error", *_in_words(error))
+                self._answer("error", number, *_in_words(error))
                 continue
-            self._jobs.put((kind, given))
+            self._jobs.put((kind, given, number))
             self._words[STATUS["quit"]] = 1
 
     def _leave(self) -> None:
@@ -278,7 +278,7 @@ class Process:
             time.sleep(10 * self._period)
             if v is not None and np.abs(v).max() < STANDING:
                 break
-        self._jobs.put(("close", None))
+        self._jobs.put(("close", None, 0))
         self._words[STATUS["quit"]] = 1
         time.sleep(2.0 * STOP_TIME)
         os._exit(1)
@@ -290,7 +290,7 @@ class Process:
         if words[LOOP["set"]] == 0:
             words[LOOP["set"]] = made.address
             self._words[STATUS["running"]] = made.number
-            self._jobs.put(("go", None))
+            self._jobs.put(("go", None, 0))
         else:
             words[LOOP["next"]] = made.address
 
@@ -302,7 +302,7 @@ class Process:
             if going and self._jobs.empty():
                 going = self._loop_once()
                 continue
-            kind, given = self._jobs.get()
+            kind, given, number = self._jobs.get()
             if kind == "close":
                 self._end()
                 return
@@ -312,9 +312,9 @@ class Process:
             try:
                 answer = self._do(kind, given)
                 going = going or kind in ("begin", "recover")
-                self._answer("done", kind, answer)
+                self._answer("done", number, answer)
             except BaseException as error:
-                self._answer("error", *_in_words(error))
+                self._answer("error", number, *_in_words(error))
 
     def _do(self, kind: str, given: Any) -> Any:
         words, driver = self._words, self._driver
