@@ -367,9 +367,14 @@ def test_numbers_of_a_wrong_model_that_have_no_meaning_are_refused(numbers: dict
         "PID(kp=-inf)",
         "PID(kp=[1, NaN])",
         "PID(kp=3-nan)",
+        "ViaMit(law=PID(kp=-1, kd=2))",
+        "ViaMit(law=PIDD(kp=1))",
+        "ViaMit(law=Integral())",
+        "ViaMit(kp_motor=1)",
+        "Integral()",
     ],
 )
-def test_a_gain_in_a_text_that_is_not_finite_is_told_by_name(text: str) -> None:
+def test_what_is_wrong_in_a_text_is_named(text: str) -> None:
     with refused(taut.TautError):
         law_of_text(text)
 

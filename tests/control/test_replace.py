@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -10,14 +12,18 @@ import pytest
 from refusals import refused
 
 import taut
+from taut.base.fields import Field
 from taut.control.combine import law_classes
 from taut.control.gains import GainValue
+from taut.scenarios.sections import law_of_text
 
 laws = taut.laws
 BACK = laws.Integral(anti_windup="back-calculation", tracking=5.0)
 JOINT = laws.ComputedTorque(kp=100.0, kd=20.0)
 TASK = laws.TaskComputedTorque(kp=(400.0, 100.0), kd=(40.0, 20.0))
-HYBRID = laws.HybridMotionForce(constraint=lambda T: T.p[2] - 0.1, motion=TASK, kfi=3.0)
+TURNED = taut.Pose([0.1, 0.2, 0.3], rpy=[0.1, 0.2, 0.3])
+BOARD = taut.Constraint.plane(point=[0.0, 0.0, 0.1], normal=np.array([0.0, 0.0, 2.0]))
+HYBRID = laws.HybridMotionForce(constraint=BOARD, motion=TASK, kfi=3.0)
 LAWS: dict[str, tuple[taut.Law, dict[str, Any]]] = {
     "PID": (laws.PID(kp=1.0, kd=2.0), {"kp": 3.0}),
     "FeedForward": (laws.FeedForward(), {}),
@@ -111,6 +117,55 @@ def test_a_law_is_replaced_in_what_was_named_and_in_nothing_else(name: str) -> N
     assert list(same.parameters()) == list(law.parameters())
     for field in change:
         assert repr(same) != repr(other), field
+
+
+SHAPES: dict[str, taut.Law] = {
+    "a law in a law in a law": laws.ViaMit(
+        law=laws.RaisedGains(inner=laws.GravityPID(kp=[1.0, 2.0], kd=np.eye(2), integral=BACK), factor=2.0),
+        kp_motor=[1.0, 2.0],
+        kd_motor=0.0,
+    ),
+    "a sum in a wrapper": laws.ViaMit(law=laws.FeedForward() + laws.PID(kp=3.0), kp_motor=[0.0, 0.0], kd_motor=1.0),
+    "side by side": laws.SideBySide(a=(laws.PID(kp=1.0), ["joint1"]), b=laws.Stiffness(K=(8.0, 1.0), tool="it's \"b\"")),
+    "intervals": laws.Robust(
+        lam=1.0, k=1.0, phi=0.1, uncertainty=laws.Uncertainty(links=[0.1, 0.0], viscous=([0.0, 0.0], [1.0, 2.0]))
+    ),
+    "coordinates": laws.TaskComputedTorque(kp=3.0, kd=[2.0, 3.0, 1.0], error="coordinates", coordinates=taut.Coordinates.position()),
+    "constraints": laws.HybridMotionForce(
+        constraint=BOARD + taut.Constraint.hinge(point=[0.0, 0.0, 0.1], axis=[0, 0, 1], T=TURNED), motion=TASK
+    ),
+    "two frames": laws.HybridMotionForce(
+        constraint=taut.Constraint.grasp("left", second="right", T=TURNED), motion=TASK, feedback="joint_torque"
+    ),
+    "nothing": laws.Impedance(K=(8.0, 1.0), zeta=0.7, null=None),
+    "a posture": laws.Impedance(K=np.eye(6), B=np.eye(6), null=laws.Posture(q=[0.1, 0.2], kp=[3.0, 0.0])),
+}  # fmt: skip
+
+
+def formed() -> Iterator[taut.Law]:
+    """Each law, and with each of its gains as a number, a vector and a matrix, and as zeros of these shapes."""
+    yield from [*SHAPES.values(), *(law for law, _ in LAWS.values())]
+    for law, _ in LAWS.values():
+        for name, field in law.declared.items():
+            forms = [3.0, np.full(2, 3.0), 3.0 * np.eye(2), np.full(6, 3.0), 3.0 * np.eye(6)]
+            for form in forms if isinstance(field, Field) else ():
+                for value in (form, 0.0 * form):
+                    with contextlib.suppress(taut.TautError):  # which this field does not take
+                        yield dataclasses.replace(law, **{name: value})
+
+
+def test_every_law_is_made_again_from_its_text_with_every_shape_of_its_gains() -> None:
+    """The text is what a log has of it: paths and shapes of parameters, and exact numbers."""
+    count = 0
+    for law in formed():
+        _, made = law_of_text(repr(law))
+        assert repr(made) == repr(law)
+        one, other = made.parameters(), law.parameters()
+        assert list(one) == list(other)
+        for path in one:
+            np.testing.assert_array_equal(one[path], other[path], strict=True, err_msg=repr(law))
+        count += 1
+    assert count > 250
 
 
 def test_a_part_is_replaced_as_a_whole() -> None:

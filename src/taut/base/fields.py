@@ -234,9 +234,10 @@ class Declared:
             part.check_size(joints, f"{prefix}{self._below(name)}")
 
     def _as_by_default(self, name: str) -> bool:
-        """True where a field has the value of its default; a copy of a part may be another object of equal text."""
-        stored, default = self.__dict__[name], self.declared[name].default
-        return _same(stored, default) or (isinstance(stored, Declared) and repr(stored) == repr(default))
+        """True where a field has the value and shape of its default; a copy of a part may be another object."""
+        stored, field = self.__dict__[name], self.declared[name]
+        same = _same(stored, field.default) and np.shape(stored) == np.shape(field.taken(field.default, self))
+        return same or (isinstance(stored, Declared) and repr(stored) == repr(field.default))
 
     def __repr__(self) -> str:
         shown = (

@@ -271,7 +271,7 @@ def _replay(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
     from taut.controller import compile
     from taut.record.log.reading import load_run
     from taut.runtime.realtime.replay import replay, require_servo
-    from taut.scenarios.sections import law_of_text, side_of_text
+    from taut.scenarios.sections import law_of_text, of_text
 
     run = load_run(arguments.run)
     servo, info = require_servo(run), run.info
@@ -279,14 +279,15 @@ def _replay(arguments: argparse.Namespace, say: Say) -> Answer:  # noqa: ARG001
     own = None if arguments.law is None else load_law(arguments.law, arguments.gain)
     try:
         law = own or law_of_text(info.law)[1]
-        sides = {"sensing": side_of_text(info.sensing), "limits": side_of_text(f"Limits({info.command_limits})")}
+        sensing, cut = of_text(info.sensing, "sensing"), info.command_limits
+        limits = None if cut == "none" else of_text(f"Limits({cut})", "limits")
     except TautError as cause:
         raise UsageError(
             "the law cannot be made from its text in the log; give --law FILE.py:CLASS, or in Python its controller "
             f"to taut.analysis.replay: {cause}",
             name="law",
         ) from cause
-    result = replay(run, compile(law, arm, rate=run.rate, adds=servo.adds, **sides))
+    result = replay(run, compile(law, arm, rate=run.rate, adds=servo.adds, sensing=sensing, limits=limits))
     return Answer(text=f"{_of(run)}\n{result}", data=result.json(), status=DONE if result.ok else FAILED)
 
 

@@ -197,7 +197,10 @@ class SideBySide(Law):
         return of_kind(one_kind(commands, "laws side by side"), sum(whole[1:], start=whole[0]), rows), after
 
     def __repr__(self) -> str:
-        return f"SideBySide({', '.join(f'{name}={law!r}' for name, law in self.parts.items())})"
+        own = {
+            name: law if self.joints[name] is None else (law, self.joints[name]) for name, law in self.parts.items()
+        }
+        return f"SideBySide({', '.join(f'{name}={part!r}' for name, part in own.items())})"
 
 
 def _places_of(law: Law, joints: tuple[str, ...] | None, arm: Arm) -> list[int]:

@@ -329,7 +329,8 @@ def _value(argument: Argument, table: Table, key: str) -> Any:
     if written == LEFT_OUT_WORD and argument.optional:
         return None
     tables = isinstance(written, dict) or (isinstance(written, list) and any(isinstance(x, dict) for x in written))
-    if argument.part is None or (argument.plain and not tables):
+    made = written is None or dataclasses.is_dataclass(written) or isinstance(written, Pose)  # of a law's text
+    if argument.part is None or made or (argument.plain and not tables):
         return written
     reader = _READERS.get(argument.part)
     return reader(table, key) if reader is not None else read(argument.part, table.table(key))

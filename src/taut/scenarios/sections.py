@@ -5,11 +5,13 @@ from __future__ import annotations
 import ast
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 import numpy as np
 
+from taut import drives, sensors
 from taut import laws as all_laws
 from taut.arm.builtin import BUILT_IN, one_joint_tree
 from taut.arm.catalogue import CATALOGUE
@@ -18,15 +20,16 @@ from taut.arm.description import Arm
 from taut.arm.friction import Friction
 from taut.arm.load import load_arm, open_model
 from taut.base.checks import rate_in_hertz
-from taut.base.errors import ScenarioError, UsageError, unknown_name
+from taut.base.errors import ScenarioError, TautError, UsageError, unknown_name
 from taut.base.fields import Declared, Field, Part, Whole
 from taut.base.plot_style import short
 from taut.base.types import Float64Array
 from taut.control.combine import SideBySide, Wrapper, law_classes
 from taut.control.law import Law
+from taut.control.laws.task_error import Coordinates
 from taut.control.limits import Limits
 from taut.control.observer import MomentumObserver
-from taut.control.sensing import Difference, Kalman, LowPass, Notch, Sensing, Wrist
+from taut.control.sensing import Difference, Kalman, LowPass, Sensing
 from taut.drives import ElectricMotor, FlexibleLink, Motor, MotorModel, VariableStiffnessActuator
 from taut.environments import (
     Damper,
@@ -151,23 +154,34 @@ def _limits(table: Table, arm: Arm, rate: float) -> Limits | None:
 
 
 EXAMPLE: Final = "PID(kp=100, kd=20)"
-MAX_TEXT: Final = 2000  # letters
+MAX_TEXT: Final = 50_000  # letters: three gains of 30 joints as matrices
 MAX_SHOWN: Final = 80  # of them in a message
 
 
 def law_of_text(text: str) -> tuple[str, Law]:
     """A law and its name: the text, or what stands before it, "stiff: PID(kp=900)". Raises UsageError, ScenarioError.
 
-    The names, gains and tables are those of [laws.LABEL] in a scenario: lists for arrays, dictionaries for tables,
-    laws within laws for a wrapper, and + for a sum.
+    It is written as in Python: ViaMit(law=PID(kp=[100, 80])), SideBySide(left=..., right=...), and + for a sum. What
+    is a table in a scenario may be a dictionary.
     """
     label, colon, rest = text.partition(":")
     named = bool(colon) and "(" not in label
     name, words = (label.strip(), rest) if named else (" ".join(text.split()), text)
+    return name, of_text(words, name, Law)
+
+
+def of_text(text: str, name: str, kind: type = Declared) -> Any:
+    """A law, or the sensing or limits of a record, of that name from its text. Raises UsageError, ScenarioError."""
+    place = Table(f"law '{short(name, MAX_SHOWN)}':", "", {})
     try:
         if not name or not name.isprintable() or len(text) > MAX_TEXT:
             raise ValueError(text)
-        table = {**_written(ast.parse(words.strip(), mode="eval").body)}
+        with place.blamed():
+            made = _written(ast.parse(text.strip(), mode="eval").body, place)
+        if not isinstance(made, kind):
+            raise TypeError(text)
+    except TautError:
+        raise
     except (ValueError, TypeError, LookupError, SyntaxError, RecursionError, MemoryError) as cause:
         raise UsageError(
             f"a law is written as {EXAMPLE}, each gain by its name, or with a name before it, stiff: {EXAMPLE}; got "
@@ -175,58 +189,46 @@ def law_of_text(text: str) -> tuple[str, Law]:
             name="laws",
             value=text,
         ) from cause
-    return name, read_law(Table(f"law '{name}':", "", table))
+    return made
 
 
-def side_of_text(text: str) -> Any:
-    """Sensing or limits of a controller from the text that a record has: Sensing(velocity=LowPass(cutoff=30.0)).
-
-    None for "none". Raises UsageError.
-    """
-
-    def made(value: Any) -> Any:
-        if not isinstance(value, dict):
-            return None if value == "none" else value
-        return kinds[value["law"]](**{name: made(x) for name, x in value.items() if name != "law"})
-
-    kinds = {"Sensing": Sensing, "Limits": Limits, "LowPass": LowPass, "Difference": Difference, "Kalman": Kalman}
-    kinds |= {"Notch": Notch, "Wrist": Wrist, "MomentumObserver": MomentumObserver}
-    try:
-        if len(text) > MAX_TEXT:
-            raise ValueError(text)
-        return None if text == "Limits(none)" else made(_written(ast.parse(text, mode="eval").body))
-    except (ValueError, TypeError, LookupError, SyntaxError, RecursionError, MemoryError) as cause:
-        raise UsageError(f"{short(text, MAX_SHOWN)!r} cannot be made again from its text", name="sensing") from cause
+@cache
+def _kinds() -> Mapping[str, Any]:
+    """What a text makes, by its name there: laws, and the parts of laws, of sensing and of limits."""
+    public = {name: getattr(door, name) for door in (all_laws, sensors, drives) for name in door.__all__}
+    public |= {"Sensing": Sensing, "Limits": Limits}
+    public |= dict.fromkeys(("Sum", "Wrapper"))  # a sum is written as one, and no law is a wrapper alone
+    declared = {name: each for name, each in public.items() if isinstance(each, type) and issubclass(each, Declared)}
+    ready = {Constraint: CONSTRAINTS, Coordinates: ("position", "position_and_rpy")}
+    methods = {f"{kind.__name__}.{name}": getattr(kind, name) for kind, names in ready.items() for name in names}
+    return {**declared, **methods, "Pose.of": lambda R, p: Pose.of(np.array(R), np.array(p))}
 
 
-def _written(node: ast.expr) -> Any:
-    """A law as the table of [laws.LABEL], other values as TOML has them. Raises ValueError, TypeError or KeyError."""
+def _written(node: ast.expr, place: Table) -> Any:
+    """The object or value that a text describes. Raises TautError, or ValueError, TypeError, LookupError."""
     match node:
-        case ast.Name(id=word):  # nan and inf are numbers, as in TOML, so that the law says which gain must be finite
-            if word.lower() in ("nan", "inf"):
-                return float(word)
-            if not word[:1].isupper():  # no law has such a name
-                raise ValueError(word)
-            return {"law": word}
-        case ast.Call(func=ast.Name(id=name), args=[], keywords=gains) if all(gain.arg for gain in gains):
-            return {"law": name, **{str(gain.arg): _written(gain.value) for gain in gains}}
+        case ast.Name(id=word) if word.lower() in ("nan", "inf"):  # numbers: the law says which gain must be finite
+            return float(word)
+        case ast.Name():
+            return _written(ast.Call(node, [], []), place)
+        case ast.Call(func=func, args=[], keywords=given) if all(each.arg for each in given):
+            name, kinds = ast.unparse(func), _kinds()
+            if not name[:1].isupper():  # nothing that a text makes has such a name
+                raise ValueError(name)
+            if name not in kinds:
+                raise unknown_name("taut.laws", "law", name, kinds)
+            values = {str(each.arg): _written(each.value, place) for each in given}
+            return SideBySide(**values) if name == "SideBySide" else read(kinds[name], place.at("", values))
         case ast.BinOp(op=ast.Add(), left=left, right=right):
-            first, second = _as_sum(_written(left)), _as_sum(_written(right))
-            return {**first, **second, "law": first["law"] + second["law"]}
+            return _written(left, place) + _written(right, place)
         case ast.UnaryOp(op=ast.USub(), operand=operand):
-            return -_written(operand)
+            return -_written(operand, place)
         case ast.List(elts=items) | ast.Tuple(elts=items):
-            return [_written(item) for item in items]
-        case ast.Dict(keys=keys, values=values):
-            return {str(ast.literal_eval(key or "")): _written(each) for key, each in zip(keys, values, strict=True)}
-    value = ast.literal_eval(node)
-    return "none" if value is None else value
-
-
-def _as_sum(table: Mapping[str, Any]) -> dict[str, Any]:
-    gains = dict(table)
-    name = gains.pop("law")
-    return dict(table) if isinstance(name, list) else {"law": [name], name: gains}
+            made = [_written(item, place) for item in items]
+            return made if isinstance(node, ast.List) else tuple(made)
+        case ast.Dict(keys=keys, values=parts):
+            return {ast.literal_eval(k or ""): _written(x, place) for k, x in zip(keys, parts, strict=True)}
+    return ast.literal_eval(node)
 
 
 Plant: TypeAlias = RigidPlant | FlexibleLink | PlantBase

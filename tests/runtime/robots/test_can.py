@@ -703,6 +703,34 @@ class TestTheLoop:
         sim(rules=[])
 
 
+def test_every_tick_of_the_loop_on_the_bus_is_computed_again_from_its_log(
+    arms: dict[str, CanArm], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """On the command line: the law within the law, the arm with its gears, and what the motors show at rest are in it."""
+    sim = arms["planar2"]
+    sim(reset=True, rules=[])
+    arm, motors = sim.arm, can_arm.motors("planar2", rate=500.0, missed=250)
+    joints = taut.laws.ViaMit(law=taut.laws.GravityPID(kp=[80.0, 40.0], kd=[4.0, 2.0]))
+    torque = taut.laws.ComputedTorque(kp=225.0, kd=[30.0, 30.0], ki=[0.0, 0.0])
+    split = taut.laws.ViaMit(law=torque, kp_motor=[60.0, 20.0], kd_motor=1.0)
+    limits = taut.SafetyLimits.of(arm, missed=250.0)
+    with taut.connect(f"can://{sim.channel}", arm, motors=motors, limits=limits, log=tmp_path) as robot:
+        for law in (joints, split):
+            robot.start(taut.compile(law, arm, rate=robot.rate))
+            robot.wait(0.2)
+        robot.parameters["law.kp"] = 200.0
+        robot.move_to(arm.home + 0.02)
+        robot.hold()
+        robot.wait(0.1)
+        robot.stop()
+    found = set()
+    for file in tmp_path.iterdir():
+        assert main(["replay", str(file), "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["percent"] == 100.0
+        found.add(taut.load_run(file).info.law)
+    assert {repr(joints), repr(split)} < found  # and the law of move_to
+
+
 def test_the_program_on_the_page_runs_the_seven_joints(
     arms: dict[str, CanArm], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

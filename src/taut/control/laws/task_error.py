@@ -150,6 +150,10 @@ class Coordinates(Declared):
     def __hash__(self) -> int:
         return hash((self.function, self.angles))
 
+    def __repr__(self) -> str:
+        ready = self.function in (_position, _position_and_rpy)
+        return f"Coordinates{self.function.__name__.replace('_', '.', 1)}()" if ready else super().__repr__()
+
     @classmethod
     def position(cls) -> Self:
         """x, y, z: the orientation is left free."""

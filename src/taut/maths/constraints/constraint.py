@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import inspect
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final, Self
+from typing import Any, ClassVar, Final, Self
 
 import numpy as np
 
@@ -54,6 +55,7 @@ class Constraint:
     """
 
     pieces: tuple[Piece, ...]
+    text: ClassVar[str] = ""  # the call that makes it, of a ready-made one
 
     def __init__(
         self,
@@ -65,10 +67,10 @@ class Constraint:
         object.__setattr__(self, "pieces", (of_poses(function, frames, one_sided),))
 
     @classmethod
-    def of(cls, pieces: Sequence[Piece]) -> Self:
+    def of(cls, pieces: Sequence[Piece], text: str = "") -> Self:
         """A constraint of several functions at once; of constraints one writes `one + other`."""
         made = object.__new__(cls)
-        object.__setattr__(made, "pieces", tuple(pieces))
+        made.__dict__.update(pieces=tuple(pieces), text=text)
         return made
 
     @property
@@ -150,7 +152,8 @@ class Constraint:
     def __add__(self, other: Constraint) -> Constraint:
         if not isinstance(other, Constraint):
             return NotImplemented
-        return Constraint.of((*self.pieces, *other.pieces))
+        text = f"{self.text} + {other.text}" if self.text and other.text else ""
+        return Constraint.of((*self.pieces, *other.pieces), text)
 
     @classmethod
     def of_joints(
@@ -202,7 +205,7 @@ class Constraint:
             frame: The frame; the arm's tool if left out.
         """
         side = unit_vector("sideways", sideways)
-        return cls.pfaffian(partial(_sideways, side), frame=frame)
+        return cls.of([of_poses(partial(_sideways, side), (frame,), pfaffian=True)], _call(cls.knife_edge, locals()))
 
     @classmethod
     def plane(
@@ -238,7 +241,7 @@ class Constraint:
         each = one_sided if face is None else (one_sided, False, False)
         at_rest: dict[str, Any] = {} if displacement else {"t": 0.0}
         phi = partial(_on_plane, p, n, flat, displacement, **at_rest)
-        return cls.of([of_poses(phi, (frame,), each, surface=surface)])
+        return cls.of([of_poses(phi, (frame,), each, surface=surface)], _call(cls.plane, locals()))
 
     @classmethod
     def point(
@@ -261,8 +264,8 @@ class Constraint:
         """
         c, n = _three("point", point, "m"), unit_vector("normal", normal)
         axes, surface = np.array([n, *_across(n)]), Surface(kind="plane", point=c, axis=n)
-        sides = (one_sided, False, False)
-        return cls.of([of_poses(partial(_apart, axes, Pose(c)), (frame,), sides, surface=surface)])
+        phi, sides = partial(_apart, axes, Pose(c)), (one_sided, False, False)
+        return cls.of([of_poses(phi, (frame,), sides, surface=surface)], _call(cls.point, locals()))
 
     @classmethod
     def sphere(
@@ -277,7 +280,8 @@ class Constraint:
         """The tool's origin on a sphere: outside of it, or in its hollow."""
         c, r = _three("center", center, "m"), positive_scalar("radius", radius, unit="m")
         sign, surface = -1.0 if inside else 1.0, Surface(kind="sphere", point=c, radius=r, inside=inside)
-        return cls.of([of_poses(partial(_from_axis, c, np.zeros(3), r, sign), (frame,), one_sided, surface=surface)])
+        phi = partial(_from_axis, c, np.zeros(3), r, sign)
+        return cls.of([of_poses(phi, (frame,), one_sided, surface=surface)], _call(cls.sphere, locals()))
 
     @classmethod
     def cylinder(
@@ -293,13 +297,14 @@ class Constraint:
         """The tool's origin on a cylinder about an axis through a point: outside of it, or in its hollow."""
         c, u, r = _three("point", point, "m"), unit_vector("axis", axis), positive_scalar("radius", radius, unit="m")
         sign, surface = -1.0 if inside else 1.0, Surface(kind="cylinder", point=c, axis=u, radius=r, inside=inside)
-        return cls.of([of_poses(partial(_from_axis, c, u, r, sign), (frame,), one_sided, surface=surface)])
+        phi = partial(_from_axis, c, u, r, sign)
+        return cls.of([of_poses(phi, (frame,), one_sided, surface=surface)], _call(cls.cylinder, locals()))
 
     @classmethod
     def line(cls, *, point: ArrayLike, axis: ArrayLike, frame: str | None = None) -> Self:
         """The tool's origin on a straight line through a point, along an axis, its rotation free: two rows."""
         c, axes = _three("point", point, "m"), np.array(_across(unit_vector("axis", axis)))
-        return cls.of([of_poses(partial(_apart, axes, Pose(c)), (frame,))])
+        return cls.of([of_poses(partial(_apart, axes, Pose(c)), (frame,))], _call(cls.line, locals()))
 
     @classmethod
     def hinge(cls, *, point: ArrayLike, axis: ArrayLike, T: Pose, frame: str | None = None) -> Self:
@@ -313,7 +318,8 @@ class Constraint:
         """
         instance_of("T", T, Pose, "a taut.Pose, one that the hinge allows")
         c, u, own = _three("point", point, "m"), unit_vector("axis", axis), T.inverse()
-        return cls.of([of_poses(partial(_hinged, c, _across(u), own.R @ c + own.p, own.R @ u), (frame,))])
+        phi = partial(_hinged, c, _across(u), own.R @ c + own.p, own.R @ u)
+        return cls.of([of_poses(phi, (frame,))], _call(cls.hinge, locals()))
 
     @classmethod
     def grasp(cls, first: str, second: str, *, T: Pose | None = None) -> Self:
@@ -328,7 +334,8 @@ class Constraint:
             T: Pose of the second in the first; the two coincide if left out.
         """
         instance_of("T", T, Pose | None, "a taut.Pose, of the second frame in the first")
-        return cls.of([of_poses(partial(_grasped, Pose() if T is None else T), (first, second))])
+        phi = partial(_grasped, Pose() if T is None else T)
+        return cls.of([of_poses(phi, (first, second))], _call(cls.grasp, locals()))
 
     @classmethod
     def pin(
@@ -344,10 +351,18 @@ class Constraint:
         rows = finite_array("directions", directions)
         if rows.ndim != 2 or rows.shape[1] != 3:
             raise ShapeError(f"directions must be (k, 3); got shape {rows.shape}", name="directions")
-        return cls.of([of_poses(partial(_apart, rows), (first, second))])
+        return cls.of([of_poses(partial(_apart, rows), (first, second))], _call(cls.pin, locals()))
 
     def __repr__(self) -> str:
-        return f"Constraint({self.count} {'row' if self.count == 1 else 'rows'})"
+        return self.text or f"Constraint({self.count} {'row' if self.count == 1 else 'rows'})"
+
+
+def _call(make: Callable[..., Any], scope: Mapping[str, Any]) -> str:
+    """The call of a ready-made constraint, with its arguments in the scope, by which it can be made again."""
+    words = {name: repr(np.asarray(scope[name]).tolist()) for name in inspect.signature(make).parameters}
+    if isinstance(T := scope.get("T"), Pose):
+        words["T"] = f"Pose.of(R={T.R.tolist()}, p={T.p.tolist()})"
+    return f"Constraint.{make.__name__}({', '.join(f'{name}={word}' for name, word in words.items())})"
 
 
 def _three(name: str, value: ArrayLike, unit: str = "") -> Float64Array:
