@@ -79,7 +79,7 @@ WRONG: dict[str, tuple[type[TautError], type[Declared], str, str]] = {  # of an 
         RangeError, Stiffness, "rows = 2\nK = [[1, 2], [0, 1]]",
         "{}K must be a symmetric matrix [N/m]; it differs from its transpose by 2",
     ),
-    "flag": (ShapeError, Sensor, "noise = true", "{}noise must be real numbers [rad]; got an array of bool"),
+    "flag": (ShapeError, Sensor, "noise = true", "{}noise must be real numbers [rad]; got True"),
     "text": (ShapeError, Sensor, 'noise = "a"', "{}noise must be numbers [rad]; got 'a'"),
     "word": (UsageError, Sensor, 'side = "lnk"', "{}side must be one of 'link', 'motor'; got 'lnk'"),
     "number": (UsageError, Sensor, "order = true", "{}order must be one of 1, 2; got True"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import reprlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -46,11 +47,8 @@ def _as_floats(name: str, value: ArrayLike, unit: str) -> Float64Array:
             raise ShapeError(f"{name} has masked entries{_unit(unit)}; fill them: x.filled(...)", name=name)
         raw = np.asarray(value)
         if raw.dtype.kind not in "fiuO" and raw.size:  # no bools, complex numbers, texts, dates, records
-            raise ShapeError(
-                f"{name} must be real numbers{_unit(unit)}; got an array of {raw.dtype}",
-                name=name,
-                value=value,
-            )
+            got = reprlib.repr(value.tolist() if isinstance(value, np.ndarray) else value)
+            raise ShapeError(f"{name} must be real numbers{_unit(unit)}; got {got}", name=name, value=value)
         return np.asarray(raw, dtype=np.float64)
     except TautError:
         raise

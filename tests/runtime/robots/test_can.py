@@ -247,6 +247,8 @@ class TestWhatIsRefused:
             CanMotors(types=["DM4310"] * 3, sign=[1.0, -1.0])
         with refused(ShapeError):
             CanMotors(types=["DM4310"] * 3, ranges=[[12.5, 30.0, 10.0]])
+        with refused(ShapeError):
+            CanMotors(types=["DM4310"] * 2, sign=["+", "-"])  # type: ignore[arg-type]
         with refused(RangeError):
             CanMotors(types=["DM4310"] * 2, sign=0.5)
         with refused(RangeError):
