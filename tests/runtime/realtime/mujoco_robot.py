@@ -16,20 +16,20 @@ class MujocoRobot(RobotDriver):
     Args:
         payload: Mass at its tool [kg].
         known: Mass that it compensates, and reports [kg].
-        friction: Coulomb friction of every joint [N m].
+        friction: Coulomb friction, a number or (n,) [N m].
         flipped: A joint whose torque has the wrong sign.
         takes, rate: As of RobotInfo.
         bias: (n,) error of the torque sensors [N m].
     """
 
     def __init__(
-        self, address: str, *, payload: float = 0.0, known: float = 0.0, friction: float = 0.0,
+        self, address: str, *, payload: float = 0.0, known: float = 0.0, friction: Any = 0.0,
         flipped: int | None = None, rate: float = 1000.0, bias: Any = 0.0,
     ) -> None:  # fmt: skip
         arm = taut.load_arm(address).with_payload(payload)
         self.arm = (
-            arm.with_friction(taut.Friction(coulomb=np.full(arm.n, friction), viscous=np.full(arm.n, 0.1)))
-            if friction
+            arm.with_friction(taut.Friction(coulomb=np.broadcast_to(friction, arm.n), viscous=np.full(arm.n, 0.1)))
+            if np.any(friction)
             else arm
         )
         self.known, self.rate, self.bias = taut.load_arm(address).with_payload(known), rate, bias

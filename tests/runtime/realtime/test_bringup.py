@@ -53,6 +53,17 @@ def test_a_robot_that_is_its_model_passes_and_is_where_it_was_sent() -> None:
     assert done.json()["faults"] == []
 
 
+def test_what_was_not_compared_stands_beside_passed() -> None:
+    """Joints that stick in dry friction beside one that does not; with nothing missing, only that it passed."""
+    whole, sticking = brought_up("planar2"), brought_up("planar2", friction=[0.0, 1.0])
+    assert whole.passed
+    assert whole.missing == ()
+    assert whole.content().title.endswith("passed")
+    assert sticking.passed
+    assert sticking.missing == ("signs of joint2",)
+    assert sticking.content().title.endswith("passed; not compared: signs of joint2")
+
+
 def test_a_torque_of_the_wrong_sign_is_found_and_given_back() -> None:
     done = brought_up("gantry3", flipped=1)
     assert not done.passed

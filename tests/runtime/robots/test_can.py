@@ -816,10 +816,13 @@ def test_a_robot_file_is_brought_up_and_runs_a_scenario(
         assert main(["bringup", str(wrong), "--scenario", str(scenario), "--yes", "--json"]) == 1
         (fault,) = json.loads(capsys.readouterr().out)["faults"]
         assert fault.startswith("gravity")  # the motors alone held the arm meanwhile
+        assert "sign, offset or ranges of its motors" in fault
         sim(reset=True)
 
         assert main(["bringup", str(file), "--scenario", str(scenario), "--yes", "--json"]) == 0
-        assert json.loads(capsys.readouterr().out)["passed"]
+        found = json.loads(capsys.readouterr().out)
+        assert found["passed"]
+        assert "not compared: pose of the tool, load" in found["title"]
         assert main(run) == 0
         wrong.rename(file)  # the same robot with another sign is another one
         assert main(run) == 2

@@ -86,6 +86,7 @@ class Step:
     found: str
     ok: bool = True
     table: Table | None = None
+    missing: str = ""  # what could not be compared
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -101,9 +102,15 @@ class BringUp(Result):
         """True where every step was taken and is as it should be."""
         return all(step.ok for step in self.steps)
 
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """What could not be compared."""
+        return tuple(dict.fromkeys(step.missing for step in self.steps if step.missing))
+
     def content(self) -> Content:
+        passed = f"passed{'; not compared: ' * bool(self.missing)}{', '.join(self.missing)}"
         return Content(
-            title=f"bring-up of {self.robot} with arm '{self.arm}': {'passed' if self.passed else 'not passed'}",
+            title=f"bring-up of {self.robot} with arm '{self.arm}': {passed if self.passed else 'not passed'}",
             faults=[f"{step.name}: {step.found}" for step in self.steps if not step.ok],
             summary=[f"{step.name}: {step.found}" for step in self.steps if step.ok],
             tables=[step.table for step in self.steps if step.table is not None],
@@ -218,7 +225,7 @@ def _kinematics(robot: Robot) -> Step:
     """The tool that the robot reports, beside the nearest frame of the arm."""
     pose = robot.info.facts.get("T_BE")
     if pose is None:
-        return Step(name="kinematics", found="the robot reports no pose of its tool")
+        return Step(name="kinematics", found="the robot reports no pose of its tool", missing="pose of the tool")
     arm = robot.arm
     x, T_BW = snapshot(arm, np.asarray(robot.info.facts.get("q", robot.q))), arm.T_WB.inverse()
     T = np.asarray(pose, dtype=np.float64).reshape(4, 4)
@@ -240,7 +247,7 @@ def _kinematics(robot: Robot) -> Step:
 def _load(robot: Robot) -> Step:
     known, own = robot.info.load, robot.arm.payload
     if known is None:
-        return Step(name="load", found=f"the robot reports none; the arm carries {own.mass:g} kg")
+        return Step(name="load", found=f"the robot reports none; the arm carries {own.mass:g} kg", missing="load")
     found = f"the robot compensates {known[0]:g} kg at {list(known[1])} m; the arm carries {own.mass:g} kg"
     ok = abs(known[0] - own.mass) <= SAME_LOAD
     return Step(name="load", found=found if ok else f"{found}; {LOAD_HINT}", ok=ok)
@@ -314,7 +321,7 @@ def _gravity(measured: _Torques, rivals: dict[str, Arm], last: bool) -> Step:
     """Measured torques beside gravity: within a bound, and no other arm fits better."""
     arm = measured.robot.arm
     if not measured.known:
-        return Step(name="gravity", found="the robot measures no torques")
+        return Step(name="gravity", found="the robot measures no torques", missing="torques")
     if not last:
         if not measured.robot.info.holds:
             measured.robot.call("hold")
@@ -336,7 +343,8 @@ def _gravity(measured: _Torques, rivals: dict[str, Arm], last: bool) -> Step:
     if last and best != arm.name:
         ok, found = False, f"{found}; '{best}' fits better: {rms[best]:.3f} N m RMS, '{arm.name}' {rms[arm.name]:.3f}"
     elif not ok:
-        found += "; the arm or its load is another one"
+        motors = "sign, offset or ranges of its motors are wrong, or " if measured.robot.info.takes == "mit" else ""
+        found += f"; {motors}the arm or its load is another one"
     elif last:
         found += "; RMS " + ", ".join(f"{x:.3f} N m of '{name}'" for name, x in rms.items())
     return Step(name="gravity", found=found, ok=ok, table=table)
@@ -360,7 +368,8 @@ def _signs(robot: Robot) -> Step:
     """Push each joint to either side: it must give way to that side, or stick."""
     arm = robot.arm
     if robot.info.takes not in ("torque", "mit"):
-        return Step(name="signs", found=f"the robot takes {robot.info.takes} commands: the slow motion shows them")
+        found = f"the robot takes {robot.info.takes} commands: the slow motion shows them"
+        return Step(name="signs", found=found, missing="signs of torques")
     law: Law = Probe(torque=np.zeros(arm.n), held=np.ones(arm.n), place=robot.q)
     if robot.info.takes == "mit":
         law = ViaMit(law=law, kp_motor=0.0, kd_motor=0.0)
@@ -384,7 +393,8 @@ def _signs(robot: Robot) -> Step:
     if wrong:
         found = f"joint '{wrong[0]}' moves against its torque: check the sign of its torque or of its encoder"
     table = Table(title="break-away torque", columns=["joint", "to + [N m | N]", "to - [N m | N]"], rows=rows)
-    return Step(name="signs", found=found, ok=not wrong, table=table)
+    missing = f"signs of {', '.join(stuck)}" if stuck else ""
+    return Step(name="signs", found=found, ok=not wrong, table=table, missing=missing)
 
 
 def _push(robot: Robot, path: str, base: Float64Array, i: int, sign: float) -> tuple[float | None, float]:
@@ -450,7 +460,7 @@ def _poses(measured: _Torques, rivals: dict[str, Arm], goal: Float64Array) -> St
     """Compare torques where those of the rivals differ most."""
     arm = measured.robot.arm
     if not measured.known:
-        return Step(name="gravity", found="the robot measures no torques")
+        return Step(name="gravity", found="the robot measures no torques", missing="torques")
     rng = np.random.default_rng(0)
     low, high = (
         np.maximum(goal - EXCURSION, arm.lower + EXCURSION),
