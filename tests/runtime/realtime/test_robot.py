@@ -22,12 +22,63 @@ from test_fault_table import stated
 import taut
 from taut.control.safety import SafeSide
 from taut.robots import DriverError, Robot, RobotError, Timing
+from taut.runtime.realtime.bringup import remember
+from taut.runtime.realtime.connect import hello_of
 from taut.runtime.realtime.robot import HOLD
 
 ARM = taut.load_arm("planar2")
 L = taut.laws
 CT = L.ComputedTorque(kp=100.0, kd=20.0)
 WHOLE = bool(os.environ.get("TAUT_BARS"))
+
+
+SLOW = """
+import sys, time
+sys.path.insert(0, {here!r})
+from faulty_driver import FaultyDriver
+class Slow(FaultyDriver):
+    noted = False
+    def write(self, command):
+        super().write(command)
+        if not self.noted and abs(self.v).max() > 0.15:
+            self.noted = True
+            self._note("write")
+    def close(self):
+        super().close()
+        time.sleep(1.0)
+"""
+CLOSING_IS_PRINTED = """
+import contextlib, sys
+import taut
+import taut.runtime.realtime.robot as module
+real = module.uninterrupted
+@contextlib.contextmanager
+def printed():
+    with real():
+        print("closing", flush=True)
+        yield
+module.uninterrupted = printed
+"""
+MOVING = """
+arm = taut.load_arm('planar2')
+limits = taut.SafetyLimits.of(arm, missed=1e6)
+robot = taut.connect({driver!r} + ':Slow', arm, limits=limits, address='here', options={options})
+ctrl = taut.compile(taut.laws.ComputedTorque(kp=100.0, kd=20.0), arm, rate=1000.0, adds=robot.adds)
+robot.start(ctrl, taut.trajectories.Sine(center=robot.q, amplitude=[0.3, 0.3], frequency=1.0), duration=60.0)
+"""
+MOVE = """
+reference = { kind = "sine", center = [0.5, 0.5], amplitude = [0.3, 0.3], frequency = 1.0 }
+run = { duration = 60.0, q0 = [0.5, 0.5] }
+arm = { model = "planar2" }
+plant = { adds = ["gravity"] }
+laws.ct = { law = "ComputedTorque", kp = 100.0, kd = 20.0 }
+"""
+
+
+def processes_of(pid: int) -> list[int]:
+    """Its children, and theirs."""
+    found = map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split())
+    return [one for child in found for one in (child, *processes_of(child))]
 
 
 def limits(**more: Any) -> taut.SafetyLimits:
@@ -342,6 +393,62 @@ class TestProcess:
         lines = [line.split() for line in log.read_text(encoding="utf-8").splitlines()]
         assert [line[0] for line in lines] == ["begin", "end", "close"]
         assert max(abs(float(v)) for v in lines[1][1:]) < 0.02  # it stood when control ended
+
+    @pytest.mark.parametrize("ending", ["with", "no with", "command line"])
+    def test_more_than_one_ctrl_c_does_not_keep_the_arm_from_its_stop(
+        self, ending: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+        log, driver, here = tmp_path / "log", tmp_path / "slow.py", Path(__file__).parent
+        driver.write_text(SLOW.format(here=str(here)), encoding="utf-8")
+        options = {"log": str(log)}
+        if ending == "command line":
+            (tmp_path / "move.toml").write_text(MOVE, encoding="utf-8")
+            (tmp_path / "robot.toml").write_text(
+                f"robot = 'slow.py:Slow'\naddress = 'here'\noptions = {{ log = '{log}' }}\nlimits = {{ missed = 1e6 }}\n"
+            )
+            remember(hello_of(f"{driver}:Slow", ARM, address="here", options=options), ARM)
+            program = (
+                f"from taut.cli.main import main\nsys.exit(main({['run', 'move.toml', '--robot', 'robot.toml']}))"
+            )
+        else:
+            program = MOVING.format(driver=str(driver), options=options)
+            program += "with robot:\n    robot.wait(60.0)\n" if ending == "with" else "robot.wait(60.0)\n"
+        parent = subprocess.Popen(
+            [sys.executable, "-c", CLOSING_IS_PRINTED + program], cwd=tmp_path,
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        try:
+            wait_for(lambda: log.exists() and "write" in log.read_text(), 60.0)
+            children = processes_of(parent.pid)
+            parent.send_signal(signal.SIGINT)
+            assert parent.stdout is not None
+            assert parent.stdout.readline() == "closing\n"
+            parent.send_signal(signal.SIGINT)
+            for event in ("end", "close"):  # which takes its time
+                wait_for(lambda event=event: event in events(log))
+                parent.send_signal(signal.SIGINT)
+            _, errors = parent.communicate(timeout=30.0)
+        finally:
+            parent.kill()
+            parent.communicate()
+        assert len(children) == (3 if ending == "command line" else 2)  # the loop's, its watchdog, the log's
+        assert not [pid for pid in children if Path(f"/proc/{pid}").exists()]
+        lines = [line.split() for line in log.read_text(encoding="utf-8").splitlines()]
+        assert [line[0] for line in lines] == ["begin", "write", "end", "close"]
+        assert max(abs(float(v)) for v in lines[1][1:]) > 0.1  # it moved
+        assert max(abs(float(v)) for v in lines[2][1:]) < 0.02  # it stood when control ended
+        assert errors.count("Traceback") == (ending != "command line"), errors
+        assert errors.count("KeyboardInterrupt") == (ending != "command line"), errors
+
+    def test_ctrl_c_while_a_robot_is_closed_comes_behind_it(self) -> None:
+        program = (
+            "import signal\nfrom taut.runtime.realtime.shared import uninterrupted\n"
+            "with uninterrupted():\n    with uninterrupted():\n        signal.raise_signal(signal.SIGINT)\n"
+            "    print('closed', flush=True)\nprint('not reached')"
+        )
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+        assert (done.stdout, done.returncode) == ("closed\n", -signal.SIGINT)
 
     def test_two_robots_stop_together(self, acting: tuple[Robot, Path]) -> None:
         robot, _ = acting

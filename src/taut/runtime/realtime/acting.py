@@ -18,7 +18,7 @@ from taut.runtime.realtime.sets import Controls, ServoSet
 from taut.runtime.simulate import info_of
 
 if TYPE_CHECKING:
-    from taut.runtime.realtime.feeding import References
+    from taut.runtime.realtime.feeding import Feeder, References
 
 CAPACITY: Final = 8192  # rows of the flight recorder
 LAST_TICKS: Final = 1000  # rows with a fault
@@ -33,6 +33,7 @@ class Acting:
         sends: bool, over: float,
     ) -> None:  # fmt: skip
         self.made, self.number, self.sends = made, number, sends
+        self.feeder: Feeder | None = None
         self.controls = Controls(made, references.tables, parameters, over)
         self.ring = Ring.create(CAPACITY, made.row_size)
         arm = made.safe.side.arm
@@ -99,6 +100,9 @@ class Acting:
         )
 
     def close(self) -> None:
-        """Free the memory."""
+        """Free the memory, which nobody feeds any more."""
+        if self.feeder is not None:
+            self.feeder.end()
+            self.feeder = None  # or the two would keep each other's memory
         self.controls.shared.close()
         self.ring.close()

@@ -28,7 +28,7 @@ from taut.maths.model import Adds
 from taut.maths.snapshot import snapshot
 from taut.runtime.realtime.link import Link, driver_of
 from taut.runtime.realtime.logger import LogProcess, log_folder
-from taut.runtime.realtime.robot import Robot
+from taut.runtime.realtime.robot import Robot, freed
 from taut.runtime.realtime.sets import compiled_plant
 from taut.runtime.robots.can import CanMotors
 from taut.runtime.robots.driver import RobotDriver, RobotInfo
@@ -130,9 +130,7 @@ def connect(
         logs = None if folder is None else LogProcess(folder, link.status.name)
         return Robot(link, info, arm, limits, partial(_holder, limits=limits), logs)
     except BaseException:
-        link.close()
-        if logs is not None:
-            logs.close()
+        freed(link, logs, [])
         raise
 
 

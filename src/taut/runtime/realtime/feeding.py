@@ -180,6 +180,7 @@ class Feeder(threading.Thread):
     def __init__(self, acting: Acting, references: References) -> None:
         super().__init__(daemon=True, name="taut feeder")
         self._acting, self._references, self._side = acting, references, acting.made.safe.side
+        acting.feeder = self
         self._feeds = any(table.rows is None for table in references.tables)
         self._ended = threading.Event()
         self._begun, self._due = (-1, 0), 0  # the phase that is fed, and its ticks; the tick of the next question

@@ -78,13 +78,13 @@ class Link:
         """Time since the last tick [s]."""
         return 1e-9 * (time.monotonic_ns() - self.word("heartbeat"))
 
-    def ask(self, kind: str, given: Any = None) -> Any:
+    def ask(self, kind: str, given: Any = None, within: float = ANSWER_TIME) -> Any:
         """A message, and the answer to it. Raises DriverError with the error of the loop's process."""
         with self._alone:
             self.hear()
             self._asked += 1
             self._send((kind, given, self._asked))
-            return self._answer(self._asked)
+            return self._answer(self._asked, within)
 
     def _send(self, message: Any) -> None:
         try:
@@ -92,9 +92,9 @@ class Link:
         except (OSError, ValueError) as cause:
             raise DriverError("the loop's process is gone; connect again", kind="process_died") from cause
 
-    def _answer(self, number: int) -> Any:
+    def _answer(self, number: int, within: float) -> Any:
         """The answer to the request of a number; those to earlier ones, which Ctrl-C ended, are dropped."""
-        until = time.monotonic() + ANSWER_TIME
+        until = time.monotonic() + within
         with contextlib.suppress(EOFError, OSError):
             while self._mail.poll(0.05) or self.alive:
                 if self._mail.poll(0):
@@ -106,7 +106,7 @@ class Link:
                     elif message[1] == number:
                         return message[2]
                 if time.monotonic() > until:
-                    raise DriverError(f"the loop's process did not answer within {ANSWER_TIME:g} s", kind="driver")
+                    raise DriverError(f"the loop's process did not answer within {within:g} s", kind="driver")
         raise DriverError("the loop's process died; connect again", kind="process_died")
 
     def hear(self) -> None:

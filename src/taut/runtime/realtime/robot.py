@@ -31,10 +31,11 @@ from taut.plant.actuation import Actuation
 from taut.record.run import Run
 from taut.runtime.realtime.acting import Acting
 from taut.runtime.realtime.feeding import Feeder, References, references_of
-from taut.runtime.realtime.link import Link
+from taut.runtime.realtime.link import CLOSING, Link
 from taut.runtime.realtime.logger import LogProcess
 from taut.runtime.realtime.ring import ENDED
 from taut.runtime.realtime.sets import NO_ROWS, ServoSet, Table
+from taut.runtime.realtime.shared import uninterrupted
 from taut.runtime.realtime.status import RobotError, RobotStatus, Timing
 from taut.runtime.robots.driver import DriverError, RobotInfo
 
@@ -155,7 +156,7 @@ class Robot:
         self._feeder: Feeder | None = None
         self._know(info, arm)
         # Also where the program ends without closing it.
-        self._finalizer = weakref.finalize(self, _freed, link, log, self._all)
+        self._finalizer = weakref.finalize(self, freed, link, log, self._all)
 
     def _know(self, info: RobotInfo, arm: Arm) -> None:
         """Take what the robot is and carries, and hold accordingly."""
@@ -426,13 +427,15 @@ class Robot:
         return Timing.of(self.run())
 
     def close(self) -> None:
-        """Stop, and end the loop's process."""
+        """Stop, and end the loop's process. Ctrl-C waits meanwhile."""
         if self.link.released:
             return
-        with contextlib.suppress(TautError):
-            self.stop()
-        self._end_feeding()
-        self._finalizer()
+        with uninterrupted():
+            with contextlib.suppress(TautError):
+                self._stand()
+                if self.link.word("control"):
+                    self.link.ask("end", within=CLOSING)
+            self._finalizer()
 
     def __enter__(self) -> Self:
         return self
@@ -566,10 +569,11 @@ def require_stable(ctrl: Controller, plant: RobotPlant, q: Float64Array, values:
         raise RangeError(f"{verdict.message} (nothing was sent to {plant.name})", name="law")
 
 
-def _freed(link: Link, log: LogProcess | None, acting: list[Acting]) -> None:
+def freed(link: Link, log: LogProcess | None, acting: list[Acting]) -> None:
     """End the processes and free the memory of a robot; not in a child of the program that made it."""
-    if link.close():
-        if log is not None:
-            log.close()
-        for one in acting:
-            one.close()
+    with uninterrupted():
+        if link.close():
+            if log is not None:
+                log.close()
+            for one in acting:
+                one.close()

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import mmap
 import os
+import signal
 import sys
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +23,22 @@ def environment() -> dict[str, str]:
     """Environment of a child, which imports what this process does, also from a path that only this one knows."""
     paths = os.pathsep.join(dict.fromkeys(path or str(Path.cwd()) for path in sys.path))
     return {**os.environ, "PYTHONPATH": paths}
+
+
+@contextlib.contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Ctrl-C waits until the end; there it is dropped where an exception, or the end of the program, is under way."""
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is None:
+        yield  # another thread hears no signals, and a handler that is not Python's cannot be set again
+        return
+    heard = list[object]()
+    before = signal.signal(signal.SIGINT, lambda *given: heard.append(given))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if heard and sys.exc_info()[0] is None and threading.main_thread().is_alive():
+        signal.raise_signal(signal.SIGINT)
 
 
 class Shared:
