@@ -733,6 +733,26 @@ def test_every_tick_of_the_loop_on_the_bus_is_computed_again_from_its_log(
     assert {repr(joints), repr(split)} < found  # and the law of move_to
 
 
+def test_an_arm_that_is_stopped_in_motion_stays_where_it_stopped(arms: dict[str, CanArm]) -> None:
+    """The motors go on with the torque of rest: neither that which braked, nor that of one tick with its steps."""
+    sim = arms["planar2"]
+    sim(reset=True, rules=[])
+    arm, motors = sim.arm, can_arm.motors("planar2", rate=500.0, missed=250)
+    limits = taut.SafetyLimits.of(arm, missed=250.0)
+    with taut.connect(f"can://{sim.channel}", arm, motors=motors, limits=limits) as robot:
+        law = taut.laws.ViaMit(law=taut.laws.GravityPID(kp=[80.0, 40.0], kd=[4.0, 2.0]))
+        ctrl = taut.compile(law, arm, rate=robot.rate)
+        robot.start(ctrl, taut.trajectories.Sine(center=robot.q, amplitude=0.2, frequency=0.5), duration=20.0)
+        robot.wait(2.06)
+        assert np.abs(robot.v).max() > 0.3
+        robot.stop()
+        stopped, away = np.array(sim()["q"]), []
+        for _ in range(10):
+            robot.wait(0.1)
+            away.append(np.abs(sim()["q"] - stopped).max())
+        assert max(away) < 5e-3
+
+
 def test_the_program_on_the_page_runs_the_seven_joints(
     arms: dict[str, CanArm], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -775,6 +795,21 @@ def test_motors_that_hold_by_themselves_keep_their_torque_when_control_begins(ar
         host.driver.call("hold", {})  # they are held
         assert host.sim()["timeout"] == [2000] * 7
         host.driver.end()
+
+
+def test_motors_hold_with_the_torque_of_several_ticks(arms: dict[str, CanArm]) -> None:
+    """At rest a law of high gains goes round the steps of position and velocity, by more than 0.2 N m in a tick."""
+    off = []
+    with Host(arms["planar2"]) as host:
+        host.tick()
+        for k in range(6):
+            host.driver.begin()
+            host.run(HOLDS, taut.JointMotion(q=host.arm.home), 200 + 7 * k)
+            host.driver.end()
+            truth = host.sim()
+            weight = np.asarray(taut.snapshot(host.arm, np.array(truth["q"])).g)
+            off.append(np.abs(np.array(truth["sent"])[:, 4] - weight).max())
+    assert max(off) < 0.15
 
 
 def test_half_a_step_halves_the_steady_state_error(arms: dict[str, CanArm]) -> None:

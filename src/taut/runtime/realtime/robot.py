@@ -45,6 +45,7 @@ SETTLE: Final = 3.0  # [s] for a controlled stop
 ARRIVAL: Final = 10.0  # [s] for the last part of move_to: dry friction gives way to an integral
 FASTEST_MOVE: Final = 0.9  # [-] of the speed limits, of move_to
 STANDING: Final = 0.01  # [rad/s | m/s]
+AT_REST: Final = 0.5  # [s] of standing, before motors hold by themselves with the torque that they have then
 LOOK: Final = 0.02  # [s] between two looks at what is latched
 SAME_LOAD: Final = 0.05  # [kg]
 LOAD_HINT: Final = "robot.set_load(arm.payload), or load the arm with what is there: payload in a scenario's [arm]"
@@ -458,10 +459,10 @@ class Robot:
         self._stops += 1
         self.link.set_word("hold", 1)
         self._pause()
-        until = time.monotonic() + SETTLE
+        until, ticks = time.monotonic() + SETTLE, LATER if self.info.holds else round(AT_REST * self.rate)
         while self.link.word("control") and self.link.failure is None and self.link.alive:
             self.link.set_word("hold", 1)
-            if np.abs(self._last("v", LATER)).max() < max(STANDING, self.info.at_rest) or time.monotonic() > until:
+            if np.abs(self._last("v", ticks)).max() < max(STANDING, self.info.at_rest) or time.monotonic() > until:
                 return
             time.sleep(LOOK)
 

@@ -43,6 +43,7 @@ ROW_NAMES: Final = ("q", "v", "kp", "kd", "tau")
 TOP_CODES: Final = np.array([[0xFFFF], [0xFFF], [0xFFF], [0xFFF], [0xFFF]])
 MOTOR_GAINS: Final = (500.0, 5.0)  # [N m/rad], [N m s/rad] the largest kp and kd of a frame, of every type
 HOLD: Final = (1.0, 0.05)  # [1/rad], [s/rad] kp and kd over t_max with which a motor holds by itself
+AVERAGED: Final = 0.1  # [s] over which it takes its torque: that of one tick has the steps of the velocity in it
 CLASSIC_BITS: Final = (98 + 97 // 4 + 13, 0)  # of a frame of eight bytes, at most: the stuffed part, and the end
 FD_BITS: Final = (17 + 4 + 13, 69 + 17 + 21 + 6)  # the same of CAN FD, in the arbitration and in the data phase
 BROADCAST: Final = 0x7FF  # registers, and requests for a state
@@ -221,7 +222,7 @@ class CanDriver(RobotDriver):
 
     In each period each motor gets a command and replies with its state in that instant: a command acts on what was
     measured a period before. While the arm is not controlled, the motors are only asked for their states. After
-    `end` each motor holds where it is, by its own gains and the torque of the last command, until it is disabled.
+    `end` each motor holds where it is, by its own gains and the torque of its last 0.1 s, until it is disabled.
 
     Args:
         address: python-can's channel: can0, /dev/ttyACM0, ...
@@ -237,7 +238,7 @@ class CanDriver(RobotDriver):
         self._status, self._hot = [0] * m.n, [(0, 0)] * m.n  # temperatures [degree C] of MOSFETs and coils
         self._fresh, self._age, self._lost = np.zeros(m.n, dtype=bool), np.zeros(m.n), np.zeros(m.n, dtype=np.int64)
         self._values: dict[tuple[int, int], bytes] = {}  # by motor and register
-        self._tau = np.zeros(m.n)  # of the motors, in the last command
+        self._tau, self._count = np.zeros(m.n), 0  # of the motors, averaged over the last commands; their number
         self._idle = [(BROADCAST, self._request(i, REFRESH)) for i in range(m.n)]  # what is sent without control
         self._controls = self._begun = False
         self._strangers, self._error_frames = set[int](), 0
@@ -295,7 +296,7 @@ class CanDriver(RobotDriver):
         self._send([*((own, ENABLE) for own in self._ids), *self._idle])
         self._wait(lambda: all(self._status))
         self._require_status(ENABLED)
-        self._controls, self._age[:] = True, 0
+        self._controls, self._age[:], self._count = True, 0, 0
 
     def write(self, command: Float64Array) -> None:
         motor = command.copy()
@@ -306,7 +307,8 @@ class CanDriver(RobotDriver):
             low, high = self._motors.lowest[row, i], self._motors.highest[row, i]
             reason = f"{ROW_NAMES[row]} = {motor[row, i]:g} is out of its range, {low:g} to {high:g}"
             self._require(np.arange(self._n) != i, reason, "rejected")
-        self._tau = motor[4]
+        self._count = min(self._count + 1, math.ceil(AVERAGED * self._motors.control_rate))
+        self._tau += (motor[4] - self._tau) / self._count
         self._send(zip(self._ids, frames, strict=True))
 
     def end(self) -> None:
