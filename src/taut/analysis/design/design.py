@@ -260,7 +260,7 @@ def design(
         >>> arm = taut.load_arm("one_joint")
         >>> d = taut.design(taut.laws.PID, arm, zeta=1.0, omega_n=10.0)
         >>> d.law
-        PID(kp=[50.0], kd=[10.0])
+        PID(kp=[50.0], kd=[10.0], ki=[0.0])
         >>> d.met, d.got("zeta").round(3).tolist()
         (True, [1.002])
 
