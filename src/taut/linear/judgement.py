@@ -160,10 +160,13 @@ def judge(loop: Loop, *, at: ArrayLike | None = None, gains: Iterable[str] = ())
     return _judged_at(loop, loop.plant, pose_at(loop, at), EMPTY, tuple(gains))
 
 
-def judge_start(ctrl: HasLawSide, plant: AnyPlant, q: Float64Array, changes: Changes = EMPTY) -> Judgement | str:
+def judge_start(
+    ctrl: HasLawSide, plant: AnyPlant, q: Float64Array, changes: Changes = EMPTY, *, phase: int = 0
+) -> Judgement | str:
     """The judgement of a run at its start q (n,), or a sentence why there is none.
 
     An engine or a robot is judged with a model plant of the same arm; `changes` are parameters of events at t = 0.
+    Of a task it is that of the first phase, or of another one, which then begins at q.
     """
     if ctrl.engine != "native":
         return "not judged: plain Python is for debugging, and the loop is judged where it is compiled"
@@ -173,7 +176,7 @@ def judge_start(ctrl: HasLawSide, plant: AnyPlant, q: Float64Array, changes: Cha
         known: Judgement | str = ctrl.kept.verdict[1]
         return known
     try:
-        verdict: Judgement | str = _judged_at(ctrl, plant, q, changes)
+        verdict: Judgement | str = _judged_at(ctrl, plant, q, changes, phase=phase)
     except (TautError, np.linalg.LinAlgError) as error:
         verdict = f"not judged: {error}"
     if isinstance(ctrl, Loop):
@@ -182,14 +185,15 @@ def judge_start(ctrl: HasLawSide, plant: AnyPlant, q: Float64Array, changes: Cha
 
 
 def _judged_at(
-    ctrl: HasLawSide, plant: AnyPlant, q: Float64Array, changes: Changes, limits: tuple[str, ...] | None = None
-) -> Judgement:
+    ctrl: HasLawSide, plant: AnyPlant, q: Float64Array, changes: Changes, limits: tuple[str, ...] | None = None,
+    *, phase: int = 0,
+) -> Judgement:  # fmt: skip
     """The judgement of a loop, or of a controller with a model plant in place of its plant."""
     loop, name = (ctrl, plant.name) if isinstance(ctrl, Loop) else (_model_loop(ctrl, plant), "")
     changes = {path: value for path, value in changes.items() if path in loop.parameters}
-    name = name or f"{loop.plant.name} in place of {plant.name}"
+    name = name or f"{loop.plant.name} in place of {plant.name}".removesuffix(f" in place of {loop.plant.name}")
     with np.errstate(all="ignore"):  # numbers that no float can hold are refused where a run meets them
-        return _judged(Period(loop, q, changes), name, limits)
+        return _judged(Period(loop, q, changes, phase), name, limits)
 
 
 # One for each plant, so that a controller which runs again on it is not traced again; a loop does not hold its key.

@@ -83,17 +83,19 @@ class Derivative:
 class Period:
     """One period of a loop from rest at q, its reference and clock held, by central differences.
 
-    It is the compiled loop that simulates, without quantisation.
+    Of a task, in the phase of that number. It is the compiled loop that simulates, without quantisation.
     """
 
     tolerance: Final = 1e-6  # [-] of a derivative: smaller entries are rounding
     rest: Final = 1e-11  # [-] of a state's size per period: a residual of rounding, of which no step can be made
 
-    def __init__(self, loop: Loop, q: Float64Array, changes: Mapping[str, Any] = EMPTY) -> None:
+    def __init__(self, loop: Loop, q: Float64Array, changes: Mapping[str, Any] = EMPTY, phase: int = 0) -> None:
         self.side, self.dt, self.arm = loop.side, loop.dt, loop.plant.arm
         self.inputs, self.parameters = Block.of(loop.input_shapes()), Block.of(loop.parameter_shapes())
         checked = {path: loop.parameters.checked(path, value) for path, value in changes.items()}
         self.memory, self.start = start_of(loop, self.inputs, self.parameters, q, Hold(), checked)
+        if phase:
+            self.memory.views(self.start.memory)["law.next"][...] = phase
         self.state_coordinates = BlockCoordinates(self.memory)
         self._columns = np.arange(len(self.state_coordinates))
         self._clock = [self.memory.field(CLOCK).offset] if CLOCK in self.memory.shapes else []
@@ -285,13 +287,17 @@ def finite_derivative(map_: PeriodMap, at: Point) -> Derivative:
     return found
 
 
+PARTS_OF_MODEL: Final = ("friction", "actuation", "sensors", "integrator")
+
+
 def model_in_place_of(plant: AnyPlant, side: LawSide) -> RigidPlant:
     """The same arm, with friction, drives and sensors where they are known, in place of an engine or a robot.
 
-    The loop in motors that take a MitCommand runs in each step of an engine; else at what the drives state, or fast.
+    A robot moves exactly under a command that is held, an engine in its steps. The loop in motors that take a
+    MitCommand runs in each step of an engine; else at what the drives state, or fast.
     """
     ideal = RigidPlant(plant.arm, takes=cast(CommandKind, plant.takes), adds=plant.adds)
-    stages = {name: getattr(plant, name, getattr(ideal, name)) for name in ("friction", "actuation", "sensors")}
+    stages = {name: getattr(plant, name, getattr(ideal, name)) for name in PARTS_OF_MODEL}
     if side.probe.mit:
         rate = stages["actuation"].inner_rate
         steps = INNER_STEPS if rate is None else max(1, round(float(rate) * side.dt))

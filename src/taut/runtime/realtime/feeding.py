@@ -6,6 +6,7 @@ import math
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -16,7 +17,7 @@ from taut.base.errors import RangeError, TautError, UsageError
 from taut.base.paths import subtree
 from taut.base.types import Float64Array
 from taut.control.lawside import LawSide
-from taut.control.safety import REFERENCE_STEP, is_position, of_joints, step_of
+from taut.control.safety import REFERENCE_STEP, SafetyLimits, is_position, step_of
 from taut.control.tasks.feed import ReferenceFeed, TaskFeed
 from taut.control.trajectories.reference import (
     Hold,
@@ -33,6 +34,8 @@ from taut.maths.snapshot import Snapshot
 from taut.runtime.realtime.acting import Acting
 from taut.runtime.realtime.sets import MADE_ROWS, NO_ROWS, Table
 
+MOVING: Final = ("v", "a", "twist", "acceleration")  # fields of a reference that are zero at rest
+ROUNDING: Final = 1e-9  # [rad | m | ...]
 MAX_TICKS: Final = 1_200_000  # of a reference that is made beforehand
 FEED_EVERY: Final = 0.002  # [s] between two looks at whether a phase has begun
 IDLE_EVERY: Final = 0.05  # [s] between two looks where nothing is fed
@@ -68,7 +71,6 @@ def references_of(ctrl: Controller, ref: object, q: Float64Array, duration: floa
         if isinstance(reference, Stream):
             return References(tables=[_of_stream(reference)], streams={0: reference}, feed=feed)
         rows = NO_ROWS if _here(reference) else _rows(side, feed, duration, lambda: None)
-        require_steady(side, rows, _row(side, side.at_rest(q)), "where the arm is")
         return References(tables=[Table(rows=rows)])
     if ref is not None:
         raise UsageError("each phase of a task has its own reference; leave ref out", name="ref")
@@ -85,9 +87,6 @@ def references_of(ctrl: Controller, ref: object, q: Float64Array, duration: floa
             tables.append(Table(rows=None))
         else:
             tables.append(Table(rows=_phase_rows(side, feeds, name, Snapshot(side.model, q=q, v=np.zeros(len(q))))))
-    if tables[0].rows is not None:
-        follows = task.follows(task.names[0])
-        require_steady(side, tables[0].rows, _row(side, side.at_rest(q)), "where the arm is", follows)
     return References(tables=tables, streams=streams, feed=feeds)
 
 
@@ -144,30 +143,61 @@ def _row(side: LawSide, sample: Sample) -> Float64Array:
     return np.concatenate([np.ravel(np.asarray(getattr(sample, name), dtype=np.float64)) for name in fields])
 
 
+def require_fitting(side: LawSide, references: References, q: Float64Array, limits: SafetyLimits) -> None:
+    """RangeError for references that are known beforehand and jump, the first from q (n,), or exceed the limits."""
+    for k, table in enumerate(references.tables):
+        if table.rows is None or not len(table.rows):
+            continue
+        begins = _row(side, side.at_rest(q)) if k == 0 else table.rows[0]
+        part = None if side.task is None else side.task.follows(side.task.names[k])
+        require_steady(side, table.rows, begins, "where the arm is", limits, part)
+        moves, first = table.rows[:1] if len(table.rows) == 1 else NO_ROWS, 0
+        for name, shape in side.law.reference.fields(side.arm.n).items():
+            at, first = slice(first, first + math.prod(shape)), first + math.prod(shape)
+            if name.rpartition("_")[2] in MOVING and len(moves):
+                _require_each(side, name, np.abs(moves[:, at]), "of a set-point must be zero; it is {x}")
+
+
 def require_steady(
-    side: LawSide, rows: Float64Array, before: Float64Array, beginning: str, part: str | None = None
-) -> None:
-    """RangeError where positions of the rows (k, reference) jump, the first ones from the row before.
+    side: LawSide, rows: Float64Array, before: Float64Array, beginning: str, limits: SafetyLimits,
+    part: str | None = None,
+) -> None:  # fmt: skip
+    """RangeError where rows (k, reference) jump in their positions, the first one from a row before, or exceed limits.
 
     `part` is what is followed of a sample of a task whose phases follow several kinds.
     """
     arm, first = side.arm, 0
     for name, shape in side.law.reference.fields(arm.n).items():
         at, first = slice(first, first + math.prod(shape)), first + math.prod(shape)
-        if not (is_position(name) and len(rows) and name.startswith(f"{part}_" if part else "")):
+        if not name.startswith(f"{part}_" if part else ""):
             continue
-        moved = np.abs(step_of(arm, name, rows[:, at], np.vstack([before[at], rows[:-1, at]])))
-        if (moved > REFERENCE_STEP).any():
-            k, i = (int(x) for x in np.argwhere(moved > REFERENCE_STEP)[0])
-            joint = arm.joint_names[i] if of_joints(arm, name, moved.shape[1]) else None
-            whose = f"ref.{name}" if joint is None else f"ref.{name} of joint '{joint}'"
-            unit = {"p": " m", "R": ""}.get(name[-1], " rad" if joint is None else f" {arm.units[i]}")
-            where = f"the tick before, {k * side.dt:.4g} s after its beginning" if k else beginning
-            raise RangeError(
-                f"{whose} must be within {REFERENCE_STEP:g}{unit} of {where}; it is {moved[k, i]:.3g} away; "
-                "robot.move_to it first, or take a trajectory from there",
-                name="ref", joint=joint, value=float(moved[k, i]),
-            )  # fmt: skip
+        was, now, kind = np.vstack([before[at], rows[:-1, at]]), rows[:, at], name.rpartition("_")[2]
+        require = partial(_require_each, side, name)
+        if is_position(name):
+            moved, away = np.abs(step_of(arm, name, now, was)), f"of {beginning}; it is {{x}} away; robot.move_to it first"
+            require(moved[:1], f"must be within {{most}} {away}, or take a trajectory from there", REFERENCE_STEP)
+            require(moved, "must move by at most {most} in a tick; it moves by {x} after {t}", REFERENCE_STEP)
+        if kind == "q" and shape == (arm.n,):
+            for word, limit, sign in (("upper", limits.upper, 1.0), ("lower", limits.lower, -1.0)):
+                if limit is not None:  # one that is beyond may come back
+                    beyond = np.where(sign * (now - was) > 0.0, sign * (now - limit), -1.0)
+                    require(beyond, f"must stay within limits.{word}; it is {{x}} beyond after {{t}}")
+        if kind == "v" and shape == (arm.n,) and limits.v is not None:
+            require(np.abs(now) - limits.v, "must be within limits.v; it is {x} beyond after {t}; take longer")
+
+
+def _require_each(side: LawSide, name: str, x: Float64Array, what: str, most: float = 0.0) -> None:
+    """RangeError for the first tick and entry of x (k, size) above its bound."""
+    wrong = np.argwhere(x > most + ROUNDING)
+    if not len(wrong):
+        return
+    arm, (k, i) = side.arm, (int(index) for index in wrong[0])
+    joint = arm.joint_names[i] if x.shape[1] == arm.n else None
+    whose = f"ref.{name}" if joint is None else f"ref.{name} of joint '{joint}'"
+    units = {"q": "" if joint is None else arm.units[i], "v": "" if joint is None else f"{arm.units[i]}/s", "p": "m"}
+    unit = units.get(name.rpartition("_")[2], "")
+    words = {"x": f"{x[k, i]:.3g} {unit}".strip(), "most": f"{most:g} {unit}".strip(), "t": f"{k * side.dt:.4g} s"}
+    raise RangeError(f"{whose} {what.format(**words)}", name="ref", joint=joint, value=float(x[k, i]))
 
 
 class Feeder(threading.Thread):
@@ -234,8 +264,7 @@ class Feeder(threading.Thread):
         table = {name: np.broadcast_to(getattr(rest, name), (count, *shape)) for name, shape in fields.items()}
         table |= {name if part is None else f"{part}_{name}": values for name, values in given.items()}
         made = np.concatenate([np.reshape(table[name], (count, -1)) for name in fields], axis=1)
-        last = {name: self._acting.column(rows, f"reference.{name}")[-1] for name in fields}
-        require_steady(side, made, np.concatenate([np.ravel(x) for x in last.values()]), "the last sample", part)
+        require_steady(side, made, self._last(rows), "the last sample", self._acting.made.safe.limits, part)
         self._publish(phase, stream, made, -1)
 
     def _feed(self, rows: Float64Array) -> None:
@@ -260,6 +289,9 @@ class Feeder(threading.Thread):
         count = min(MADE_ROWS, math.ceil((float(stream.period) + time_outs(float(stream.period))[1]) * side.rate) + 1)
         x = self._seen(rows)
         made = _filled(side, feed, self._due, count, lambda: x)
+        part = None if side.task is None else side.task.follows(name)
+        begins_at = _row(side, side.law.at_rest(x)) if begins else self._last(rows)
+        require_steady(side, made, begins_at, "where the arm is", self._acting.made.safe.limits, part)
         if not self._ended.is_set():
             self._publish(phase, stream, made, self._due)
         following = feed.next_question(self._due)
@@ -268,6 +300,11 @@ class Feeder(threading.Thread):
     def _publish(self, phase: int, stream: Stream, rows: Float64Array, arrived: int) -> None:
         self._acting.controls.time_out(*time_outs(float(stream.period)))
         self._acting.controls.fill(phase, rows, arrived)
+
+    def _last(self, rows: Float64Array) -> Float64Array:
+        """(reference_size,) the sample of the last tick."""
+        fields = self._side.law.reference.fields(self._side.arm.n)
+        return np.concatenate([np.ravel(self._acting.column(rows, f"reference.{name}")[-1]) for name in fields])
 
     def _phase(self, rows: Float64Array) -> int:
         """The phase of the coming tick; -1 where that is not known yet."""

@@ -30,7 +30,7 @@ from taut.loop import check_fit
 from taut.plant.actuation import Actuation
 from taut.record.run import Run
 from taut.runtime.realtime.acting import Acting
-from taut.runtime.realtime.feeding import Feeder, References, references_of
+from taut.runtime.realtime.feeding import Feeder, References, references_of, require_fitting
 from taut.runtime.realtime.link import CLOSING, Link
 from taut.runtime.realtime.logger import LogProcess
 from taut.runtime.realtime.ring import ENDED
@@ -65,6 +65,7 @@ class RobotPlant:
     adds: Any
     parameters: Mapping[str, Float64Array] = dataclasses.field(default_factory=dict)
     distorts: frozenset[str] = frozenset()
+    integrator: str = "rk4"  # exact under a command that is held, where the robot is judged by its model
     actuation: Actuation = dataclasses.field(default_factory=Actuation)
 
     def checked_parameter(self, path: str, value: ArrayLike) -> Float64Array:
@@ -224,7 +225,7 @@ class Robot:
         """Everything that `start` checks and refuses, for an arm at q (n,) [rad | m], where it is if left out."""
         self.check()
         here = self.q if q is None else finite_array("q", q, shape=(self.arm.n,), unit="rad | m")
-        self._checked(ctrl, ref, duration, here)
+        self._checked(ctrl, ref, duration, here, sends=True)
 
     def move_to(self, q: ArrayLike, *, speed: float = 0.2) -> None:
         """Move the joints to q (n,) [rad | m], at most at `speed` times their speed limits; returns when there.
@@ -490,14 +491,14 @@ class Robot:
         self.check()
         stops = self._stops
         with self._verbs:
-            made, references = self._checked(ctrl, ref, duration, self.q)
+            made, references = self._checked(ctrl, ref, duration, self.q, sends)
             if self._stops != stops:
                 raise UsageError("the robot was stopped while it started", name="start")
             self.link.set_word("hold", 0)
             self._act(ctrl, made, references, begins=True, sends=sends, controls=sends, over=over)
 
     def _checked(
-        self, ctrl: Controller, ref: object, duration: float | None, q: Float64Array
+        self, ctrl: Controller, ref: object, duration: float | None, q: Float64Array, sends: bool
     ) -> tuple[ServoSet, References]:
         """The compiled tick, and what feeds it, of a controller that fits this robot and is stable at q."""
         instance_of("ctrl", ctrl, Controller, "a controller from taut.compile")
@@ -512,7 +513,9 @@ class Robot:
             raise MatchError(f"{name} {loads}; {LOAD_HINT}", name="load")
         references = references_of(ctrl, ref, q, duration)
         made = self._holding if ctrl is self.holder else self._compiled(ctrl)
-        made.safe.check_pose(q)
+        if sends:
+            require_fitting(ctrl.side, references, q, self.limits)
+            made.safe.check_pose(q)
         require_stable(ctrl, self.plant, q)
         return made, references
 
@@ -564,10 +567,15 @@ class Robot:
 
 
 def require_stable(ctrl: Controller, plant: RobotPlant, q: Float64Array, values: Mapping[str, Any] = {}) -> None:
-    """RangeError for a sampled loop that is known to be unstable at q, with these values of its parameters."""
-    verdict = judge_start(ctrl, plant, q, values)
-    if isinstance(verdict, Judgement) and not verdict.stable:
-        raise RangeError(f"{verdict.message} (nothing was sent to {plant.name})", name="law")
+    """RangeError for a sampled loop that is known to be unstable at q, with these values of its parameters.
+
+    Of a task each phase is judged, as if it began there.
+    """
+    for k, phase in enumerate(("",) if ctrl.side.task is None else ctrl.side.task.names):
+        verdict = judge_start(ctrl, plant, q, values, phase=k)
+        if isinstance(verdict, Judgement) and not verdict.stable:
+            where = f"in phase '{phase}' " if phase else ""
+            raise RangeError(f"{where}{verdict.message} (nothing was sent to {plant.name})", name="law")
 
 
 def freed(link: Link, log: LogProcess | None, acting: list[Acting]) -> None:
