@@ -393,7 +393,7 @@ def test_an_arm_does_not_jump_when_it_is_enabled(name: str, arms: dict[str, CanA
         truth = host.sim()
         assert truth["status"] == [1] * host.arm.n
         assert truth["timeout"] == [2000] * host.arm.n
-        path = host.run(HOLDS, taut.JointMotion(q=host.arm.home), 100)
+        path = host.run(HOLDS, taut.JointMotion(q=host.arm.home), 250)  # as long as `stop` lets it stand
         assert np.abs(path - host.arm.home).max() < 3e-3  # what it falls in three periods
         host.driver.end()
         host.sim(period=0.02)
@@ -710,7 +710,7 @@ def test_every_tick_of_the_loop_on_the_bus_is_computed_again_from_its_log(
 ) -> None:
     """On the command line: the law within the law, the arm with its gears, and what the motors show at rest are in it."""
     sim = arms["planar2"]
-    sim(reset=True, rules=[])
+    sim(reset=True, rules=[], period=1.0 / sim.rate)
     arm, motors = sim.arm, can_arm.motors("planar2", rate=500.0, missed=250)
     joints = taut.laws.ViaMit(law=taut.laws.GravityPID(kp=[80.0, 40.0], kd=[4.0, 2.0]))
     torque = taut.laws.ComputedTorque(kp=225.0, kd=[30.0, 30.0], ki=[0.0, 0.0])
@@ -736,7 +736,7 @@ def test_every_tick_of_the_loop_on_the_bus_is_computed_again_from_its_log(
 def test_an_arm_that_is_stopped_in_motion_stays_where_it_stopped(arms: dict[str, CanArm]) -> None:
     """The motors go on with the torque of rest: neither that which braked, nor that of one tick with its steps."""
     sim = arms["planar2"]
-    sim(reset=True, rules=[])
+    sim(reset=True, rules=[], period=1.0 / sim.rate)
     arm, motors = sim.arm, can_arm.motors("planar2", rate=500.0, missed=250)
     limits = taut.SafetyLimits.of(arm, missed=250.0)
     with taut.connect(f"can://{sim.channel}", arm, motors=motors, limits=limits) as robot:

@@ -43,7 +43,7 @@ ROW_NAMES: Final = ("q", "v", "kp", "kd", "tau")
 TOP_CODES: Final = np.array([[0xFFFF], [0xFFF], [0xFFF], [0xFFF], [0xFFF]])
 MOTOR_GAINS: Final = (500.0, 5.0)  # [N m/rad], [N m s/rad] the largest kp and kd of a frame, of every type
 HOLD: Final = (1.0, 0.05)  # [1/rad], [s/rad] kp and kd over t_max with which a motor holds by itself
-AVERAGED: Final = 0.1  # [s] over which it takes its torque: that of one tick has the steps of the velocity in it
+HOLD_AVERAGE: Final = 0.1  # [s] over which it takes its torque: that of one tick has the steps of the velocity in it
 CLASSIC_BITS: Final = (98 + 97 // 4 + 13, 0)  # of a frame of eight bytes, at most: the stuffed part, and the end
 FD_BITS: Final = (17 + 4 + 13, 69 + 17 + 21 + 6)  # the same of CAN FD, in the arbitration and in the data phase
 BROADCAST: Final = 0x7FF  # registers, and requests for a state
@@ -307,7 +307,7 @@ class CanDriver(RobotDriver):
             low, high = self._motors.lowest[row, i], self._motors.highest[row, i]
             reason = f"{ROW_NAMES[row]} = {motor[row, i]:g} is out of its range, {low:g} to {high:g}"
             self._require(np.arange(self._n) != i, reason, "rejected")
-        self._count = min(self._count + 1, math.ceil(AVERAGED * self._motors.control_rate))
+        self._count = min(self._count + 1, math.ceil(HOLD_AVERAGE * self._motors.control_rate))
         self._tau += (motor[4] - self._tau) / self._count
         self._send(zip(self._ids, frames, strict=True))
 
