@@ -470,11 +470,14 @@ class TestProcess:
             assert found.value.fault.name == "partner"
 
 
-def test_a_slow_robot_is_not_taken_for_a_dead_one() -> None:
-    with taut.connect(taut.RigidPlant(ARM), limits=limits(), rate=8.0) as robot:
+def test_a_slow_robot_is_not_taken_for_a_dead_one(tmp_path: Path) -> None:
+    """And has one log, though its ticks are further apart than the looks of the log process."""
+    with taut.connect(taut.RigidPlant(ARM), limits=limits(), rate=8.0, log=tmp_path) as robot:
         robot.start(compiled(robot, L.ComputedTorque(kp=4.0, kd=4.0)))
         robot.wait(1.0)
         assert robot.status.state == "running"
+    (file,) = tmp_path.iterdir()
+    assert len(taut.load_run(file)) > 6
 
 
 class TestMisuse:

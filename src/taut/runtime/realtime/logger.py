@@ -133,7 +133,7 @@ class Book:
             self._words[DROPPED] += lost
             self._words[SAFE] = self._next = self._next + lost
         meant = self._law.meant(rows)
-        edges = [0, *(np.flatnonzero(np.diff(meant)) + 1).tolist(), len(rows)]
+        edges = [0, *(np.flatnonzero(np.diff(meant)) + 1).tolist(), len(rows)] if len(rows) else []
         for first, end in itertools.pairwise(edges):
             if meant[first : first + 1].any():
                 self._append(rows[first:end])
