@@ -125,9 +125,9 @@ class Person:
         return self.answers.pop(0) + "\n"
 
 
-def acts(sim: CanArm) -> bool:
-    """Whether the motors have the gain of the law 'pd'."""
-    return bool(abs(sim()["sent"][0][2] - 80.0) < 1.0)
+def acts(sim: CanArm, gain: float = 80.0) -> bool:
+    """Whether the first motor has a gain, that of the law 'pd' if left out; 54 where it holds by itself."""
+    return bool(abs(sim()["sent"][0][2] - gain) < 1.0)
 
 
 def once_it_acts(sim: CanArm, then: Callable[[], Any]) -> threading.Thread:
@@ -233,9 +233,11 @@ class TestAFault:
         self, place: Place, capsys: pytest.CaptureFixture[str]
     ) -> None:
         def fail() -> None:  # in the motion back to the start
-            while acts(place.sim):
+            while not acts(place.sim, 54.0):
                 time.sleep(0.005)
-            place.sim(rules=[["error", 1, 100, 1, 0xA]])
+            while acts(place.sim, 54.0):
+                time.sleep(0.005)
+            place.sim(rules=[["error", 1, 10, 1, 0xA]])
 
         place.write(SOFT, limits="v = 1.0")
         thread = once_it_acts(place.sim, fail)
