@@ -120,7 +120,7 @@ def doctor(run: Run, *, arm: Arm | None = None, checks: Sequence[Check] = CHECKS
         raise UsageError(f"checks are taut.analysis.Check; got {wrong[0]}", name="checks")
     threshold = {each.name: each.value for each in (*SHARED, *(x for check in checks for x in check.thresholds))}
     problems = [] if run.outcome.ok else [f"the run ended in a fault: {run.outcome}"]
-    whole, lost = _longest_complete(run, int(threshold["ticks"]))
+    whole, lost = _longest_complete(_while_it_acts(run), int(threshold["ticks"]))
     problems += lost
     if whole is None:
         return Diagnosis(findings=(), problems=tuple(problems), notes=())
@@ -203,6 +203,13 @@ def _ordered(found: Sequence[Finding]) -> tuple[Finding, ...]:
         else:
             first.append(dataclasses.replace(each, follows=()))
     return (*first, *then)
+
+
+def _while_it_acts(run: Run) -> Run:
+    """The ticks of a robot's record until the controlled stop, which is not the law's doing."""
+    stops = run.extra.get("safe.mode", np.ones(len(run))) < 0.5
+    k = int(np.argmax(stops)) if stops.any() else 0
+    return run.ticks(slice(k)) if k else run
 
 
 def _longest_complete(run: Run, min_ticks: int) -> tuple[Run | None, list[str]]:

@@ -41,6 +41,7 @@ class Acting:
             columns=made.columns(), measured=made.safe.measured, joint_names=arm.joint_names, units=arm.units
         )
         self._stopped: Float64Array | None = None  # the ticks up to a fault
+        self.ended: Fault | None = None  # the first fault that was seen, also after it was cleared
 
     def rows(self, count: int = CAPACITY) -> Float64Array:
         """Copies of the last rows (k, row_size)."""

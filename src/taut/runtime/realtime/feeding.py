@@ -162,7 +162,7 @@ def require_steady(
     side: LawSide, rows: Float64Array, before: Float64Array, beginning: str, limits: SafetyLimits,
     part: str | None = None,
 ) -> None:  # fmt: skip
-    """RangeError where rows (k, reference) jump in their positions, the first one from a row before, or exceed limits.
+    """RangeError where rows (k, reference) jump in their positions, the first from a row before, or exceed limits.
 
     `part` is what is followed of a sample of a task whose phases follow several kinds.
     """
@@ -174,7 +174,10 @@ def require_steady(
         was, now, kind = np.vstack([before[at], rows[:-1, at]]), rows[:, at], name.rpartition("_")[2]
         require = partial(_require_each, side, name)
         if is_position(name):
-            moved, away = np.abs(step_of(arm, name, now, was)), f"of {beginning}; it is {{x}} away; robot.move_to it first"
+            moved, away = (
+                np.abs(step_of(arm, name, now, was)),
+                f"of {beginning}; it is {{x}} away; robot.move_to it first",
+            )
             require(moved[:1], f"must be within {{most}} {away}, or take a trajectory from there", REFERENCE_STEP)
             require(moved, "must move by at most {most} in a tick; it moves by {x} after {t}", REFERENCE_STEP)
         if kind == "q" and shape == (arm.n,):

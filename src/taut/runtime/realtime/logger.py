@@ -20,7 +20,7 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, cast
@@ -89,7 +89,7 @@ class Book:
         self._places = np.frombuffer(numbers.tobytes()[len(CDR_HEAD) :]).astype(np.int64)
         self._next = self._head = int(self._words[SAFE])  # row to read; rows that have been seen
         self._moved = self._flushed = time.monotonic()
-        self._again, self._chunks = 0.0, 0
+        self._again, self._chunks, self._orphan = 0.0, 0, False
         self._forget()
 
     def _forget(self) -> None:
@@ -105,6 +105,7 @@ class Book:
         if head > self._head:
             self._head, self._moved = head, now
         idle = now > self._moved + IDLE
+        self._orphan = not (parent or ended)
         ended = ended or (idle and not parent)
         try:
             self._copy()
@@ -161,7 +162,10 @@ class Book:
         """End the file, if there is one."""
         if self._log is not None:
             dropped, why = int(self._words[DROPPED]), int(self._words[ERRNO])
-            self._log.finish(outcome_of(self._counts, self._fault or self._of_driver(), dropped, why))
+            outcome = outcome_of(self._counts, self._fault or self._of_driver(), dropped, why)
+            if self._orphan and outcome.ok:
+                outcome = replace(outcome, kind="stopped", message=f"its program was killed; {outcome.message}")
+            self._log.finish(outcome)
             self._log.close()
             self._forget()
 

@@ -294,8 +294,9 @@ class Robot:
             RobotError: The cause is still there, or the loop's process is gone.
         """
         self._require_open()
-        if not self.link.alive:
-            self.check()
+        fault = self.fault
+        if not self.link.alive or (fault is not None and fault.code == CODES["unwatched"]):
+            self.check()  # only a new connection helps
         self._stand()
         with self._verbs:
             self._end_feeding()
@@ -385,14 +386,17 @@ class Robot:
     def fault(self) -> Fault | None:
         """What is latched, or None."""
         self._require_open()
-        link = self.link
+        link, acting = self.link, self.acting
         link.hear()
         if link.failure is not None:
             code, text = link.failure
-            return fault_of(code, link.word("ticks"), detail=text)
-        if not link.alive:
-            return fault_of(link.word("fault") or CODES["process_died"], link.word("ticks"))
-        return self.acting.fault()
+            fault: Fault | None = fault_of(code, link.word("ticks"), detail=text)
+        elif not link.alive:
+            fault = fault_of(link.word("fault") or CODES["process_died"], link.word("ticks"))
+        else:
+            fault = acting.fault()
+        acting.ended = acting.ended or fault
+        return fault
 
     @property
     def status(self) -> RobotStatus:
@@ -422,7 +426,7 @@ class Robot:
 
     def run(self) -> Run:
         """The record of the law that acts, or acted last: its last 8000 ticks."""
-        return self.acting.run(self.info.name, self.arm, self.fault)
+        return self.acting.run(self.info.name, self.arm, self.fault or self.acting.ended)
 
     def timing(self) -> Timing:
         """Lateness and computing time of the ticks that are kept, and what the driver takes."""
