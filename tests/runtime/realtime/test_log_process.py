@@ -314,6 +314,8 @@ def test_a_killed_parent_or_loop_leaves_whole_logs(
         ticks = np.concatenate([ticks_of(run) for run in runs])
         assert (np.diff(ticks) == 1).all()
         assert all("outcome" not in run.outcome.message for run in runs)
+        why = "its program was killed; " if victim == "parent" else "process_died (61)"
+        assert runs[-1].outcome.message.startswith(why)
         behind.append(1e3 * max(0.0, killed - runs[-1].extra["loop.time"][-1]))
     assert max(behind) <= 200.0
     bar(f"kill -9 of the {victim}: times; ms without a row before it, at most", f"{kills}; {max(behind):.0f}")

@@ -580,10 +580,11 @@ class TestMisuse:
             taut.trajectories.Samples(times=[0.0, 0.5, 0.501], q=[here, here, far]),
             taut.JointMotion(q=here, v=[2.0, 0.0]),
             taut.trajectories.Quintic(q0=here, q1=here + 0.5, duration=0.1),
-            taut.trajectories.Quintic(q0=here, q1=[8.0, 0.0], duration=60.0),
         ):
             with refused(taut.errors.RangeError):
                 calm.start(compiled(calm), ref)
+        with pytest.raises(taut.errors.RangeError, match=r"must stay within limits\.upper; it is .* beyond after"):
+            calm.start(compiled(calm), taut.trajectories.Quintic(q0=here, q1=[8.0, 0.0], duration=60.0))
         T = taut.snapshot(ARM, here).T()
         for pose, name in (
             (taut.Pose.of(T.R, T.p + 0.3 * np.eye(3)[1]), "p"),

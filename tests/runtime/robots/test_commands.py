@@ -46,6 +46,7 @@ kd = [4.0, 90.0]
 wrapped_by = { law = "ViaMit", kp_motor = 0.0, kd_motor = 0.0 }
 """
 LATER: Final = '\n[[event]]\nt = 0.5\nset = { "law.kd" = [4.0, 90.0] }\n'
+SLOW_TOOL: Final = "v = 3.0\ntool_speed = 0.35"
 FAST: Final = 'reference = { kind = "quintic", q0 = [0.5, 1.5], q1 = [0.9, 1.5], duration = 0.8 }'  # up to 0.94 rad/s
 BY_HOST: Final = [f"--set=laws.pd.wrapped_by.{gain}_motor=0.0" for gain in ("kp", "kd")]
 
@@ -187,20 +188,20 @@ class TestAFault:
     def test_is_the_outcome_of_a_run_that_ends_there_and_no_other_law_acts(
         self, place: Place, capsys: pytest.CaptureFixture[str]
     ) -> None:
-        place.write(SOFT, limits="v = 0.5", fast=True)
+        place.write(SOFT, limits=SLOW_TOOL, fast=True)
         assert main(place.run("--yes", "--json")) == 1
         done = json.loads(capsys.readouterr().out)
         outcome = done["outcomes"]["pd"]
         assert outcome["kind"] == "stopped"
-        assert outcome["message"].startswith("speed (31)")
-        assert outcome["joint"] in place.sim.arm.joint_names
+        assert outcome["message"].startswith("tool_speed (32)")
+        assert outcome["joint"] is None
         assert list(done["metrics"]) == ["pd"]
         assert done["ended"] == "not run: soft, as pd stopped"
         assert taut.load_run(done["outputs"]["log"]).outcome.message == outcome["message"]
         assert Path(done["outputs"]["metrics"]).exists()
         of_robot = taut.load_run(done["logs"]["pd"])
         assert str(place.folder / "out" / "robot") in done["logs"]["pd"]
-        assert of_robot.extra["safe.fault"][outcome["tick"]] == 31.0  # its last tick, and the first that has it
+        assert of_robot.extra["safe.fault"][outcome["tick"]] == 32.0  # its last tick, and the first that has it
         assert of_robot.extra["safe.fault"][outcome["tick"] - 1] == 0.0
         assert len(of_robot) > outcome["tick"] + 1  # the controlled stop
 
@@ -255,7 +256,7 @@ class TestAnArmThatFalls:
     def test_is_held_until_it_is_supported(
         self, fault: bool, place: Place, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
     ) -> None:
-        place.write(limits="v = 0.5" if fault else "v = 3.0", fast=True)
+        place.write(limits=SLOW_TOOL if fault else "v = 3.0", fast=True)
         person = Person(place.sim, ["", "n", "y"])
         monkeypatch.setattr(sys, "stdin", person)
         assert main(place.run()) == int(fault)
@@ -373,6 +374,7 @@ adds = ["gravity"]
 """
 
 
+@pytest.mark.long
 def test_a_ur_that_takes_torques_is_brought_up_and_runs_a_scenario(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
