@@ -109,6 +109,7 @@ def main() -> None:
         on = {"ray": own.stdout.readline().decode().split()[1], "cluster": own.pid}
         cold, warm, alone = timed(loop, 2, **on), timed(loop, 2, **on), timed(loop, 2, workers=1)
         short = panda(2)  # chunks of two ticks: what is left is Ray and this side
+        timed(short, 64, **on)  # which compiles it
         start, empty = timed(short, 64, **on), timed(short, samples, **on)
         here, there = timed(loop, samples, workers=n), timed(loop, samples, **on)
     size = len(pickle.dumps(runner_of(here.found.plan, loop).results(0, CHUNK)))
