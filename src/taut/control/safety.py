@@ -32,10 +32,7 @@ SOFT_GAIN: Final = 10.0  # [1/s] admissible speed towards a limit in its soft zo
 SOFT_DAMPING: Final = (50.0, 0.25)  # [1/s], [-] deceleration over the speed above that, and of the rate
 CONSISTENCY_TIME: Final = 0.02  # [s] over which positions and velocities are compared
 CONSISTENCY: Final = (0.1, 0.3)  # [-] allowed difference: of the speed limit, and of the speed
-JUMP: Final = (
-    2.0,
-    0.005,
-)  # [-], [rad | m] step of a position beyond its speeds: of their limit in a period, and more
+JUMP: Final = (2.0, 0.005)  # [-] of the speed limit in a period, [rad | m] besides: a position beyond its speeds
 BELIEVED: Final = 10.0  # [-] of the speed limit, up to which a speed is
 PLAUSIBLE: Final = 1e6  # [any unit] a measurement beyond is as good as none
 SUDDEN: Final = 10.0  # [-] times the deceleration: change of a speed beyond is none from which a stop begins

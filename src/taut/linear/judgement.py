@@ -191,7 +191,8 @@ def _judged_at(
     """The judgement of a loop, or of a controller with a model plant in place of its plant."""
     loop, name = (ctrl, plant.name) if isinstance(ctrl, Loop) else (_model_loop(ctrl, plant), "")
     changes = {path: value for path, value in changes.items() if path in loop.parameters}
-    name = name or f"{loop.plant.name} in place of {plant.name}".removesuffix(f" in place of {loop.plant.name}")
+    if not name:
+        name = plant.name if plant.name == loop.plant.name else f"{loop.plant.name} in place of {plant.name}"
     with np.errstate(all="ignore"):  # numbers that no float can hold are refused where a run meets them
         return _judged(Period(loop, q, changes, phase), name, limits)
 

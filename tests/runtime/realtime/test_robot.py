@@ -21,10 +21,11 @@ from test_fault_table import stated
 
 import taut
 from taut.control.safety import SafeSide
+from taut.linear.judgement import Judgement, judge_start
 from taut.robots import DriverError, Robot, RobotError, Timing
 from taut.runtime.realtime.bringup import remember
 from taut.runtime.realtime.connect import hello_of
-from taut.runtime.realtime.robot import HOLD
+from taut.runtime.realtime.robot import HOLD, RobotPlant
 
 ARM = taut.load_arm("planar2")
 L = taut.laws
@@ -371,6 +372,8 @@ class TestProcess:
         with pytest.raises(RobotError) as found:
             robot.wait(5.0)
         assert found.value.fault.name == "unwatched"
+        with pytest.raises(RobotError):
+            robot.recover()  # the watchdog is still dead
 
     def test_without_its_parent_the_arm_stops_and_everything_ends(self, tmp_path: Path) -> None:
         log, here = tmp_path / "log", Path(__file__).parent
@@ -661,6 +664,34 @@ class TestMisuse:
         calm.wait(0.02)
         assert calm.status.state == "running"
         assert float(calm.parameters["law.kp"]) == calm.run().extra["parameters.law.kp"][-1]
+
+
+@pytest.mark.parametrize("name", ["planar2", "panda", "ur10", "kinova", "xarm7"])
+@pytest.mark.parametrize("rate", [500.0, 1000.0])
+def test_a_robot_is_judged_as_it_moves_under_a_torque_that_is_held(name: str, rate: float) -> None:
+    """e'' + kd e' + kp e = 0 with a torque held for dt is stable for kp < 2 kd / dt, kd < 2 / dt."""
+    arm = taut.load_arm(name).with_friction(taut.Friction())
+    plant = RobotPlant(name="a robot", arm=arm, takes="torque", measures=frozenset({"v"}), adds=())
+    for kd in (30.0, 200.0):
+        for part in (0.97, 1.03):
+            ctrl = taut.compile(L.ComputedTorque(kp=part * 2.0 * kd * rate, kd=kd), arm, rate=rate)
+            verdict = judge_start(ctrl, plant, arm.home + 0.1)
+            assert isinstance(verdict, Judgement)
+            assert verdict.stable == (part < 1.0)
+
+
+def test_the_doctor_leaves_the_controlled_stop_to_itself(calm: Robot) -> None:
+    """A law that followed well and was stopped on its way is healthy: where the arm stands is not its target."""
+    calm.move_to(ARM.home, speed=0.5)
+    path = taut.trajectories.Quintic(q0=calm.q, q1=calm.q + 0.6, duration=2.0)
+    calm.start(compiled(calm), path)
+    calm.wait(1.0)
+    calm.hold()
+    calm.wait(2.0)
+    run = calm.stop()
+    calm.recover()
+    assert (run.extra["safe.mode"] < 0.5).sum() > 1500
+    assert not taut.doctor(run).findings
 
 
 def test_many_starts_leave_nothing_behind(calm: Robot, share: Callable[[int], int], bar: Any) -> None:
