@@ -116,8 +116,8 @@ class SafetyLimits(Declared):
                 most = "at least" if name == "lower" else "at most"
                 raise RangeError(
                     f"limits.{name} of joint '{arm.joint_names[i]}' must be {most} that of arm '{arm.name}', "
-                    f"{own[i]:.4g}; got {limit[i]:.4g}; where the robot allows that: arm.with_joints({field}=...), or "
-                    f"joint_values = {{ {field} = ... }} in [arm]",
+                    f"{own[i]:.4g}; got {limit[i]:.4g}; where the robot allows that: arm.with_joints({field}=...), "
+                    f"or joint_values = {{ {field} = ... }} in [arm]",
                     name=name, joint=arm.joint_names[i], value=float(limit[i]),
                 )  # fmt: skip
 
