@@ -27,6 +27,7 @@ from taut.trace.graph import LARGEST
 BRAKE_PER_SPEED: Final = 5.0  # [1/s] default deceleration over the speed limit: at rest within 0.2 s
 STOP_BANDWIDTH: Final = (20.0, 0.05)  # [rad/s], [-] of a controlled stop: at most this, and this part of the rate
 LAG: Final = 0.03  # [s] that a torque within its rate may be behind what the stop asks before that begins anew
+LONGEST_STOP: Final = 2.0  # [s] of the deceleration in it: robot.stop() waits for 3
 EASE: Final = 0.05  # [s] in which its deceleration rises; at the end the speed falls by 1/e in that time
 SOFT_GAIN: Final = 10.0  # [1/s] admissible speed towards a limit in its soft zone, over the distance
 SOFT_DAMPING: Final = (50.0, 0.25)  # [1/s], [-] deceleration over the speed above that, and of the rate
@@ -69,7 +70,7 @@ class SafetyLimits(Declared):
         v: Largest speed of the joints [rad/s | m/s].
         lower, upper: Positions [rad | m]; a joint that could not be braked before them any more is stopped.
         soft: Zone before these in which the speed towards them is damped to 10/s times the distance [rad | m].
-        deceleration: Of the controlled stop [rad/s^2 | m/s^2].
+        deceleration: Of the controlled stop [rad/s^2 | m/s^2], from v to rest within 2 s.
         tool_speed: Largest speed of the tool [m/s].
         tool_force: Largest force of the environment at the tool [N], of a measured F_ext.
         contact: Largest external torque of each joint [N m | N]; of an observer, `taut.Sensing(observer=...)`.
@@ -104,7 +105,7 @@ class SafetyLimits(Declared):
                 )
 
     def require_within(self, arm: Arm) -> None:
-        """RangeError for a finite limit beyond that of the arm: it would never act, or too late."""
+        """RangeError for a finite limit beyond that of the arm, which would never act, and for a slow stop."""
         for name, field in OF_ARM.items():
             given = getattr(self, name)
             if given is None:
@@ -120,6 +121,12 @@ class SafetyLimits(Declared):
                     f"or joint_values = {{ {field} = ... }} in [arm]",
                     name=name, joint=arm.joint_names[i], value=float(limit[i]),
                 )  # fmt: skip
+        if self.v is not None and self.deceleration is not None:
+            v = np.where(np.isfinite(self.v), self.v, 0.0)
+            longest = float(np.max(v / np.asarray(self.deceleration)))
+            if longest > LONGEST_STOP:
+                rule = f"limits.deceleration must brake from limits.v within {LONGEST_STOP:g} s"
+                raise RangeError(f"{rule}; it takes {longest:.4g} s", name="deceleration", value=longest)
 
     @classmethod
     def of(cls, arm: Arm, **limits: Any) -> SafetyLimits:
@@ -198,7 +205,7 @@ class SafeSide:
                 "limits.tool_force needs a measured F_ext, and this robot measures none; use contact=",
                 name="tool_force",
             )
-        if limits.power is not None and not self._torques:
+        if limits.power is not None and not self.torques:
             raise UsageError(
                 "limits.power is for a robot that takes torques, and this one takes none; leave it out", name="power"
             )
@@ -220,7 +227,7 @@ class SafeSide:
                     f"the tool is at {np.round(p, 4).tolist()} m, outside limits.box, {low.tolist()} to "
                     f"{high.tolist()}; move the arm by hand, or state another box", name="box",
                 )  # fmt: skip
-        if self.limits.tau is None or not self._torques:
+        if self.limits.tau is None or not self.torques:
             return
         g = np.abs(np.asarray(x.g))
         most = np.broadcast_to(self.limits.tau, g.shape)
@@ -308,7 +315,7 @@ class SafeSide:
         enters = (safe["mode"] > 0.5) | recovers | ~control | (safe["started"] < 0.5)
         stop, stopping = self._stop(x, safe, seen.lost, enters, dt)
         chosen = tm.where(runs, wanted, stop)
-        chosen = chosen + self._soft(x, seen.lost) if self._torques else chosen
+        chosen = chosen + self._soft(x, seen.lost) if self.torques else chosen
         chosen = tm.where(tm.abs(chosen) <= LARGEST, chosen, safe["tau"])
         sent = self._limited(chosen, tm.where(control, safe["tau"], chosen), runs, dt)
         # Without control the robot holds itself, and the next command begins from what that takes.
@@ -343,7 +350,7 @@ class SafeSide:
         return out, {f"safe.{k}": v for k, v in new.items()} | of_reference | law_memory
 
     @property
-    def _torques(self) -> bool:
+    def torques(self) -> bool:
         return self.side.probe.kind == "torque"
 
     def _payload(self, parameters: Mapping[str, Any]) -> Any:
@@ -355,7 +362,7 @@ class SafeSide:
 
     def _resting(self, x: Snapshot) -> Any:
         """(n,) command that keeps the arm where it is: gravity torque, zero speed, or the position."""
-        return tm.array(x.g) if self._torques else x.q if self.side.probe.kind == "position" else tm.zeros(x.n)
+        return tm.array(x.g) if self.torques else x.q if self.side.probe.kind == "position" else tm.zeros(x.n)
 
     def _seen(self, inputs: Mapping[str, Any], safe: Mapping[str, Any], signal: Mapping[str, Any], dt: Any) -> Seen:
         """Measurements that can be used, and what was wrong with them.
@@ -431,14 +438,14 @@ class SafeSide:
             hardly = (outward > max(OUTWARD, self.at_rest)) & (room < self._stopping_distance(outward))
             out.append(Finding.of("position", hardly, room))
         if self._v_max is not None:
-            of_joints("speed", tm.abs(x.v) - (1.0 if self._torques else FOLLOWS) * self._v_max)
+            of_joints("speed", tm.abs(x.v) - (1.0 if self.torques else FOLLOWS) * self._v_max)
         if limits.tool_speed is not None:
             single("tool_speed", tm.norm(x.twist()[:3]) - float(limits.tool_speed))
         if limits.box is not None:
             p, low, high = x.T().p, limits.box[0], limits.box[1]
             outside = tm.maximum(tm.array(low - p), tm.array(p - high))
             single("workspace", reduce(tm.maximum, list(outside)))
-        if limits.power is not None and self._torques:
+        if limits.power is not None and self.torques:
             single("power", safe["tau"] @ x.v - float(limits.power))
         if limits.tool_force is not None:
             single("force", tm.norm(tick.seen["F_ext"][:3]) - float(limits.tool_force))
@@ -547,7 +554,7 @@ class SafeSide:
 
     def _late(self, asked: Vector, sent: Vector) -> Vector:
         """(n,) 1.0 for each joint whose torque needs longer than `LAG` to become what is asked for."""
-        if not (self._torques and self.torque_rate):
+        if not (self.torques and self.torque_rate):
             return tm.zeros(len(asked))
         late: Vector = tm.where(tm.abs(asked - sent) > LAG * self.torque_rate, 1.0, 0.0)
         return late

@@ -29,6 +29,7 @@ from taut.runtime.events import Event
 from taut.runtime.realtime.bringup import SPEED, passed_before
 from taut.runtime.realtime.connect import connect, hello_of
 from taut.runtime.realtime.robot import LOOK, Robot, require_stable
+from taut.runtime.realtime.shared import uninterrupted
 from taut.runtime.realtime.status import RobotError
 from taut.runtime.robots.can import CanMotors
 from taut.scenarios.reading import read, read_toml
@@ -156,8 +157,9 @@ def run_on_robot(robot: Robot, experiment: Experiment, ctrl: Controller, log: Pa
             error = cause
         sent = robot.stop()
     except KeyboardInterrupt:
-        robot.stop()
-        files = sorted(set(log.iterdir()) - others)
+        with uninterrupted():
+            robot.stop()
+            files = sorted(set(log.iterdir()) - others)
         raise KeyboardInterrupt(*[f"what was logged until then is in {file}" for file in files[-1:]]) from None
     ticks = sent.extra[TICK][sent.extra["loop.sent"] > 0.5]
     if error is not None and not len(ticks):

@@ -26,6 +26,7 @@ from taut.base.errors import (
 from taut.base.fields import Declared, Field, Plain, Whole
 from taut.control.combine import SideBySide
 from taut.control.law import Law
+from taut.control.laws.via_mit import ViaMit
 from taut.control.lawside import LawSide
 from taut.control.tasks.feed import feed_of
 from taut.control.tasks.task import Task
@@ -383,7 +384,13 @@ def _laws(
                 raise root.error(f"has [[phases]], each with its law and its reference; leave [{name}] out")
         return {}, {TASK: root}
     if own_laws is not None:
-        return dict(own_laws), {label: Table(f"--law {label}:", "", {}) for label in own_laws}
+        tables = {label: Table(f"--law {label}:", "", {}) for label in own_laws}
+        laws: dict[str, Law | Task] = dict(own_laws)
+        for label, law in own_laws.items():
+            side = _law_side(law, out, tables[label], root.table("control"))
+            if (side.gives, out["plant"].takes) == ("torque", "mit"):
+                laws[label] = ViaMit(law=law, kp_motor=0.0, kd_motor=0.0)
+        return laws, tables
     root.need("laws", "the section [laws], or --law FILE.py:CLASS, which also made the file where it is of a sweep")
     section = root.table("laws")
     if not section.values:

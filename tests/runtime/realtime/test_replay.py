@@ -114,6 +114,14 @@ def ticks_of(run: taut.Run) -> Any:
     return run.extra["loop.tick"].astype(int)
 
 
+def test_torques_that_a_robot_neither_takes_nor_measures_are_not_a_number(velocity: Recorded) -> None:
+    run = taut.load_run(velocity.file_of("VelocityPI"))
+    for one in (velocity.kept[0], run):
+        assert np.isnan(one.tau).all()
+        assert np.isfinite(one.command).all()
+        assert "effort" not in str(one.metrics)
+
+
 def test_every_law_has_a_file_and_no_tick_is_missing_between_them(torque: Recorded) -> None:
     names = [file.name.partition("-")[2][11:].removesuffix(".mcap") for file in torque.files]
     assert names == ["ComputedTorque", "Impedance", "the_task_of_go_stay"]

@@ -520,11 +520,19 @@ class TestMisuse:
         for options in ({"refuses": "disconnected"}, {"n": 3}, {"takes": "tork"}):
             with refused(taut.TautError):
                 taut.connect(FaultyDriver, ARM, address="here", options=options)
+        with refused(taut.TautError):
+            taut.connect("udp://127.0.0.1:4000", ARM, options={"speed": 1.0})
 
     def test_of_limits(self, calm: Robot) -> None:
         S = taut.SafetyLimits
         bounded = ARM.with_joints(velocity=2.0, effort=[50.0, 20.0], lower=-1.0, upper=2.0)
-        for wrong in ({"v": 100.0}, {"tau": 30.0}, {"lower": -1.5}, {"upper": [1.0, 2.1]}):
+        for wrong in (
+            {"v": 100.0},
+            {"tau": 30.0},
+            {"lower": -1.5},
+            {"upper": [1.0, 2.1]},
+            {"deceleration": [1.0, 0.8]},
+        ):
             with refused(taut.errors.RangeError):
                 taut.connect(taut.RigidPlant(bounded), limits=S.of(bounded, **wrong))
         outside = S.of(ARM, box=((0.0, 0.0, -1.0), (0.1, 0.1, 1.0)))

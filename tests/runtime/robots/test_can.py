@@ -281,6 +281,8 @@ class TestWhatIsRefused:
             taut.connect("udp://127.0.0.1:4000", arm, motors=can_arm.motors("planar2"))
         with refused(MatchError):
             taut.connect("can://can0", arm, motors=can_arm.motors("seven"))
+        with refused(UsageError):
+            taut.connect("can://can0", arm, motors=can_arm.motors("planar2"), options={"rate": 200.0})
 
     def test_an_address_where_nobody_is(self) -> None:
         arm = can_arm.load("planar2")

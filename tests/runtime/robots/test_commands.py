@@ -56,9 +56,10 @@ import taut
 
 class Spring(taut.Law):
     k: taut.Gain = taut.Gain(unit="N m/rad")
+    d: taut.Gain = taut.Gain(unit="N m s/rad")
 
     def command(self, x, ref):
-        return taut.Torque(gravity=x.g, spring=self.k @ x.difference(ref.q))
+        return taut.Torque(gravity=x.g, spring=self.k @ x.difference(ref.q) - self.d @ x.v)
 """
 
 
@@ -303,6 +304,8 @@ def test_ctrl_c_stops_the_arm_names_the_log_and_asks_for_a_support(place: Place,
     ) as process:  # fmt: skip
         try:
             once_it_acts(place.sim, lambda: process.send_signal(signal.SIGINT)).join()
+            time.sleep(0.1)  # the controlled stop takes half a second and more
+            process.send_signal(signal.SIGINT)
             said_until(ours, "is it supported? [y/N]")
             truth = place.sim()
             assert truth["status"] == [1, 1]
@@ -336,11 +339,23 @@ def test_a_bring_up_has_the_values_and_the_law_of_the_run_that_asks_for_it(
     assert json.loads(capsys.readouterr().out)["faults"][0].startswith("gravity")  # the simulated arm has no load
 
     (place.folder / "my_law.py").write_text(LAW, encoding="utf-8")
-    own = ["--law", f"{place.folder}/my_law.py:Spring", "--gain", "k=2.0"]
-    assert main(place.bringup("--yes", *own)) == 2
-    assert "Spring gives torque commands" in capsys.readouterr().err
+    own = ["--law", f"{place.folder}/my_law.py:Spring", "--gain", "k=40.0", "--gain", "d=2.0"]
     assert main(["bringup", str(place.file), "--arm", "planar2", "--yes", *own]) == 2
     assert "--scenario" in capsys.readouterr().err
+
+
+def test_a_law_of_torques_of_a_users_own_acts_by_the_host_on_motors(
+    place: Place, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place.passes()
+    file = place.folder / "my_law.py"
+    file.write_text(LAW, encoding="utf-8")
+    own = ["--law", f"{file}:Spring", "--gain", "k=40.0", "--gain", "d=2.0", "--set", "run.duration=0.3"]
+    assert main(place.run("--yes", *own)) == 0
+    assert str(place.logs()[-1]) in capsys.readouterr().out
+    run = taut.load_run(place.logs()[-1])
+    assert {"gravity", "spring"} <= set(run.terms)
+    assert not run.extra["mit"][:, 2:4].any()  # kp and kd of the motors
 
 
 def test_a_rate_that_is_not_the_robots_is_named(place: Place, capsys: pytest.CaptureFixture[str]) -> None:

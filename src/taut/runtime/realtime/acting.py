@@ -38,8 +38,9 @@ class Acting:
         self.ring = Ring.create(CAPACITY, made.row_size)
         arm = made.safe.side.arm
         self.layout = Rows(
-            columns=made.columns(), measured=made.safe.measured, joint_names=arm.joint_names, units=arm.units
-        )
+            columns=made.columns(), measured=made.safe.measured, joint_names=arm.joint_names, units=arm.units,
+            torques=made.safe.torques,
+        )  # fmt: skip
         self._stopped: Float64Array | None = None  # the ticks up to a fault
         self.ended: Fault | None = None  # the first fault that was seen, also after it was cleared
 

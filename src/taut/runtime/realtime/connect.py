@@ -154,6 +154,12 @@ def hello_of(
         )
     if motors is not None and not on_can:
         raise UsageError(NO_MOTORS, name="motors")
+    if on_can and options:
+        raise UsageError(
+            f"{robot} takes no options; its values are those of motors=taut.robots.CanMotors(...), in a robot file "
+            f"those of [motors]; got {', '.join(options)}",
+            name="options",
+        )
     of_motors = {} if motors is None else motors.options(arm, SafetyLimits.of(arm) if limits is None else limits)
     return {**found, "options": {**dict(options or {}), **of_motors}}
 

@@ -84,9 +84,9 @@ class Book:
         with contextlib.suppress(FileNotFoundError):  # the loop is gone
             self._status = Shared.attach(law.status).words
         self._words[LOGGER] = os.getpid()
-        # Where the numbers of a message stand in a row: a row of these numbers is written as one.
+        # Where the numbers of a message stand in a row: a row of these numbers is written as one. -1: nowhere, NaN.
         numbers = TickLayout(law.header).rows(law.rows.of_run(np.arange(float(self.ring.width))[None]))
-        self._places = np.frombuffer(numbers.tobytes()[len(CDR_HEAD) :]).astype(np.int64)
+        self._places = np.nan_to_num(np.frombuffer(numbers.tobytes()[len(CDR_HEAD) :]), nan=-1.0).astype(np.int64)
         self._next = self._head = int(self._words[SAFE])  # row to read; rows that have been seen
         self._moved = self._flushed = time.monotonic()
         self._again, self._chunks, self._orphan = 0.0, 0, False
@@ -155,7 +155,8 @@ class Book:
     def _messages(self, rows: Float64Array) -> bytes:
         out = np.empty((len(rows), len(CDR_HEAD) + 8 * len(self._places)), dtype=np.uint8)
         out[:, : len(CDR_HEAD)] = np.frombuffer(CDR_HEAD, dtype=np.uint8)
-        out[:, len(CDR_HEAD) :] = np.take(rows, self._places, axis=1).view(np.uint8)
+        known = np.column_stack([rows, np.full(len(rows), np.nan)])
+        out[:, len(CDR_HEAD) :] = np.take(known, self._places, axis=1).view(np.uint8)
         return out.tobytes()
 
     def _finish(self) -> None:

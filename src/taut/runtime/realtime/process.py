@@ -12,6 +12,7 @@ import ctypes
 import dataclasses
 import gc
 import importlib
+import inspect
 import os
 import queue
 import signal
@@ -213,7 +214,12 @@ class Process:
             driver: RobotDriver = PlantDriver(hello["plant"], RobotInfo(**hello["info"]))
         else:
             kind: Any = _driver_class(hello)
-            driver = kind(hello["address"], **hello["options"])
+            try:
+                given = inspect.signature(kind).bind(hello["address"], **hello["options"])
+            except TypeError as cause:
+                names = ", ".join(list(inspect.signature(kind).parameters)[1:]) or "none"
+                raise UsageError(f"options of {kind.__name__}: {cause}; it takes {names}", name="options") from cause
+            driver = kind(*given.args, **given.kwargs)
         self._driver = driver
         try:
             info = driver.open()

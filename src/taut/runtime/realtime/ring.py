@@ -93,6 +93,7 @@ class Rows:
     measured: Mapping[str, tuple[int, ...]]  # shapes, in the order of the kernel's inputs
     joint_names: tuple[str, ...]
     units: tuple[str, ...]
+    torques: bool  # what the commands are
 
     def column(self, rows: Float64Array, path: str) -> Float64Array:
         """One column (k, ...) of rows."""
@@ -104,7 +105,9 @@ class Rows:
         """The columns by the names of `Run.arrays`, in its order."""
         known = {path: self.column(rows, path) for path in self.columns}
         out = {name: known[name] for name in ("t", "q", "v")}
-        out |= {"tau": known.get("tau_meas", known["command"]), "command": known["command"]}
+        command = known["command"]
+        unmeasured = command if self.torques else np.full_like(command, np.nan)
+        out |= {"tau": known.get("tau_meas", unmeasured), "command": command}
         out |= {path: x for group in GROUPS for path, x in known.items() if path.startswith(group)}
         return out | {f"extra.{p}": x for p, x in known.items() if p not in OF_A_RUN and not p.startswith(GROUPS)}
 
