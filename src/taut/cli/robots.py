@@ -35,6 +35,8 @@ def _asked(question: str) -> bool:
 @contextlib.contextmanager
 def connected(robot: Robot, *, yes: bool) -> Iterator[None]:
     """The connection of a command to a robot. Whatever ends it, motors that hold an arm are disabled after a yes."""
+    from taut.runtime.realtime.shared import uninterrupted
+
     asks = not (robot.info.holds or yes)
     with robot:
         if asks:
@@ -43,7 +45,7 @@ def connected(robot: Robot, *, yes: bool) -> Iterator[None]:
             yield
         finally:
             if asks:
-                with contextlib.suppress(TautError):
+                with contextlib.suppress(TautError), uninterrupted():
                     robot.stop()
                 while _enabled(robot) and not _asked(SUPPORT):
                     pass

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -250,6 +251,27 @@ class LawSide:
         law.check_states(x, self.rate)
         if ref is not None:
             law.check_references(x, ref, self.rate)
+
+    def require_gains(self, q: Float64Array, parameters: Mapping[str, Any], most: tuple[float, float]) -> None:
+        """RangeError for a law that sends motors, at rest at q (n,), a kp or kd beyond the largest ones."""
+        if not self.probe.mit:
+            return
+        x = self._snapshot(self.measurements_at_rest(q), parameters, {})
+        laws = (
+            {"law": self.law} if self.task is None else {f"law.{name}": law for name, law in self.task.laws.items()}
+        )
+        for path, one in laws.items():
+            law = one.bound(subtree(parameters, path))
+            ref = law.at_rest(x)
+            with contextlib.suppress(NumericalError):  # of a phase that begins elsewhere
+                command, _ = call(law, x, ref, law.initial_memory(x, ref), self.dt)
+                for name, limit in zip(("kp", "kd"), most, strict=True):
+                    gains = np.asarray(getattr(command, name)) if isinstance(command, MitCommand) else np.zeros(1)
+                    if gains.max() > limit:
+                        joint, gain = self.arm.joint_names[int(gains.argmax())], float(gains.max())
+                        rule = f"must be at most {limit:g}, what its motor takes"
+                        who = f"{name} that {path} sends to joint '{joint}'"
+                        raise RangeError(f"{who} {rule}; got {gain:g}", name=name, joint=joint, value=gain)
 
     def check_change(self, q: Float64Array, before: Mapping[str, Any], new: Mapping[str, ArrayLike]) -> None:
         """New parameters must have a meaning at q (n,), those of a task where its phases begin; `before` has all."""

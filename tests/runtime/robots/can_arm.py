@@ -16,6 +16,7 @@ import select
 import struct
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -343,7 +344,7 @@ class CanArm:
             [sys.executable, "-W", "ignore", str(HERE / "can_arm.py"), *words],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": paths},
         )  # fmt: skip
-        self.channel = self._line().strip()
+        self.channel, self._alone = self._line().strip(), threading.Lock()
         self.arm, self.name, self.rate = load(name), name, rate
 
     def _line(self) -> str:
@@ -356,9 +357,10 @@ class CanArm:
     def __call__(self, **asked: Any) -> dict[str, Any]:
         """Tell it something: rules=[...], reset=True; what is true then."""
         assert self.process.stdin is not None
-        self.process.stdin.write(json.dumps(asked) + "\n")
-        self.process.stdin.flush()
-        answer: dict[str, Any] = json.loads(self._line())
+        with self._alone:
+            self.process.stdin.write(json.dumps(asked) + "\n")
+            self.process.stdin.flush()
+            answer: dict[str, Any] = json.loads(self._line())
         return answer
 
     def __enter__(self) -> Self:

@@ -1,4 +1,7 @@
-"""A CAN bus of python-can over UDP on loopback, between processes; the folder beside it makes it an interface."""
+"""A CAN bus of python-can over UDP on loopback, between processes; the folder beside it makes it an interface.
+
+The end that waits passes the frames of each end on to the others.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,7 @@ import can
 
 FRAME = struct.Struct("<IBB8s")  # id, flags, length, data
 ERROR, FD = 1, 2
+COMES, LEAVES = b"+", b"-"
 
 
 class LoopbackBus(can.BusABC):
@@ -27,10 +31,11 @@ class LoopbackBus(can.BusABC):
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
         self.socket.setblocking(False)
-        self.bitrate, self.peer = bitrate, None
+        self.bitrate, self.peers = bitrate, set[Any]()
         if channel:
             host, _, port = channel.partition(":")
             self.socket.connect((host, int(port)))
+            self._say(COMES)
         else:
             self.socket.bind(("127.0.0.1", 0))
         self.channel = "{}:{}".format(*self.socket.getsockname())
@@ -43,10 +48,10 @@ class LoopbackBus(can.BusABC):
         flags = ERROR * msg.is_error_frame + FD * msg.is_fd
         data = FRAME.pack(msg.arbitration_id, flags, len(msg.data), bytes(msg.data))
         try:
-            if self.peer is None:
+            if self.channel_info != "waits":
                 self.socket.send(data)
-            else:
-                self.socket.sendto(data, self.peer)
+            for peer in self.peers:
+                self.socket.sendto(data, peer)
         except OSError as cause:
             raise can.CanOperationError(str(cause)) from cause
 
@@ -60,7 +65,11 @@ class LoopbackBus(can.BusABC):
                 except ConnectionRefusedError as cause:
                     raise can.CanOperationError("nobody is at the other end") from cause
                 if self.channel_info == "waits":
-                    self.peer = sender
+                    self.peers = self.peers - {sender} if data == LEAVES else self.peers | {sender}
+                    for peer in self.peers - {sender}:
+                        self.socket.sendto(data, peer)
+                if data in (COMES, LEAVES):
+                    continue
                 own, flags, length, content = FRAME.unpack(data)
                 message = can.Message(
                     arbitration_id=own, data=content[:length], is_extended_id=False,
@@ -71,11 +80,17 @@ class LoopbackBus(can.BusABC):
 
     @classmethod
     def waiting(cls) -> LoopbackBus:
-        """The end to which another one connects; it answers whoever sent last."""
+        """The end to which others connect; it is heard by all of them."""
         bus = cls(fd=True)
         bus.channel_info = "waits"
         return bus
 
+    def _say(self, word: bytes) -> None:
+        with contextlib.suppress(OSError):  # nobody is there
+            self.socket.send(word)
+
     def shutdown(self) -> None:
         super().shutdown()
+        if self.channel_info != "waits":
+            self._say(LEAVES)
         self.socket.close()

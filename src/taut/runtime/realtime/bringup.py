@@ -217,7 +217,11 @@ def _read(robot: Robot) -> Step:
     found = f"{rate:.1f} states a second, {lost} of {round(READ * robot.rate)} missed"
     if outside:
         found += f"; outside the arm's limits: {', '.join(outside)}"
-    ok = abs(rate / robot.rate - 1.0) <= MISSED and lost <= MISSED * READ * robot.rate and not outside
+    errors = robot.info.facts.get("errors")
+    if errors:
+        found += f"; the robot reports {errors}: clear it, as by robot.recover(), and begin again"
+    few = abs(rate / robot.rate - 1.0) <= MISSED and lost <= MISSED * READ * robot.rate
+    ok = few and not (outside or errors)
     return Step(name="states", found=found, ok=ok, table=Table(columns=["state", "value"], rows=rows))
 
 
@@ -376,12 +380,11 @@ def _signs(robot: Robot) -> Step:
     sensing = Sensing(velocity="measured" if "v" in robot.info.measures else "difference")
     ctrl = compile(law, arm, rate=robot.rate, adds=robot.adds, sensing=sensing)
     path = next(p for p in ctrl.parameters if p.endswith("torque")).rpartition(".")[0]
-    base = robot.q
-    robot.start(ctrl, JointMotion(q=base), over=0.0)
+    robot.start(ctrl, JointMotion(q=robot.q), over=0.0)
     rows = list[list[Cell]]()
     wrong = list[str]()
     for i, name in enumerate(arm.joint_names):
-        away = [_push(robot, path, base, i, sign) for sign in (1.0, -1.0)]
+        away = [_push(robot, path, i, sign) for sign in (1.0, -1.0)]
         rows.append([name, *(None if tau is None else tau for tau, _ in away)])
         if any(tau is not None and sign * moved < 0.0 for (tau, moved), sign in zip(away, (1.0, -1.0), strict=True)):
             wrong.append(name)
@@ -397,7 +400,7 @@ def _signs(robot: Robot) -> Step:
     return Step(name="signs", found=found, ok=not wrong, table=table, missing=missing)
 
 
-def _push(robot: Robot, path: str, base: Float64Array, i: int, sign: float) -> tuple[float | None, float]:
+def _push(robot: Robot, path: str, i: int, sign: float) -> tuple[float | None, float]:
     """The torque beside gravity with which a joint broke away, and its motion; None where it did not."""
     others = np.ones(robot.arm.n)
     others[i] = 0.0
@@ -410,7 +413,7 @@ def _push(robot: Robot, path: str, base: Float64Array, i: int, sign: float) -> t
         send({**free, f"{path}.torque": sign * torque * push})
         until = time.monotonic() + PROBE_STEP
         while time.monotonic() < until:
-            moved = robot.arm.difference(robot.q, base)
+            moved = robot.arm.difference(robot.q, here)
             if np.abs(moved).max() > DRIFT:
                 j = int(np.argmax(np.abs(moved)))
                 raise UsageError(

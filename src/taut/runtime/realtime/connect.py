@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import pickle
 import sys
 from collections.abc import Mapping
 from functools import partial
@@ -48,7 +49,7 @@ def connect(
     motors: CanMotors | None = None,
     address: str | None = None,
     options: Mapping[str, Any] | None = None,
-    rate: float = 1000.0,
+    rate: float | None = None,
     q0: ArrayLike | None = None,
     together: Robot | None = None,
     log: str | os.PathLike[str] | None = None,
@@ -63,7 +64,7 @@ def connect(
         motors: Of an arm at can://, `taut.robots.CanMotors(types=[...])`.
         address: Given to a driver of your own.
         options: Further keyword arguments of a driver; plain values.
-        rate: Of a model plant [Hz].
+        rate: Of a model plant [Hz]; 1000 unless given. A robot has its own.
         q0: (n,) where a model plant is [rad | m]; home unless given.
         together: A robot that is connected: a fault of either stops both.
         log: A folder, made where it is not there: every law that acts leaves a file in it, TIME-LAW.mcap, which
@@ -106,6 +107,10 @@ def connect(
     limits.check_size(arm.joint_names, "limits.")
     limits.require_within(arm)
     hello: dict[str, Any] = {}
+    if plant is None:
+        for name, value in {"rate": rate, "q0": q0}.items():
+            if value is not None:
+                raise UsageError(f"{name} is for a model plant, and a robot has its own; leave it out", name=name)
     if not isinstance(robot, ModelPlant):
         hello = hello_of(robot, arm, limits=limits, motors=motors, address=address, options=options)
     elif motors is not None:
@@ -115,7 +120,7 @@ def connect(
         together.check()
     link = Link(together.link if together is not None else None)
     try:
-        info = link.open(hello if plant is None else _model(plant, q0, rate))
+        info = link.open(hello if plant is None else _model(plant, q0, 1000.0 if rate is None else rate))
         if info.n != arm.n:
             raise MatchError(
                 f"{info.name} has {info.n} joints and arm '{arm.name}' has {arm.n}; load the arm that is connected",
@@ -144,6 +149,7 @@ def hello_of(
     options: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """What the loop's process gets of a robot: driver, address and options. Arguments as of `connect`."""
+    instance_of("options", options or {}, Mapping, "a mapping of names to values")
     found = driver_of(robot, address)
     on_can = isinstance(robot, str) and robot.startswith("can://")
     if on_can and motors is None:
@@ -161,7 +167,11 @@ def hello_of(
             name="options",
         )
     of_motors = {} if motors is None else motors.options(arm, SafetyLimits.of(arm) if limits is None else limits)
-    return {**found, "options": {**dict(options or {}), **of_motors}}
+    try:
+        pickle.dumps(options)
+    except Exception as cause:
+        raise UsageError(f"options must be plain values, for another process: {cause}", name="options") from cause
+    return {**found, "options": {**(options or {}), **of_motors}}
 
 
 def _model(plant: ModelPlant, q0: ArrayLike | None, rate: float) -> dict[str, Any]:
@@ -190,7 +200,8 @@ def _holder(info: RobotInfo, arm: Arm, limits: SafetyLimits) -> Controller:
     }
     observer = None
     if limits.contact is not None:
-        observer = MomentumObserver(bandwidth=min(OBSERVER[0], OBSERVER[1] * info.rate))
+        torque: Any = "measured" if "tau_meas" in info.measures and info.takes != "torque" else "applied"
+        observer = MomentumObserver(bandwidth=min(OBSERVER[0], OBSERVER[1] * info.rate), torque=torque)
     sensing = Sensing(observer=observer, velocity="measured" if "v" in info.measures else "difference")
     return compile(laws[info.takes], arm, rate=info.rate, adds=_adds(info), sensing=sensing)
 

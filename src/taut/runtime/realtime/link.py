@@ -23,6 +23,10 @@ from taut.runtime.robots.driver import DriverError, RobotDriver, RobotInfo
 
 ANSWER_TIME: Final = 30.0  # [s] for the answer of the loop's process, which may be connecting to a robot
 CLOSING: Final = 8.0  # [s] for its end, with a controlled stop before it
+WAITS: Final = {
+    "hello": "the driver's open()", "set": "the driver's begin()", "end": "the driver's end()",
+    "recover": "the driver's recover()", "load": "the driver's set_load()", "call": "the driver's call()",
+}  # fmt: skip
 ONE_THREAD: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 SCHEMES: Final[Mapping[str, tuple[str, str]]] = {
     "franka": ("taut.runtime.robots.franka", "FrankaDriver"),
@@ -84,7 +88,7 @@ class Link:
             self.hear()
             self._asked += 1
             self._send((kind, given, self._asked))
-            return self._answer(self._asked, within)
+            return self._answer(kind, self._asked, within)
 
     def _send(self, message: Any) -> None:
         try:
@@ -92,7 +96,7 @@ class Link:
         except (OSError, ValueError) as cause:
             raise DriverError("the loop's process is gone; connect again", kind="process_died") from cause
 
-    def _answer(self, number: int, within: float) -> Any:
+    def _answer(self, kind: str, number: int, within: float) -> Any:
         """The answer to the request of a number; those to earlier ones, which Ctrl-C ended, are dropped."""
         until = time.monotonic() + within
         with contextlib.suppress(EOFError, OSError):
@@ -106,7 +110,7 @@ class Link:
                     elif message[1] == number:
                         return message[2]
                 if time.monotonic() > until:
-                    raise DriverError(f"the loop's process did not answer within {within:g} s", kind="driver")
+                    raise DriverError(f"{WAITS[kind]} did not return within {within:g} s", kind="driver")
         raise DriverError("the loop's process died; connect again", kind="process_died")
 
     def hear(self) -> None:

@@ -26,6 +26,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from taut.base.checks import instance_of
 from taut.base.errors import TautError, UsageError
 from taut.base.types import Float64Array
 from taut.codegen import native
@@ -223,11 +224,12 @@ class Process:
         self._driver = driver
         try:
             info = driver.open()
+            instance_of("what open() returns", info, RobotInfo, "a taut.robots.RobotInfo")
             self._period = 1.0 / info.rate
             self._words[STATUS["patience"]] = round(1e9 * max(WATCHDOG[0], WATCHDOG[1] * self._period))
             shapes = measurement_shapes(info.n)
             block = Block.of(hello.get("measured") or {name: shapes[name] for name in ("q", *info.measures)})
-            self._flat = block.zeros()
+            self._flat = np.full_like(block.zeros(), np.nan)  # what a driver never writes is no measurement
             self._measured = block.views(self._flat)
             self._calls = Calls(driver, self._measured, np.zeros((5, info.n) if info.takes == "mit" else info.n))
             self._loop_words = struct_of(LOOP, {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import math
 import threading
 import time
 import weakref
@@ -65,6 +66,7 @@ class RobotPlant:
     adds: Any
     parameters: Mapping[str, Float64Array] = dataclasses.field(default_factory=dict)
     distorts: frozenset[str] = frozenset()
+    gains: tuple[float, float] = (math.inf, math.inf)  # largest kp, kd of its motors
     integrator: str = "rk4"  # exact under a command that is held, where the robot is judged by its model
     actuation: Actuation = dataclasses.field(default_factory=Actuation)
 
@@ -165,7 +167,7 @@ class Robot:
         self.info, self.arm, self.holder = info, arm, self._holders(info, arm)
         self.plant = RobotPlant(
             name=info.name, arm=arm, takes=info.takes, measures=frozenset(info.measures), adds=self.holder.adds,
-            actuation=Actuation(delay=info.delay),
+            actuation=Actuation(delay=info.delay), gains=info.gains,
         )  # fmt: skip
         self._holding = self._compiled(self.holder)
         self._act(self.holder, self._holding, HOLD, begins=False)
@@ -234,6 +236,7 @@ class Robot:
 
         Raises:
             DriverError: They are not there 10 s after they should be.
+            UsageError: Another verb ended it.
         """
         self.check()
         arm = self.arm
@@ -253,10 +256,12 @@ class Robot:
         if np.abs(there - here).max() > THERE:
             ref = Trapezoidal(q0=here, q1=there, velocity=v_max, acceleration=2.0 * v_max)
         self.start(self.holder, ref)
-        self.wait(float(getattr(ref, "duration", 0.0)))
-        until = time.monotonic() + ARRIVAL
-        while (apart := np.abs(self.q - there)).max() > THERE:
-            if time.monotonic() > until:
+        ours, stops = self._number, self._stops
+        arrives = time.monotonic() + float(getattr(ref, "duration", 0.0))
+        while (apart := np.abs(self.q - there)).max() > THERE or time.monotonic() < arrives:
+            if (ours, stops) != (self._number, self._stops):
+                raise UsageError("move_to was ended by another verb, before the arm was there", name="move_to")
+            if time.monotonic() > arrives + ARRIVAL:
                 name = arm.joint_names[int(np.argmax(apart))]
                 away = f"joint '{name}' is still {apart.max():.3g} away from its goal"
                 raise DriverError(f"{away}; free the arm, or raise limits.tau", kind="rejected")
@@ -275,23 +280,28 @@ class Robot:
                 self._act(self.holder, self._holding, HOLD, begins=False, controls=True)
 
     def stop(self) -> Run:
-        """The controlled stop; when the arm stands, give control back to the robot. The record of the last law."""
+        """The controlled stop; when the arm stands, give control back to the robot. The record of the last law.
+
+        Raises DriverError where the driver fails to give it back; a fault is in the record.
+        """
         self._require_open()
         self._stand()
         with self._verbs:
             self._end_feeding()
             run = self.run()
-            with contextlib.suppress(DriverError):
-                if self.link.word("control"):
+            if self.link.word("control"):
+                with contextlib.suppress(DriverError):
                     self._stand()
-                    self.link.ask("end")
+            if self.link.word("control") and self.link.alive:
+                self.link.ask("end")
             return run
 
     def recover(self) -> None:
         """Clear what is latched, in the robot too. It is then as after `taut.connect`.
 
         Raises:
-            RobotError: The cause is still there, or the loop's process is gone.
+            DriverError: The robot is not ready: its cause is still there.
+            RobotError: The loop has the cause again at once, or its process is gone.
         """
         self._require_open()
         fault = self.fault
@@ -575,6 +585,7 @@ def require_stable(ctrl: Controller, plant: RobotPlant, q: Float64Array, values:
 
     Of a task each phase is judged, as if it began there.
     """
+    ctrl.side.require_gains(q, {**ctrl.parameters, **values}, plant.gains)
     for k, phase in enumerate(("",) if ctrl.side.task is None else ctrl.side.task.names):
         verdict = judge_start(ctrl, plant, q, values, phase=k)
         if isinstance(verdict, Judgement) and not verdict.stable:

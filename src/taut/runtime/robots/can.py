@@ -51,13 +51,14 @@ ENABLE, DISABLE, CLEAR = (b"\xff" * 7 + bytes([last]) for last in (0xFC, 0xFD, 0
 READ_REGISTER, WRITE_REGISTER, REFRESH = 0x33, 0x55, 0xCC
 TIMEOUT_REGISTER, MODE_REGISTER = 9, 10
 TIMEOUT_UNIT: Final = 50e-6  # [s]
+PATIENCE: Final = 3.0  # [periods] of a motor, at least, that waits for a command
 MIT_MODE: Final = 1
 ENABLED: Final = 1
 CAUSES: Final = {
     0x0: "disabled", 0x8: "overvoltage", 0x9: "undervoltage", 0xA: "overcurrent", 0xB: "MOSFETs too hot",
     0xC: "coils too hot", 0xD: "communication lost", 0xE: "overload",
 }  # fmt: skip
-ANSWER: Final = 0.1  # [s] for the answer to a request
+ANSWER: Final = 0.1  # [s] for the answer to a request, and for frames of another program
 ATTEMPTS: Final = 3  # of a request
 REST_STEPS: Final = 1.5  # steps of the velocity field that a motor at rest may show
 
@@ -102,11 +103,13 @@ class CanMotors(Declared):
     bitrate: Field = Field(1e6, unit="bit/s", above=0.0, run_time=False)
     data_bitrate: Field = Field(unit="bit/s", above=0.0, optional=True, run_time=False)
     rate: Field = Field(unit="Hz", above=0.0, optional=True, run_time=False)
-    timeout: Field = Field(0.1, unit="s", above=0.0, run_time=False)
+    timeout: Field = Field(0.1, unit="s", above=0.0, maximum=TIMEOUT_UNIT * 0xFFFFFFFF, run_time=False)
     missed: Field = Field(20.0, minimum=1.0, run_time=False)
     interface: str = "socketcan"
 
     def check(self) -> None:
+        if not self.n:
+            self.refuse("types", "must name the type of each motor, at least one", ShapeError)
         for name in self.types:
             if name not in RANGES:
                 raise unknown_name("CanMotors", "type of motor", name, RANGES)
@@ -117,12 +120,27 @@ class CanMotors(Declared):
             self.refuse("sign", f"must be 1 or -1 for each joint; got {np.asarray(self.sign).tolist()}", RangeError)
         if len({*self.ids}) < self.n or len(self.replies) < self.n:
             self.refuse("id", "and master_id must differ from motor to motor, as 1, 2, ... do", RangeError)
+        if both := {*self.ids} & {reply for reply, _ in self.replies}:
+            taken = ", ".join(map(hex, sorted(both)))
+            self.refuse(
+                "id", f"and master_id must differ: the replies of a motor at {taken} command another", RangeError
+            )
+        if self.data_bitrate is not None and not self.data_bitrate >= self.bitrate:
+            self.refuse(
+                "data_bitrate", f"must be >= bitrate, {self.bitrate:g}; got {self.data_bitrate:g}", RangeError
+            )
         if self.bus_load > 1.0:
             self.refuse(
                 "rate",
                 f"must be <= {1.0 / self.exchange:.0f} Hz: a command and a reply of {self.n} motors take "
                 f"{1e3 * self.exchange:.3g} ms on this bus; got {self.control_rate:g} Hz, a bus load of "
                 f"{100.0 * self.bus_load:.0f} %", RangeError,
+            )  # fmt: skip
+        if self.timeout * self.control_rate < PATIENCE:
+            self.refuse(
+                "timeout",
+                f"must be >= {PATIENCE / self.control_rate:.3g} s, {PATIENCE:g} periods, or motors give up between "
+                f"commands; got {self.timeout:g}", RangeError,
             )  # fmt: skip
 
     @property
@@ -240,8 +258,8 @@ class CanDriver(RobotDriver):
         self._values: dict[tuple[int, int], bytes] = {}  # by motor and register
         self._tau, self._count = np.zeros(m.n), 0  # of the motors, averaged over the last commands; their number
         self._idle = [(BROADCAST, self._request(i, REFRESH)) for i in range(m.n)]  # what is sent without control
-        self._controls = self._begun = False
-        self._strangers, self._error_frames = set[int](), 0
+        self._controls = self._begun = self._holds = False
+        self._strangers, self._error_frames, self._others = set[int](), 0, -1  # the motor that others command
         self._sign, self._offset = m.per_joint("sign"), m.per_joint("offset")
 
     def open(self) -> RobotInfo:
@@ -254,6 +272,8 @@ class CanDriver(RobotDriver):
         self._kind = {"is_extended_id": False, "is_fd": bool(fd), "bitrate_switch": bool(fd)}
         opened = partial(can.Bus, channel=self._address, interface=m.interface, bitrate=int(m.bitrate), **fd)
         self._bus = self._on_bus(opened)
+        self._listen(time.monotonic() + ANSWER)
+        self._require_alone()
         for (name, register), ours in zip(RANGE_REGISTERS.items(), m.highest[[0, 1, 4]], strict=True):
             own = self._register(register, "<f")
             self._require(
@@ -265,10 +285,12 @@ class CanDriver(RobotDriver):
         self._require(mode, f"not in MIT mode; set register {MODE_REGISTER} to {MIT_MODE}", "rejected")
         self._timeouts = self._register(TIMEOUT_REGISTER)
         self._ask_states()
+        names = zip(self._joints, self._status, strict=True)
+        errors = [f"'{joint}': {_cause(status)}" for joint, status in names if status not in (0, ENABLED)]
         return RobotInfo(
             name=f"CAN arm at {self._address}", n=m.n, rate=m.control_rate, takes="mit", measures=("v", "tau_meas"),
             silence=float(m.timeout), delay=1.0 / m.control_rate, at_rest=REST_STEPS * float(m.steps[1].max()),
-            holds=False, joint_names=self._joints,
+            holds=False, joint_names=self._joints, gains=MOTOR_GAINS, facts={"errors": ", ".join(errors)},
         )  # fmt: skip
 
     def read(self, measured: Mapping[str, Float64Array]) -> None:
@@ -278,7 +300,8 @@ class CanDriver(RobotDriver):
         self._lost += ~self._fresh
         self._age = np.where(self._fresh, 0, self._age + 1)
         self._fresh[:] = False
-        if self._controls:
+        self._require_alone()
+        if self._holds:
             self._require_status(ENABLED)
         self._require(self._age < self._motors.missed, f"no reply for {self._age.max():g} periods", "silent")
         # Motors cut a value off to its step, of which the middle is the best estimate: zero is read at rest.
@@ -289,6 +312,7 @@ class CanDriver(RobotDriver):
 
     def begin(self) -> None:
         self._ask_states()
+        self._require_status(0, ENABLED)
         self._register(TIMEOUT_REGISTER, write=np.full(self._n, self._motors.timeout / TIMEOUT_UNIT))
         self._begun = True
         self._tau = (self._motors.lowest[4] + (self._codes[2] + 0.5) * self._motors.steps[4]).astype(np.float64)
@@ -296,7 +320,7 @@ class CanDriver(RobotDriver):
         self._send([*((own, ENABLE) for own in self._ids), *self._idle])
         self._wait(lambda: all(self._status))
         self._require_status(ENABLED)
-        self._controls, self._age[:], self._count = True, 0, 0
+        self._controls, self._holds, self._age[:], self._count = True, True, 0, 0
 
     def write(self, command: Float64Array) -> None:
         motor = command.copy()
@@ -320,9 +344,11 @@ class CanDriver(RobotDriver):
     def recover(self) -> None:
         self._ask_states()
         self._send([(own, CLEAR) for own, status in zip(self._ids, self._status, strict=True) if status > ENABLED])
-        self._age[:] = 0
+        self._age[:], self._others = 0, -1
         self._ask_states()
         self._require_status(0, ENABLED)
+        self._require_alone()
+        self._holds = all(self._status)
 
     def call(self, name: str, arguments: Mapping[str, Any]) -> Any:
         """`hold`: enable them; `enabled`; `motors`: status, temperatures [degree C], lost replies; error frames."""
@@ -371,6 +397,9 @@ class CanDriver(RobotDriver):
             if message.is_error_frame or len(data) < 8:
                 self._error_frames += 1
                 continue
+            if message.arbitration_id in self._ids:
+                self._others = self._ids.index(message.arbitration_id)
+                continue
             i = self._replies.get((message.arbitration_id, data[0] & 0xF))
             if i is None:
                 self._strangers.add(message.arbitration_id)
@@ -411,9 +440,12 @@ class CanDriver(RobotDriver):
     def _request(self, i: int, kind: int, register: int = 0, value: float = 0.0) -> bytes:
         return struct.pack("<HBBI", self._ids[i], kind, register, round(value))
 
+    def _require_alone(self) -> None:
+        self._require(np.arange(self._n) != self._others, "another program commands it; end that first", "busy")
+
     def _require_status(self, *allowed: int) -> None:
         good = np.array([status in allowed for status in self._status])
-        causes = [CAUSES.get(status, f"error 0x{status:X}") for status in self._status if status not in allowed]
+        causes = [_cause(status) for status in self._status if status not in allowed]
         self._require(good, ", ".join(causes), "robot_error")
 
     def _require(self, good: NDArray[np.bool_], what: str, kind: str) -> None:
@@ -425,3 +457,8 @@ class CanDriver(RobotDriver):
             who, first = ", ".join(names[i] for i in which), self._joints[which[0]]
             others = f"; others here reply by {', '.join(map(hex, self._strangers))}" * bool(self._strangers)
             raise DriverError(f"motor of {who}: {what}{others if kind == 'silent' else ''}", kind=kind, joint=first)
+
+
+def _cause(status: int) -> str:
+    """Why a motor of that status is not enabled."""
+    return CAUSES.get(status, f"error 0x{status:X}")

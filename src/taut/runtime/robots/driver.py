@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -53,6 +54,7 @@ class RobotInfo:
     delay: float = 0.0  # [s] whole periods, from a measured state to the command that acts on it
     at_rest: float = 0.0  # [rad/s | m/s] what its velocities show at rest, by their resolution
     torque_rate: float = 0.0  # [N m/s | N/s] of commands, beyond which it stops itself; 0 where it takes any
+    gains: tuple[float, float] = (math.inf, math.inf)  # largest kp, kd of "mit" commands [N m/rad, N m s/rad]
     holds: bool = True  # the arm while it is not controlled; else from call("hold") to close: call("enabled")
     joint_names: tuple[str, ...] = ()  # where it knows them
     load: tuple[float, tuple[float, float, float]] | None = None  # that it compensates: [kg], centre at the tool [m]
