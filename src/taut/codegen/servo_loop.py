@@ -470,7 +470,12 @@ def _watch() -> str:
     process = w.put("trunc i64 %pid to i32")
     w.line(f" {w.name()} = call i32 @kill(i32 {process}, i32 9)")
     w.release("%group", 0, now)
-    w.line(f" ret i64 {code}", "end:", " ret i64 0")
+    w.line(f" ret i64 {code}", "end:")
+    dead, armed = w.acquire("%status", STATUS["dead"]), w.acquire("%status", STATUS["armed"])
+    w.branch(w.both(w.test("eq", dead, 0), w.test("ne", armed, 0)), "killed", "left")
+    w.line("killed:")  # by somebody else, while it acted
+    w.release("%group", 0, w.put("call i64 @now()"))
+    w.line(" br label %left", "left:", " ret i64 0")
     return w.function("i64 @watch(ptr %status, ptr %group, i64 %pid, i64 %silent, i64 %hung) nounwind")
 
 

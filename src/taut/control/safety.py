@@ -20,13 +20,14 @@ from taut.control.lawside import HELD, KNOWN, LawSide, Tick
 from taut.control.limits import RATE_PER_EFFORT, left
 from taut.control.trajectories.compound import PhaseSample
 from taut.maths.model import PayloadValues
-from taut.maths.snapshot import Snapshot, measurement_shapes
+from taut.maths.snapshot import Snapshot, measurement_shapes, snapshot
 from taut.trace import math as tm
 from taut.trace.graph import LARGEST
 
 BRAKE_PER_SPEED: Final = 5.0  # [1/s] default deceleration over the speed limit: at rest within 0.2 s
 STOP_BANDWIDTH: Final = (20.0, 0.05)  # [rad/s], [-] of a controlled stop: at most this, and this part of the rate
 LAG: Final = 0.03  # [s] that a torque within its rate may be behind what the stop asks before that begins anew
+FULL_TORQUE: Final = 0.5  # [s] in which a torque within its rate gets everywhere, or laws oscillate
 LONGEST_STOP: Final = 2.0  # [s] of the deceleration in it: robot.stop() waits for 3
 EASE: Final = 0.05  # [s] in which its deceleration rises; at the end the speed falls by 1/e in that time
 SOFT_GAIN: Final = 10.0  # [1/s] admissible speed towards a limit in its soft zone, over the distance
@@ -105,7 +106,7 @@ class SafetyLimits(Declared):
                 )
 
     def require_within(self, arm: Arm) -> None:
-        """RangeError for a finite limit beyond that of the arm, which would never act, and for a slow stop."""
+        """RangeError for a finite limit beyond that of the arm, which would never act, a slow rate or stop."""
         for name, field in OF_ARM.items():
             given = getattr(self, name)
             if given is None:
@@ -121,6 +122,13 @@ class SafetyLimits(Declared):
                     f"or joint_values = {{ {field} = ... }} in [arm]",
                     name=name, joint=arm.joint_names[i], value=float(limit[i]),
                 )  # fmt: skip
+        if self.tau_dot is not None:
+            tau = np.broadcast_to(np.inf if self.tau is None else self.tau, (arm.n,))
+            full = np.where(np.isfinite(tau), tau, np.abs(np.asarray(snapshot(arm, arm.home).g)))
+            slow = float(np.max(full / np.asarray(self.tau_dot)))
+            if slow > FULL_TORQUE:
+                rule = f"limits.tau_dot must reach limits.tau, or gravity at home, within {FULL_TORQUE:g} s"
+                raise RangeError(f"{rule}; it takes {slow:.4g} s", name="tau_dot", value=slow)
         if self.v is not None and self.deceleration is not None:
             v = np.where(np.isfinite(self.v), self.v, 0.0)
             longest = float(np.max(v / np.asarray(self.deceleration)))

@@ -296,14 +296,15 @@ def model_in_place_of(plant: AnyPlant, side: LawSide) -> RigidPlant:
     A robot moves exactly under a command that is held, an engine in its steps. The loop in motors that take a
     MitCommand runs in each step of an engine; else at what the drives state, or fast.
     """
-    ideal = RigidPlant(plant.arm, takes=cast(CommandKind, plant.takes), adds=plant.adds)
+    ideal = RigidPlant(plant.arm, adds=plant.adds)
     stages = {name: getattr(plant, name, getattr(ideal, name)) for name in PARTS_OF_MODEL}
     if side.probe.mit:
         rate = stages["actuation"].inner_rate
         steps = INNER_STEPS if rate is None else max(1, round(float(rate) * side.dt))
         stages["substeps"] = plant.steps_in(side.dt) if isinstance(plant, Stepping) else steps
     wrench = "F_ext" in side.needs or stages["sensors"].wrench is not None
-    return dataclasses.replace(ideal, **stages, environment=Push(peak=np.zeros(6)) if wrench else None)
+    takes = cast(CommandKind, plant.takes)
+    return dataclasses.replace(ideal, **stages, takes=takes, environment=Push(peak=np.zeros(6)) if wrench else None)
 
 
 class BlockCoordinates:

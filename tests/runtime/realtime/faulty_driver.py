@@ -13,7 +13,10 @@ from taut.robots import DriverError, RobotDriver, RobotInfo
 
 
 class FaultyDriver(RobotDriver):
-    def __init__(self, address: str, *, n: int = 2, log: str = "", refuses: str = "", **declared: Any) -> None:
+    def __init__(
+        self, address: str, *, n: int = 2, log: str = "", refuses: str = "", rebinds: bool = False, **declared: Any
+    ) -> None:
+        self._rebinds = rebinds
         self.address, self.n, self._log, self._refuses, self._declared = address, n, log, refuses, declared
         self.q, self.v = np.full(n, 0.5), np.zeros(n)
         self._fails: dict[str, str] = {}
@@ -32,6 +35,9 @@ class FaultyDriver(RobotDriver):
 
     def read(self, measured: Mapping[str, Any]) -> None:
         self._fail("read")
+        if self._rebinds:
+            measured["q"], measured["v"] = self.q, self.v  # type: ignore[index]  # which leaves the arrays as they are
+            return
         measured["q"][:], measured["v"][:] = self.q, self.v
 
     def begin(self) -> None:

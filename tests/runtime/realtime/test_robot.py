@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from faulty_driver import FaultyDriver
+from integrating_driver import IntegratingDriver
 from refusals import refused
 from test_fault_table import stated
 
@@ -38,6 +39,7 @@ SLOW = """
 import sys, time
 sys.path.insert(0, {here!r})
 from faulty_driver import FaultyDriver
+from integrating_driver import IntegratingDriver
 class Slow(FaultyDriver):
     noted = False
     def write(self, command):
@@ -286,6 +288,20 @@ class TestDriverFaults:
         robot.wait(0.01)
         robot.stop()
 
+    def test_an_end_that_fails_is_raised_by_the_stop(self, driven: tuple[Robot, Path]) -> None:
+        robot, _ = driven
+        robot.start(compiled(robot))
+        robot.call("fail", end="robot_error")
+        with pytest.raises(DriverError, match="failed in end"):
+            robot.stop()
+        assert robot.status.state == "idle"
+
+    def test_what_a_driver_never_writes_is_no_measurement(self) -> None:
+        robot = taut.connect(FaultyDriver, ARM, limits=limits(), address="here", options={"rebinds": True})
+        with robot, pytest.raises(RobotError) as found:
+            robot.hold()
+        assert found.value.fault.name == "sensor_not_finite"
+
     def test_a_robot_that_is_moved_by_hand_starts_without_a_jump(self, driven: tuple[Robot, Path]) -> None:
         robot, _ = driven
         q = robot.q
@@ -456,7 +472,8 @@ class TestProcess:
         done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
         assert (done.stdout, done.returncode) == ("closed\n", -signal.SIGINT)
 
-    def test_two_robots_stop_together(self, acting: tuple[Robot, Path]) -> None:
+    @pytest.mark.parametrize("how", [signal.SIGSTOP, signal.SIGKILL])
+    def test_two_robots_stop_together(self, acting: tuple[Robot, Path], how: signal.Signals) -> None:
         robot, _ = acting
         with taut.connect(FaultyDriver, ARM, limits=limits(), address="there", together=robot) as other:
             other.start(compiled(other))
@@ -465,12 +482,14 @@ class TestProcess:
             with pytest.raises(RobotError) as found:
                 other.wait(2.0)
             assert found.value.fault.name == "partner"
-            other.recover()
+            with pytest.raises(taut.errors.UsageError, match="recover it first"):
+                other.recover()
             robot.recover()
+            other.recover()
             other.start(compiled(other))
             robot.start(compiled(robot))
             robot.wait(0.02)
-            os.kill(other.link.process.pid, signal.SIGSTOP)
+            os.kill(other.link.process.pid, how)
             with pytest.raises(RobotError) as found:
                 robot.wait(2.0)
             assert found.value.fault.name == "partner"
@@ -532,6 +551,7 @@ class TestMisuse:
             {"lower": -1.5},
             {"upper": [1.0, 2.1]},
             {"deceleration": [1.0, 0.8]},
+            {"tau_dot": [99.0, 100.0]},
         ):
             with refused(taut.errors.RangeError):
                 taut.connect(taut.RigidPlant(bounded), limits=S.of(bounded, **wrong))
@@ -662,6 +682,23 @@ class TestMisuse:
         assert calm.link.word("control") == 0
         assert [type(error) for error in raised] == [taut.errors.UsageError]
 
+    @pytest.mark.parametrize("verb", ["stop", "hold", "move_to"])
+    def test_a_motion_that_another_verb_ends_says_so(self, calm: Robot, verb: str) -> None:
+        raised, goal = list[BaseException](), calm.q + 0.5
+
+        def move() -> None:
+            try:
+                calm.move_to(goal, speed=0.1)
+            except BaseException as error:
+                raised.append(error)
+
+        thread = threading.Thread(target=move)
+        thread.start()
+        wait_for(lambda: calm.status.state == "running")
+        getattr(calm, verb)(*[calm.q] * (verb == "move_to"))
+        thread.join()
+        assert "ended by another verb" in str(raised[0])
+
     def test_starts_from_two_threads_follow_each_other(self, calm: Robot) -> None:
         ctrls = [compiled(calm, L.ComputedTorque(kp=k, kd=20.0)) for k in (50.0, 60.0)]
         threads = [threading.Thread(target=calm.start, args=(ctrl,)) for ctrl in ctrls]
@@ -686,6 +723,17 @@ def test_a_robot_is_judged_as_it_moves_under_a_torque_that_is_held(name: str, ra
             verdict = judge_start(ctrl, plant, arm.home + 0.1)
             assert isinstance(verdict, Judgement)
             assert verdict.stable == (part < 1.0)
+
+
+def test_a_robot_of_speeds_is_judged_with_drives_as_fast_as_its_loop() -> None:
+    """v = kp e held for dt, and ideal drives: stable for kp < 2 / dt, 1000 1/s here."""
+    arm = taut.load_arm("ur10")
+    with taut.connect(IntegratingDriver, arm, limits=taut.SafetyLimits.of(arm, missed=1e6)) as robot:
+        for kp in (100.0, 1500.0):
+            seen = taut.Sensing(velocity="difference")
+            ctrl = taut.compile(L.VelocityPI(kp=kp), arm, rate=robot.rate, sensing=seen)
+            with contextlib.nullcontext() if kp < 1000.0 else refused(taut.errors.RangeError):
+                robot.require(ctrl)
 
 
 def test_the_doctor_leaves_the_controlled_stop_to_itself(calm: Robot) -> None:

@@ -136,6 +136,17 @@ def test_a_source_that_fails_ends_in_a_stop(failure: str, monkeypatch: pytest.Mo
     assert fault.tick - fed.robot._began in (140, 141)  # the last answer at 80 ms, and three periods
 
 
+def test_an_arm_is_held_and_another_law_starts_behind_a_source_that_failed(robot: Robot) -> None:
+    ctrl = taut.compile(SOFT, ARM, rate=robot.rate, adds=robot.adds)
+    robot.start(ctrl, taut.stream(period=2.0, source=lambda _: 1 / 0))
+    with pytest.raises(taut.errors.UsageError, match="ZeroDivisionError"):
+        robot.wait(2.0)
+    robot.hold()
+    robot.start(ctrl)
+    robot.wait(0.1)
+    robot.stop()
+
+
 @pytest.mark.part(1)
 def test_a_task_approaches_presses_and_retreats(robot: Robot) -> None:
     """Against a rigid wall; each path is made where its phase begins, the second one from a stream's source."""

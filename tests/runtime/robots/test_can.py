@@ -6,6 +6,7 @@ import itertools
 import json
 import re
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -128,7 +129,8 @@ def test_frames_are_those_of_another_implementation_at_all_corners(other: Any) -
     ends = [(-1.0, 0.0, 1.0) if row in (0, 1, 4) else (0.0, 0.5, 1.0) for row in range(5)]
     units = np.array([*itertools.product(*ends), *rng.uniform([-1, -1, 0, 0, -1], 1.0, (500, 5))])
     for kind, name in OTHER.items():
-        motors = CanMotors(types=[kind] * len(units))  # one for each command
+        n = len(units)  # a motor for each command
+        motors = CanMotors(types=[kind] * n, master_id=np.arange(n + 1, 2 * n + 1), timeout=1.0)
         theirs = other.DaMiaoMotor(1, 0x11, None, motor_type=name)
         assert (theirs._p_max, theirs._v_max, theirs._t_max) == RANGES[kind]
         given = [theirs.encode_cmd_msg(q, v, tau, kp, kd) for q, v, kp, kd, tau in units * motors.highest[:, 0]]
@@ -255,6 +257,12 @@ class TestWhatIsRefused:
             CanMotors(types=["DM4310"] * 2, id=[3, 3])
         with refused(RangeError):
             CanMotors(types=["DM4310"] * 2, id=[1, 17], master_id=[0x20, 0x20])
+        for wrong in (
+            {"id": [1, 0x11]}, {"master_id": [2, 1]}, {"timeout": 1e-5}, {"timeout": 1e6}, {"rate": 20.0},
+            {"data_bitrate": 1e5}, {"types": []},
+        ):  # fmt: skip
+            with refused(taut.TautError):
+                CanMotors(**{"types": ["DM4310"] * 2, **wrong})  # type: ignore[arg-type]
         with refused(RangeError):
             CanMotors(types=["DM4310"] * 7, rate=1000.0)
 
@@ -308,9 +316,24 @@ class TestTheMotorsAreRead:
     def test_and_motors_that_another_program_controls_are_left_alone(self, arms: dict[str, CanArm]) -> None:
         with Host(arms["planar2"]) as first:
             first.driver.begin()
-            driver = CanDriver(
-                arms["planar2"].channel, **first.motors.options(first.arm, taut.SafetyLimits.of(first.arm))
-            )
+            options = first.motors.options(first.arm, taut.SafetyLimits.of(first.arm))
+            driver, done = CanDriver(arms["planar2"].channel, **options), threading.Event()
+
+            def commands() -> None:
+                while not done.wait(0.005):
+                    first.tick(first.weight)
+
+            thread = threading.Thread(target=commands)
+            thread.start()
+            with pytest.raises(DriverError) as told:
+                driver.open()
+            done.set()
+            thread.join()
+            driver.close()
+            assert told.value.kind == "busy"
+            assert first.sim()["status"] == [1, 1]
+
+            driver = CanDriver(arms["planar2"].channel, **options)
             driver.open()
             driver.read({name: np.zeros(2) for name in ("q", "v", "tau_meas")})
             driver.close()
@@ -664,15 +687,12 @@ class TestTheLoop:
             sim(rules=[])
             robot.recover()
 
-            def move(ctrl: taut.Controller) -> None:
-                robot.start(ctrl)
-                robot.wait(1.0)
-
             wild = taut.compile(taut.laws.ViaMit(law=law, kp_motor=0.0, kd_motor=7.0), arm, rate=robot.rate)
-            with pytest.raises(RobotError) as told:
-                move(wild)
-            assert told.value.fault.name == "rejected"
-            robot.recover()
+            with refused(RangeError):
+                robot.start(wild)
+            robot.start(ctrl)
+            with refused(RangeError):
+                robot.parameters.update({"law.kp": [80.0, 501.0]})
 
             torques = taut.laws.ViaMit(
                 law=taut.laws.GravityPID(kp=[80.0, 40.0], kd=[4.0, 90.0]), kp_motor=0.0, kd_motor=0.0
@@ -689,6 +709,13 @@ class TestTheLoop:
             truth = sim()
             assert truth["status"] == [1, 1]  # the motors hold the arm
             assert truth["timeout"] == [0, 0]
+            sim(rules=[["error", 1, 1, 1, 0xB]])
+            with pytest.raises(RobotError) as told:
+                robot.wait(2.0)
+            assert told.value.fault.name == "robot_error"
+            assert "too hot" in str(told.value)
+            sim(reset=True, rules=[])
+            robot.recover()
 
             robot.start(ctrl)
             sim(rules=[["reversed", 0, 0, 10**6]])

@@ -117,6 +117,7 @@ def connect(
         raise UsageError(NO_MOTORS, name="motors")
     folder, logs = None if log is None else log_folder(log), None
     if together is not None:
+        instance_of("together", together, Robot, "a robot from taut.connect")
         together.check()
     link = Link(together.link if together is not None else None)
     try:
@@ -133,7 +134,7 @@ def connect(
                 name="T_WB",
             )
         logs = None if folder is None else LogProcess(folder, link.status.name)
-        return Robot(link, info, arm, limits, partial(_holder, limits=limits), logs)
+        return Robot(link, info, arm, limits, partial(_holder, limits=limits), logs, together)
     except BaseException:
         freed(link, logs, [])
         raise

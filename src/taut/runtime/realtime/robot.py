@@ -16,7 +16,7 @@ import numpy as np
 
 from taut.arm.description import Arm, Payload
 from taut.arm.parts import inertia_matrix, short_way
-from taut.base.checks import finite_array, instance_of, require_range
+from taut.base.checks import finite_array, finite_scalar, instance_of, require_range
 from taut.base.errors import MatchError, RangeError, TautError, UsageError
 from taut.base.paths import Parameters
 from taut.base.types import ArrayLike, Float64Array
@@ -92,6 +92,8 @@ class RobotParameters(Parameters):
         robot, side = self._robot, self._ctrl.side
         checked = {path: side.checked_parameter(path, value) for path, value in dict(other, **values).items()}
         side.check_change(robot.q, self._values, checked)
+        if "model.payload.mass" in checked:
+            robot.require_load(float(checked["model.payload.mass"]))
         require_stable(self._ctrl, robot.plant, robot.q, {**self._values, **checked})
         self._values |= checked
         self._acting.controls.set(checked, BLEND)
@@ -146,12 +148,16 @@ class Robot:
         limits: Its safety limits.
         holders: Makes the controller that holds and that `move_to` moves by.
         log: The process that logs, or None.
+        partner: A robot whose faults stop this one, and the other way round.
     """
 
     def __init__(
         self, link: Link, info: RobotInfo, arm: Arm, limits: SafetyLimits,
-        holders: Callable[[RobotInfo, Arm], Controller], log: LogProcess | None = None,
+        holders: Callable[[RobotInfo, Arm], Controller], log: LogProcess | None = None, partner: Robot | None = None,
     ) -> None:  # fmt: skip
+        self._partner = partner
+        if partner is not None:
+            partner._partner = self
         self.link, self.limits, self._holders, self._log = link, limits, holders, log
         self.parameters: RobotParameters
         """Parameters of the law that acts, by path; settable while it runs."""
@@ -165,9 +171,10 @@ class Robot:
     def _know(self, info: RobotInfo, arm: Arm) -> None:
         """Take what the robot is and carries, and hold accordingly."""
         self.info, self.arm, self.holder = info, arm, self._holders(info, arm)
+        torques = info.takes in ("torque", "mit")  # else drives as fast as the loop: slower ones bear less
         self.plant = RobotPlant(
             name=info.name, arm=arm, takes=info.takes, measures=frozenset(info.measures), adds=self.holder.adds,
-            actuation=Actuation(delay=info.delay), gains=info.gains,
+            actuation=Actuation(delay=info.delay, bandwidth=None if torques else info.rate), gains=info.gains,
         )  # fmt: skip
         self._holding = self._compiled(self.holder)
         self._act(self.holder, self._holding, HOLD, begins=False)
@@ -209,7 +216,7 @@ class Robot:
         self, ctrl: Controller, ref: object = None, *, duration: float | None = None, over: float = BLEND
     ) -> None:
         """Another controller in place of the one that acts, whose command fades into it within `over` [s]."""
-        self.check()
+        self._require_no_fault()
         if not self.link.word("control"):
             raise UsageError("nothing acts that could be switched; use start", name="switch")
         self._begin(ctrl, ref, duration, over=over)
@@ -238,7 +245,7 @@ class Robot:
             DriverError: They are not there 10 s after they should be.
             UsageError: Another verb ended it.
         """
-        self.check()
+        self._require_no_fault()
         arm = self.arm
         goal = finite_array("q", q, shape=(arm.n,), joints=arm.joint_names, unit="rad | m")
         own, none = self.limits, np.full(arm.n, np.inf)
@@ -247,7 +254,7 @@ class Robot:
         i = int(np.argmax(np.maximum(low - goal, goal - high)))
         name = f"q of joint '{arm.joint_names[i]}'"
         require_range(name, goal[i], unit=arm.units[i], minimum=float(low[i]), maximum=float(high[i]))
-        require_range("speed", np.asarray(speed, dtype=np.float64), above=0.0, maximum=FASTEST_MOVE)
+        require_range("speed", np.asarray(finite_scalar("speed", speed)), above=0.0, maximum=FASTEST_MOVE)
         here = self.q
         there = here + short_way(goal - here, arm.continuous)
         most = arm.velocity if own.v is None else np.minimum(arm.velocity, own.v)
@@ -272,7 +279,8 @@ class Robot:
 
         Raises RangeError where it is not controlled yet and its limits do not carry it here.
         """
-        self.check()
+        self._require_no_fault()
+        self._stops += 1
         self.link.set_word("hold", 1)
         with self._verbs:
             if not self.link.word("control"):
@@ -304,6 +312,9 @@ class Robot:
             RobotError: The loop has the cause again at once, or its process is gone.
         """
         self._require_open()
+        other = None if self._partner is None or self._partner.link.released else self._partner.fault
+        if other is not None and other.code != CODES["partner"]:
+            raise UsageError(f"the other robot stopped both: {other}; recover it first", name="recover")
         fault = self.fault
         if not self.link.alive or (fault is not None and fault.code == CODES["unwatched"]):
             self.check()  # only a new connection helps
@@ -321,6 +332,7 @@ class Robot:
         Where none came for two periods the loop holds; after three (and 50 ms at least, for a period of 20 ms or
         less) it stops with the fault `stream_stopped`.
         """
+        self._require_open()
         feeder = self._feeder
         declared = [] if feeder is None else feeder.periods
         if feeder is None or not any(abs(period - one) <= 1e-9 for one in declared):
@@ -338,7 +350,7 @@ class Robot:
 
     def wait(self, duration: float) -> None:
         """Wait while the loop runs [s]; a fault is raised as soon as it is seen."""
-        until = time.monotonic() + duration
+        until = time.monotonic() + finite_scalar("duration", duration, unit="s", minimum=0.0)
         while True:
             self.check()
             remaining = until - time.monotonic()
@@ -348,12 +360,15 @@ class Robot:
 
     def check(self) -> None:
         """Raise what is latched, as RobotError; and what a source or a phase's reference raised."""
+        self._require_no_fault()
+        if self._feeder is not None and self._feeder.error is not None:
+            raise self._feeder.error
+
+    def _require_no_fault(self) -> None:
         fault = self.fault
         if fault is not None:
             acting = self.acting
             raise RobotError.of(fault, acting.run(self.info.name, self.arm, fault, acting.last_rows))
-        if self._feeder is not None and self._feeder.error is not None:
-            raise self._feeder.error
 
     def call(self, name: str, **arguments: Any) -> Any:
         """A function of the robot's driver, such as its collision thresholds; it runs between two ticks."""
@@ -502,7 +517,10 @@ class Robot:
         self, ctrl: Controller, ref: object, duration: float | None, *, sends: bool = True, over: float = BLEND
     ) -> None:
         """Let a controller act that fits this robot and is stable here."""
-        self.check()
+        self._require_no_fault()
+        finite_scalar("over", over, unit="s", minimum=0.0)
+        if duration is not None:
+            finite_scalar("duration", duration, unit="s", above=0.0)
         stops = self._stops
         with self._verbs:
             made, references = self._checked(ctrl, ref, duration, self.q, sends)
@@ -521,10 +539,7 @@ class Robot:
         if abs(ctrl.rate - self.rate) > 1e-6 * self.rate:
             rates = f"takes commands at {self.rate:g} Hz and the controller was compiled for {ctrl.rate:g} Hz"
             raise MatchError(f"{name} {rates}; taut.compile(..., rate=robot.rate)", name="rate")
-        load, mass = self.info.load, float(ctrl.arm.payload.mass)
-        if load is not None and "gravity" in self.info.adds and abs(load[0] - mass) > SAME_LOAD:
-            loads = f"compensates a load of {load[0]:g} kg and the controller's arm carries {mass:g} kg"
-            raise MatchError(f"{name} {loads}; {LOAD_HINT}", name="load")
+        self.require_load(float(ctrl.parameters["model.payload.mass"]))
         references = references_of(ctrl, ref, q, duration)
         made = self._holding if ctrl is self.holder else self._compiled(ctrl)
         if sends:
@@ -532,6 +547,13 @@ class Robot:
             made.safe.check_pose(q)
         require_stable(ctrl, self.plant, q)
         return made, references
+
+    def require_load(self, mass: float) -> None:
+        """MatchError for a payload's mass [kg] of a controller that is another one than the robot compensates."""
+        load = self.info.load
+        if load is not None and "gravity" in self.info.adds and abs(load[0] - mass) > SAME_LOAD:
+            loads = f"compensates a load of {load[0]:g} kg and the controller's arm carries {mass:g} kg"
+            raise MatchError(f"{self.info.name} {loads}; {LOAD_HINT}", name="load")
 
     def _compiled(self, ctrl: Controller) -> ServoSet:
         safe = SafeSide(

@@ -121,10 +121,7 @@ class CanMotors(Declared):
         if len({*self.ids}) < self.n or len(self.replies) < self.n:
             self.refuse("id", "and master_id must differ from motor to motor, as 1, 2, ... do", RangeError)
         if both := {*self.ids} & {reply for reply, _ in self.replies}:
-            taken = ", ".join(map(hex, sorted(both)))
-            self.refuse(
-                "id", f"and master_id must differ: the replies of a motor at {taken} command another", RangeError
-            )
+            self.refuse("id", f"and master_id must differ: replies at {min(both):#x} command a motor", RangeError)
         if self.data_bitrate is not None and not self.data_bitrate >= self.bitrate:
             self.refuse(
                 "data_bitrate", f"must be >= bitrate, {self.bitrate:g}; got {self.data_bitrate:g}", RangeError

@@ -112,7 +112,9 @@ class RobotDriver(ABC):
 
     @abstractmethod
     def read(self, measured: Mapping[str, Float64Array]) -> None:
-        """Write the newest state into the arrays q (n,) and each of `measures`, in place.
+        """Write the newest state into the arrays q (n,) and each of `measures`, in place: measured["q"][:] = q.
+
+        What was never written is NaN, and a fault.
 
         A robot that keeps time blocks until its next state; else the newest state that has arrived is taken, and one
         that stays away longer than the driver allows is a DriverError(kind="silent").

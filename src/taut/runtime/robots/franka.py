@@ -99,6 +99,7 @@ class FrankaDriver(RobotDriver):
         return RobotInfo(
             name=self._who, n=N, rate=1000.0, takes="torque", measures=("v", "tau_meas", "F_ext"),
             adds=("gravity", "friction"), paced_by="robot", silence=SILENCE, torque_rate=TORQUE_RATE,
+            delay=1e-3,  # a command acts from the next cycle on, as the vendor states
             load=(state.m_load, tuple(com.tolist())), facts=self._facts(),
         )  # fmt: skip
 
