@@ -154,8 +154,8 @@ def test_the_core_declares_what_it_imports() -> None:
 
 
 LIMITS = {  # the house as it is; a change that needs more says why in the commit that raises a number
-    "lines": (69_800, house.lines),
-    "lines of code": (48_500, house.code_lines),
+    "lines": (70_000, house.lines),
+    "lines of code": (48_650, house.code_lines),
     "modules": (309, lambda: len(house.modules())),
     "modules in one folder": (16, house.largest_folder),
     "modules with one importer": (35, lambda: len(house.slices())),

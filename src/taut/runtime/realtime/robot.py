@@ -171,7 +171,7 @@ class Robot:
     def _know(self, info: RobotInfo, arm: Arm) -> None:
         """Take what the robot is and carries, and hold accordingly."""
         self.info, self.arm, self.holder = info, arm, self._holders(info, arm)
-        torques = info.takes in ("torque", "mit")  # else drives as fast as the loop: slower ones bear less
+        torques = info.takes in ("torque", "mit")  # else drives as fast as the loop: slower ones allow less
         self.plant = RobotPlant(
             name=info.name, arm=arm, takes=info.takes, measures=frozenset(info.measures), adds=self.holder.adds,
             actuation=Actuation(delay=info.delay, bandwidth=None if torques else info.rate), gains=info.gains,

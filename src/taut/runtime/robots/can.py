@@ -51,7 +51,7 @@ ENABLE, DISABLE, CLEAR = (b"\xff" * 7 + bytes([last]) for last in (0xFC, 0xFD, 0
 READ_REGISTER, WRITE_REGISTER, REFRESH = 0x33, 0x55, 0xCC
 TIMEOUT_REGISTER, MODE_REGISTER = 9, 10
 TIMEOUT_UNIT: Final = 50e-6  # [s]
-PATIENCE: Final = 3.0  # [periods] of a motor, at least, that waits for a command
+LEAST_PERIODS: Final = 3.0  # [periods] of a motor, at least, that waits for a command
 MIT_MODE: Final = 1
 ENABLED: Final = 1
 CAUSES: Final = {
@@ -133,10 +133,10 @@ class CanMotors(Declared):
                 f"{1e3 * self.exchange:.3g} ms on this bus; got {self.control_rate:g} Hz, a bus load of "
                 f"{100.0 * self.bus_load:.0f} %", RangeError,
             )  # fmt: skip
-        if self.timeout * self.control_rate < PATIENCE:
+        if self.timeout * self.control_rate < LEAST_PERIODS:
             self.refuse(
                 "timeout",
-                f"must be >= {PATIENCE / self.control_rate:.3g} s, {PATIENCE:g} periods, or motors give up between "
+                f"must be >= {LEAST_PERIODS / self.control_rate:.3g} s, {LEAST_PERIODS:g} periods, or motors give up between "
                 f"commands; got {self.timeout:g}", RangeError,
             )  # fmt: skip
 
