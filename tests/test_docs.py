@@ -84,6 +84,7 @@ def test_the_examples_in_docstrings_give_what_they_say(
     assert result.failed == 0
 
 
+@pytest.mark.long
 def test_the_site_builds_without_warnings(tmp_path: Path) -> None:
     builder = "html" if WHOLE else "dummy"  # which reads and links all, and writes nothing
     sphinx = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going"]

@@ -80,6 +80,7 @@ def test_the_wheel_ships_what_it_reads_and_nothing_else(wheel: Path) -> None:
     assert any("LICENSE" in name for name in names)
 
 
+@pytest.mark.long
 def test_an_empty_environment_runs_an_arm_in_both_plants(python: Path, tmp_path: Path) -> None:
     code = """if True:
         import taut
@@ -99,6 +100,7 @@ def test_an_empty_environment_runs_an_arm_in_both_plants(python: Path, tmp_path:
     assert (tmp_path / "run.png").stat().st_size > 10_000
 
 
+@pytest.mark.long
 def test_its_command_runs_a_scenario_and_names_a_missing_extra(python: Path, tmp_path: Path) -> None:
     command = python.with_name("taut")
     assert "one_joint_pid" in execute(command, "scenarios", cwd=tmp_path)

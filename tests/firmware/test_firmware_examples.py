@@ -123,6 +123,7 @@ def circle(pose: np.ndarray, periods: np.ndarray, stop: int) -> list[taut.TaskMo
     return out
 
 
+@pytest.mark.long
 def test_a_torque_callback_of_libfranka(compilers: tuple[str, str], tmp_path: Path) -> None:
     ctrl = EXPORT["franka"]()
     folder = export(ctrl, tmp_path, "franka", "fr3")

@@ -24,7 +24,7 @@ from taut.cli.main import main
 from taut.record.log.reading import CHUNK_MARK, CHUNK_MARK_AT, intact_parts
 from taut.runtime.realtime.status import RobotError
 
-pytestmark = pytest.mark.xdist_group("records of a robot")
+pytestmark = pytest.mark.xdist_group("robots")
 
 
 class Recorded:

@@ -25,7 +25,7 @@ from taut.robots import CanMotors, DriverError, RobotError
 from taut.runtime.realtime import bringup
 from taut.runtime.robots.can import RANGES, CanDriver
 
-pytestmark = pytest.mark.xdist_group("can")
+pytestmark = pytest.mark.xdist_group("robots")
 WHEEL: Final = Path(__file__).parents[3] / ".wheels" / "damiao_motor-1.0.6-py3-none-any.whl"  # filled by set-up
 NAMES: Final = ("planar2", "seven")
 ERRORS: Final = {0x8: "overvoltage", 0x9: "undervoltage", 0xA: "overcurrent", 0xB: "MOSFETs", 0xC: "coils",

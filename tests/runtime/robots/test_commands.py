@@ -30,7 +30,7 @@ from taut.runtime.realtime.connect import hello_of
 from taut.scenarios.on_robot import robot_named
 from taut.scenarios.scenario import load_scenario
 
-pytestmark = pytest.mark.xdist_group("can")
+pytestmark = pytest.mark.xdist_group("robots")
 SOFT: Final = """
 [laws.soft]
 law = "GravityPID"
@@ -148,6 +148,7 @@ def once_it_acts(sim: CanArm, then: Callable[[], Any]) -> threading.Thread:
 
 
 class TestWhatIsRefusedBeforeAnythingIsSent:
+    @pytest.mark.part(1)
     @pytest.mark.parametrize(
         ("more", "limits", "words"),
         [
@@ -253,6 +254,7 @@ class TestAFault:
 
 
 class TestAnArmThatFalls:
+    @pytest.mark.part(1)
     @pytest.mark.parametrize("fault", [False, True])
     def test_is_held_until_it_is_supported(
         self, fault: bool, place: Place, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -29,7 +29,7 @@ pytest.importorskip("pylibfranka")
 from runtime.robots.franka_poisoned import PoisonedDriver
 from runtime.robots.franka_process import FrankaProcess, following, own_address
 
-pytestmark = pytest.mark.xdist_group("franka")  # one robot serves all
+pytestmark = pytest.mark.xdist_group("robots")  # one robot serves all
 # Of the joints of franky-sim's MuJoCo model, which the real robot compensates and the simulator does not.
 ROTORS = np.array([0.195, 0.195, 0.195, 0.195, 0.074, 0.074, 0.074])  # [kg m^2]
 STICTION = np.array([1.137, 1.137, 1.137, 1.137, 0.763, 0.44, 0.248])  # [N m]

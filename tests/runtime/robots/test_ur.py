@@ -24,7 +24,7 @@ from taut.base.errors import UsageError
 from taut.robots import DriverError, RobotError, RobotInfo
 from taut.runtime.robots.ur import UrDriver
 
-pytestmark = pytest.mark.xdist_group("ur")
+pytestmark = pytest.mark.xdist_group("robots")
 ADDRESS = "127.0.0.21"  # the client's ports are fixed
 PUSH = np.array([6.0, 4.0, -9.0, 1e-3, 2e-3, 3e-3])
 
