@@ -21,6 +21,7 @@ class FaultyDriver(RobotDriver):
         self.q, self.v = np.full(n, 0.5), np.zeros(n)
         self._fails: dict[str, str] = {}
         self._load = 0.0
+        self._grasped = 0.0  # [s]
 
     def _note(self, what: str) -> None:
         if self._log:

@@ -48,7 +48,7 @@ class MujocoRobot(RobotDriver):
         return RobotInfo(
             name=f"simulated {self.arm.name}", n=self.arm.n, rate=self.rate, takes="torque", adds=("gravity",),
             measures=("v", "tau_meas"), load=(float(self.known.payload.mass), (0.0, 0.0, 0.0)),
-            facts={"T_BE": T.tolist(), "q": self.arm.home.tolist(), "firmware": "test"},
+            facts={"T_BE": T.tolist(), "q": self.arm.home.tolist(), "firmware": "test", "m_ee": 0.5},
         )  # fmt: skip
 
     def _g(self, arm: taut.Arm, q: Any) -> Any:

@@ -64,6 +64,16 @@ def test_what_was_not_compared_stands_beside_passed() -> None:
     assert sticking.content().title.endswith("passed; not compared: signs of joint2")
 
 
+def test_a_robot_that_loses_its_periods_names_the_rule_and_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bringup, "MISSED", -0.01)  # no robot is that good
+    (step,) = brought_up("planar2").steps
+    assert not step.ok
+    assert "of 100 Hz" in step.found
+    assert "wired" in step.found
+    assert step.table is not None
+    assert ["mass of the end effector [kg]", 0.5] in step.table.rows
+
+
 def test_a_torque_of_the_wrong_sign_is_found_and_given_back() -> None:
     done = brought_up("gantry3", flipped=1)
     assert not done.passed

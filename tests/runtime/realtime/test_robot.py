@@ -336,6 +336,10 @@ class TestDriverFaults:
             robot.start(taut.compile(CT, ARM, rate=robot.rate, adds=robot.adds))
         robot.set_load(taut.Payload(mass=0.0))
 
+    def test_a_robot_without_a_gripper_is_named(self, calm: Robot) -> None:
+        with refused(DriverError):
+            calm.gripper.move(0.02)
+
 
 class TestProcess:
     """The loop's process is ended from outside within 100 ms; `make bars` asks for that figure."""

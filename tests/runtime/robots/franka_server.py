@@ -15,6 +15,7 @@ What it does that franky-sim does not, as libfranka's documentation states it:
 * forces above the collision thresholds: cartesian_reflex
 * each of them ends the motion: it brakes, Move is answered by kReflexAborted, the mode is Reflex, and further motions
   are rejected until automatic error recovery; up to then the last torque acts
+* the user stop in motion: it brakes, and Move is answered by kEmergencyAborted
 * other modes, another version of the interface, states that are not sent
 """
 
@@ -120,14 +121,16 @@ class Server(FrankaRobotServer):
 
     # What goes wrong.
 
-    def stop_with(self, error: str) -> None:
-        self.error, self.braking, self.orphan = error, True, False
+    def brake(self, status: MoveStatus) -> None:
+        self.braking, self.orphan = True, False
         if self.current_motion_id and self.tcp_connected:
-            BaseCommand.send_response(
-                self._tcp_socket, RobotCommand.kMove, self.current_motion_id, MoveStatus.kReflexAborted
-            )
+            BaseCommand.send_response(self._tcp_socket, RobotCommand.kMove, self.current_motion_id, status)
         self.stop_motion(send_preemption_signal=False)
         self.reset_current_motion_id()
+
+    def stop_with(self, error: str) -> None:
+        self.error = error
+        self.brake(MoveStatus.kReflexAborted)
         say("stopped", error=error, missed=self.missed, torque=self.torque.tolist(), q=list(self.arm.inner_state.q))
 
     def _reset_state(self) -> None:
@@ -188,12 +191,13 @@ class Server(FrankaRobotServer):
         if self.error is not None:
             flags = tuple(i == FLAGS[self.error] for i in range(41))
             new |= {"robot_mode": RobotMode.kReflex, "errors": flags, "reflex_reason": flags}
+        elif self.mode is not None:
+            new["robot_mode"] = self.mode
+        if self.error is not None or self.braking:
             new |= {
                 "controller_mode": StateControllerMode.kOther,
                 "motion_generator_mode": StateMotionGeneratorMode.kIdle,
             }
-        elif self.mode is not None:
-            new["robot_mode"] = self.mode
         for name, value in new.items():
             object.__setattr__(state, name, value)  # it is new, and replace() would take 50 us
         return state
@@ -253,6 +257,8 @@ class Server(FrankaRobotServer):
             self.thresholds = None
         elif name == "mode":
             self.mode = RobotMode[given[0]] if given[0] else None
+            if self.mode is RobotMode.kUserStopped and self.moving:
+                self.brake(MoveStatus.kEmergencyAborted)
         elif name == "version":
             self.version = given[0]
         elif name == "carry":

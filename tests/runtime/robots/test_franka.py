@@ -276,6 +276,9 @@ def test_the_gripper_moves_while_the_arm_is_controlled(rig: Rig, ctrl: taut.Cont
     assert found["succeeded"]
     assert abs(found["width"] - 0.06) < 2e-3  # it still creeps
     assert found["max_width"] == pytest.approx(0.08)
+    with refused(DriverError):
+        robot.gripper.move(0.086)
+    assert robot.gripper.move(0.084, speed=0.2)["succeeded"]  # a hand estimates its largest width
     robot.call("grasp", width=0.03, force=20.0, epsilon_inner=1e-9, epsilon_outer=1e-9)  # nothing is that exact
     while robot.gripper.status["busy"]:
         robot.wait(0.02)
@@ -283,13 +286,36 @@ def test_the_gripper_moves_while_the_arm_is_controlled(rig: Rig, ctrl: taut.Cont
     assert robot.status.state == "running"
 
 
-@pytest.mark.parametrize(
-    "given", [("sing", {}), ("grasp", {"width": 0.0}), ("look", {"deep": 1.0}), ("collision", {})]
+THRESHOLDS: dict[str, Any] = {
+    "lower_torque": [20.0] * 7, "upper_torque": [20.0] * 7, "lower_force": [20.0] * 6, "upper_force": [20.0] * 6,
+}  # fmt: skip
+WRONG: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("sing", {}),
+    ("grasp", {"width": 0.0}),
+    ("look", {"deep": 1.0}),
+    ("state", {"deep": 1.0}),
+    ("collision", {}),
+    ("move", {"width": -1.0}),
+    ("move", {"width": np.nan}),
+    ("move", {"width": "a"}),
+    ("move", {"width": 0.02, "speed": 0.0}),
+    ("grasp", {"width": 0.02, "force": -5.0}),
+    ("grasp", {"width": 0.02, "force": 5.0, "epsilon_inner": -1e-3}),
+    ("collision", {**THRESHOLDS, "lower_torque": [20.0] * 6}),
+    ("collision", {**THRESHOLDS, "upper_torque": [np.nan] * 7}),
+    ("collision", {**THRESHOLDS, "lower_force": [-1.0] * 6}),
+    ("collision", {**THRESHOLDS, "upper_force": "strong"}),
+    ("collision", {**THRESHOLDS, "lower_force": [20.0, 20.0, 30.0, 20.0, 20.0, 20.0]}),
 )
-def test_a_function_that_it_does_not_have_or_wrong_arguments(rig: Rig, given: tuple[str, dict[str, float]]) -> None:
-    with refused(DriverError) as error:
-        rig.robot.call(given[0], **given[1])
-    assert error.value.kind == "rejected"
+
+
+def test_a_function_that_it_does_not_have_or_wrong_arguments(rig: Rig) -> None:
+    rig.reset()
+    for name, arguments in WRONG:
+        with refused(DriverError) as error:
+            rig.robot.call(name, **arguments)
+        assert error.value.kind == "rejected"
+    assert rig.look()["thresholds"] is None
 
 
 # Faults in a motion, and how it goes on.
@@ -312,7 +338,30 @@ def test_a_collision_ends_the_motion_until_it_is_cleared(rig: Rig, ctrl: taut.Co
     assert robot.call("state")["errors"] == '["cartesian_reflex"]'
     with pytest.raises(RobotError):
         robot.start(ctrl)
+    robot.recover()
+    with refused(DriverError):  # while it is pushed
+        robot.start(ctrl)
     rig.order("push", *[0.0] * 6)
+    assert goes_on(robot, ctrl)
+
+
+@pytest.mark.parametrize("mode", ["kUserStopped", "kOther"])
+@steady
+def test_a_mode_that_ends_a_motion(rig: Rig, ctrl: taut.Controller, mode: str) -> None:
+    """The user stop, which the client names, and a mode that comes without a word."""
+    robot = rig.robot
+    robot.start(ctrl)
+    robot.wait(0.1)
+    rig.order("mode", mode)
+    fault = fault_within(robot, 1.0)
+    assert fault.name == "robot_error"
+    assert "release the user stop" in fault.message
+    assert robot.call("state")  # it answers: no end of a motion is awaited that has ended
+    if mode == "kUserStopped":
+        with refused(DriverError):
+            robot.recover()
+    rig.order("mode", None)
+    rig.look()
     assert goes_on(robot, ctrl)
 
 
@@ -458,6 +507,7 @@ def test_what_is_lost_ends_the_motion(rig: Rig, ctrl: taut.Controller, loss: str
         assert stopped["time"] - begun < 0.5
     fault = fault_within(robot, 2.0)
     assert time.monotonic() - begun < 0.5  # the client alone would take 1 s; make soak asks for 0.1 s
+    assert "connect again" in fault.message
     # A loop that is stopped while it waits for the robot looks like a robot that is silent.
     names = {"loop_stopped": ("silent", "watchdog"), "loop_killed": ("process_died",)}
     assert fault.name in names.get(loss, ("silent",))

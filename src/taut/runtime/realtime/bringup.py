@@ -35,6 +35,7 @@ from taut.trace import math as tm
 
 READ: Final = 2.0  # [s] in which a robot is only read
 SHADOW: Final = 1.0  # [s] in which a law runs and nothing is sent
+NAMES: Final = {"m_ee": "mass of the end effector [kg]"}  # of facts that have a unit
 MISSED: Final = 0.05  # [-] of the periods that may be missed, and by which the rate may be off
 SAME_PLACE: Final = 1e-3  # [m], [rad] between the tool that the robot reports and a frame of the arm
 PUSH: Final = 0.5  # [N m | N] largest torque beside gravity in the test of signs
@@ -209,18 +210,22 @@ def _read(robot: Robot) -> Step:
         ["std of v, largest", float(run.v[last].std(axis=0).max())],
     ]
     known = {name: value for name, value in robot.info.facts.items() if isinstance(value, str | float | int)}
-    rows += [[name.replace("_", " "), value] for name, value in known.items()]
+    rows += [[NAMES.get(name, name.replace("_", " ")), value] for name, value in known.items()]
     outside = [
         name for name, q, low, high in zip(arm.joint_names, run.q[-1], arm.lower, arm.upper, strict=True)
         if not low <= q <= high
     ]  # fmt: skip
     found = f"{rate:.1f} states a second, {lost} of {round(READ * robot.rate)} missed"
+    few = abs(rate / robot.rate - 1.0) <= MISSED and lost <= MISSED * READ * robot.rate
+    if not few:
+        bound = f"{100 * MISSED:g} %"
+        found += f"; the rate must be within {bound} of {robot.rate:g} Hz, and at most {bound} may be missed: "
+        found += "take a quieter machine, a wired connection, a real-time kernel"
     if outside:
         found += f"; outside the arm's limits: {', '.join(outside)}"
     errors = robot.info.facts.get("errors")
     if errors:
         found += f"; the robot reports {errors}: clear it, as by robot.recover(), and begin again"
-    few = abs(rate / robot.rate - 1.0) <= MISSED and lost <= MISSED * READ * robot.rate
     ok = few and not (outside or errors)
     return Step(name="states", found=found, ok=ok, table=Table(columns=["state", "value"], rows=rows))
 

@@ -123,9 +123,15 @@ class Gripper:
     @property
     def status(self) -> dict[str, Any]:
         """What it does now, by the driver's words: `busy`, `error`, `width` [m]."""
-        return dict(self._robot.call("gripper"))
+        try:
+            return dict(self._robot.call("gripper"))
+        except DriverError as error:
+            if error.kind != "rejected":
+                raise
+            raise DriverError(f"{self._robot.info.name} has no gripper: {error}", kind="rejected") from error
 
     def _ended(self, name: str, **arguments: float) -> dict[str, Any]:
+        _ = self.status  # raises where there is no gripper
         self._robot.call(name, **arguments)
         while (status := self.status).get("busy"):
             self._robot.wait(LOOK)

@@ -8,13 +8,15 @@ import re
 import select
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from taut.base.errors import missing_extra
+from taut.base.checks import finite_array, finite_scalar
+from taut.base.errors import TautError, missing_extra
 from taut.base.types import Float64Array
 from taut.runtime.robots.driver import DriverError, RobotDriver, RobotInfo
 
@@ -30,8 +32,21 @@ FUNCTIONS: Final[Mapping[str, tuple[str, ...]]] = {
     "move": ("width", "speed"),
     "homing": (),
     "look": (),
+    "gripper": (),
+    "state": (),
 }
-"""What is called, with its arguments in the client's order [N m, N; m, m/s, N]; the last four by the gripper."""
+"""What is called, with its arguments in the client's order."""
+CHECKS: Final[Mapping[str, Callable[[str, Any], Any]]] = {
+    "lower_torque": partial(finite_array, shape=(N,), unit="N m", above=0.0),
+    "upper_torque": partial(finite_array, shape=(N,), unit="N m", above=0.0),
+    "lower_force": partial(finite_array, shape=(6,), unit="N | N m", above=0.0),
+    "upper_force": partial(finite_array, shape=(6,), unit="N | N m", above=0.0),
+    "width": partial(finite_scalar, unit="m", minimum=0.0),
+    "speed": partial(finite_scalar, unit="m/s", above=0.0),
+    "force": partial(finite_scalar, unit="N", above=0.0),
+    "epsilon_inner": partial(finite_scalar, unit="m", minimum=0.0),
+    "epsilon_outer": partial(finite_scalar, unit="m", minimum=0.0),
+}
 DEFAULTS: Final[Mapping[str, float]] = {"speed": 0.05, "epsilon_inner": 0.005, "epsilon_outer": 0.005}
 WRONG_MODE: Final[Mapping[str, str]] = {
     "Move": "end the other motion first",
@@ -48,6 +63,7 @@ NETWORK: Final[tuple[tuple[str, str, str], ...]] = (
     ("", "disconnected", "the connection is lost"),
 )
 """What the client says of the network: part of its text, the kind of fault, what it means."""
+REMEDIES: Final = {"aborted by reflex": "free the arm, then robot.recover()", "user stop": "release the user stop"}
 
 
 class FrankaDriver(RobotDriver):
@@ -107,6 +123,8 @@ class FrankaDriver(RobotDriver):
         try:
             state = self._robot.read_once() if self._control is None else self._control.readOnce()[0]
         except Exception as error:
+            if type(error).__name__ == "ControlException":
+                self._control = None  # the motion has ended; the client would wait without end for that again
             raise self._error(type(error).__name__, str(error)) from error
         self._state = state
         measured["q"][:] = state.q
@@ -157,18 +175,15 @@ class FrankaDriver(RobotDriver):
 
     def call(self, name: str, arguments: Mapping[str, Any]) -> Any:
         assert self._beside is not None
+        if name not in FUNCTIONS:
+            return super().call(name, arguments)
+        values = _checked(name, arguments)
         if name == "state":
             self._state = self._state if self._control is not None else self._asked(self._robot.read_once)
             return self._facts()
         if name == "gripper":
             found = self._beside.look()
             return found | {"error": str(self._error(*found["error"]))} if found.get("error") else found
-        if name not in FUNCTIONS:
-            return super().call(name, arguments)
-        given, names = {**DEFAULTS, **arguments}, FUNCTIONS[name]
-        if not set(arguments) <= set(names) <= set(given):
-            raise DriverError(f"{name} takes {', '.join(names) or 'nothing'}; got {list(arguments)}", kind="rejected")
-        values = [given[one] for one in names]
         if name == "collision":
             self._require_rest(name)
             return self._asked(self._robot.set_collision_behavior, *values)
@@ -203,9 +218,12 @@ class FrankaDriver(RobotDriver):
             fault, words = next(row[1:] for row in NETWORK if row[0] in text)
             found = f"{self._who}: {words} ({text})", fault
         elif flags:
-            found = f"{self._who} stopped by itself: {flags[1].replace(chr(34), '')}", "robot_error"
+            named = flags[1].replace('"', "")
+            cause = f": {named}" if named else " and named no cause; release the user stop if it is pressed"
+            found = f"{self._who} stopped by itself{cause}", "robot_error"
         else:
-            found = f"{self._who}: {text}", "robot_error" if kind == "ControlException" else "rejected"
+            remedy = "".join(f"; {words}" for part, words in REMEDIES.items() if part in text.lower())
+            found = f"{self._who}: {text}{remedy}", "robot_error" if kind == "ControlException" else "rejected"
         return DriverError(found[0], kind=found[1])
 
     def _require_rest(self, name: str) -> None:
@@ -268,6 +286,27 @@ class Beside:
         """End it."""
         self._process.kill()
         self._process.communicate()
+
+
+def _checked(name: str, arguments: Mapping[str, Any]) -> list[Any]:
+    """Arguments of a function in the client's order; DriverError names one that is missing, unknown or wrong."""
+    given, names = {**DEFAULTS, **arguments}, FUNCTIONS[name]
+    wrong = [f"{one} is missing" for one in names if one not in given]
+    wrong += [f"{one} is unknown" for one in arguments if one not in names]
+    if wrong:
+        raise DriverError(f"{name} takes {', '.join(names) or 'nothing'}; {', '.join(wrong)}", kind="rejected")
+    try:
+        values = [CHECKS[one](one, given[one]) for one in names]
+    except TautError as cause:
+        raise DriverError(str(cause), kind="rejected") from cause
+    if name == "collision":
+        for k in (0, 2):
+            low, high = values[k : k + 2]
+            i = int(np.argmax(low - high))
+            if low[i] > high[i]:
+                rule = f"{names[k]}[{i}] must be <= {names[k + 1]}[{i}], {high[i]:g}"
+                raise DriverError(f"{rule}; got {low[i]:g}", kind="rejected")
+    return values
 
 
 def _pose(columns: list[float]) -> Float64Array:

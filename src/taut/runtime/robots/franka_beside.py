@@ -15,6 +15,7 @@ import sys
 from importlib import import_module
 from typing import Any
 
+WIDTH_TOLERANCE = 5e-3  # [m] by which a width may exceed the largest one: homing only estimates it
 END_WITH_PARENT = 1, 9  # prctl(PR_SET_PDEATHSIG, SIGKILL)
 
 
@@ -34,6 +35,10 @@ def main(address: str) -> None:
                     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
             else:
                 gripper = gripper or client.Gripper(address)
+                largest = gripper.read_once().max_width
+                if name in ("move", "grasp") and arguments[0] > largest + WIDTH_TOLERANCE:
+                    rule = f"width must be <= {largest:g} m, the gripper's max_width, which homing finds"
+                    raise ValueError(f"{rule}; got {arguments[0]:g}")
                 answer["succeeded"] = name == "look" or getattr(gripper, name)(*arguments)
                 state = gripper.read_once()
                 answer |= {key: getattr(state, key) for key in ("width", "max_width", "is_grasped", "temperature")}
