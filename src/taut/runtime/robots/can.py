@@ -136,8 +136,8 @@ class CanMotors(Declared):
         if self.timeout * self.control_rate < LEAST_PERIODS:
             self.refuse(
                 "timeout",
-                f"must be >= {LEAST_PERIODS / self.control_rate:.3g} s, {LEAST_PERIODS:g} periods, or motors give up between "
-                f"commands; got {self.timeout:g}", RangeError,
+                f"must be >= {LEAST_PERIODS / self.control_rate:.3g} s, {LEAST_PERIODS:g} periods, or motors give up "
+                f"between commands; got {self.timeout:g}", RangeError,
             )  # fmt: skip
 
     @property
