@@ -22,6 +22,8 @@ from taut.record.metrics import METRICS
 
 gc.set_threshold(100_000, 20, 50)  # traces make many objects and few circles: a twentieth of the time goes otherwise
 WHOLE = bool(os.environ.get("TAUT_BARS"))  # `make bars`
+SLOW = Path(__file__).with_name("slow.txt")  # tests that take 0.6 s or more, where two run on two cores of 2026
+DRAWN = 256 // 5  # of 256: a fifth of them, drawn by their names, runs in `make test`
 BAR = "bar: "  # begins the names of properties that stand in the table of `make bars`
 
 Bar = Callable[[str, object], None]
@@ -72,10 +74,13 @@ def bar(record_property: Callable[[str, object], None]) -> Bar:
 
 @pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    left = set(left_out(items))
+    left, slow = set(left_out(items)), set(SLOW.read_text(encoding="utf-8").split())
     for item in items:
         if "share" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.bars)
+        name = item.nodeid.removeprefix("tests/").partition("[")[0]
+        if name in slow and hashlib.sha256(name.encode()).digest()[0] >= DRAWN:
+            item.add_marker(pytest.mark.long)
         if not WHOLE and (item.get_closest_marker("long") or item in left):
             item.add_marker(pytest.mark.skip(reason="make bars runs it"))
 

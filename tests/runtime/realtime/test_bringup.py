@@ -53,6 +53,7 @@ def test_a_robot_that_is_its_model_passes_and_is_where_it_was_sent() -> None:
     assert done.json()["faults"] == []
 
 
+@pytest.mark.long
 def test_what_was_not_compared_stands_beside_passed() -> None:
     """Joints that stick in dry friction beside one that does not; with nothing missing, only that it passed."""
     whole, sticking = brought_up("planar2"), brought_up("planar2", friction=[0.0, 1.0])

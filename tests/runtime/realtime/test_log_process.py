@@ -159,6 +159,7 @@ def test_each_stretch_of_ticks_that_went_out_is_a_file_without_gaps(loop: Loop) 
 
 
 @pytest.mark.part(1)
+@pytest.mark.long
 def test_a_killed_log_process_loses_nothing(loop: Loop, share: Callable[[int], int], bar: Any) -> None:
     """What is in files right after each kill, and in the end."""
     kills, behind = 160 if share(160) == 160 else 8, list[int]()

@@ -421,6 +421,7 @@ class TestProcess:
         assert max(abs(float(v)) for v in lines[1][1:]) < 0.02  # it stood when control ended
 
     @pytest.mark.parametrize("ending", ["with", "no with", "command line"])
+    @pytest.mark.part(1)
     def test_more_than_one_ctrl_c_does_not_keep_the_arm_from_its_stop(
         self, ending: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -499,6 +500,7 @@ class TestProcess:
             assert found.value.fault.name == "partner"
 
 
+@pytest.mark.long
 def test_a_slow_robot_is_not_taken_for_a_dead_one(tmp_path: Path) -> None:
     """And has one log, though its ticks are further apart than the looks of the log process."""
     with taut.connect(taut.RigidPlant(ARM), limits=limits(), rate=8.0, log=tmp_path) as robot:
@@ -717,6 +719,7 @@ class TestMisuse:
 
 @pytest.mark.parametrize("name", ["planar2", "panda", "ur10", "kinova", "xarm7"])
 @pytest.mark.parametrize("rate", [500.0, 1000.0])
+@pytest.mark.part(2)
 def test_a_robot_is_judged_as_it_moves_under_a_torque_that_is_held(name: str, rate: float) -> None:
     """e'' + kd e' + kp e = 0 with a torque held for dt is stable for kp < 2 kd / dt, kd < 2 / dt."""
     arm = taut.load_arm(name).with_friction(taut.Friction())

@@ -734,6 +734,7 @@ class TestTheLoop:
         sim(rules=[])
 
 
+@pytest.mark.long
 def test_every_tick_of_the_loop_on_the_bus_is_computed_again_from_its_log(
     arms: dict[str, CanArm], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -841,6 +842,7 @@ def test_motors_hold_with_the_torque_of_several_ticks(arms: dict[str, CanArm]) -
     assert max(off) < 0.15
 
 
+@pytest.mark.long
 def test_half_a_step_halves_the_steady_state_error(arms: dict[str, CanArm]) -> None:
     """Of computed torque on the seven joints, which gravity pulls at: values as motors cut them off, and their middles."""
     errors = {}
@@ -861,6 +863,7 @@ def test_half_a_step_halves_the_steady_state_error(arms: dict[str, CanArm]) -> N
     assert errors[0.0] == pytest.approx(0.9e-3, abs=0.2e-3)
 
 
+@pytest.mark.long
 def test_a_robot_file_is_brought_up_and_runs_a_scenario(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -232,6 +232,7 @@ class TestAFault:
         assert "undervoltage" in said[2]
         assert len(said) == 4  # and the file of metrics
 
+    @pytest.mark.long
     def test_in_the_motion_to_the_start_leaves_what_ran_before(
         self, place: Place, capsys: pytest.CaptureFixture[str]
     ) -> None:
@@ -267,6 +268,7 @@ class TestAnArmThatFalls:
         assert capsys.readouterr().err.count("is it supported? [y/N]") == 3
         assert place.sim()["status"] == [0, 0]
 
+    @pytest.mark.long
     def test_is_let_go_without_a_question_where_its_motors_are_off(
         self, place: Place, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
     ) -> None:
@@ -328,6 +330,7 @@ def test_ctrl_c_stops_the_arm_names_the_log_and_asks_for_a_support(place: Place,
     assert run.extra["safe.mode"][-1] == 0.0  # the controlled stop
 
 
+@pytest.mark.long
 def test_a_bring_up_has_the_values_and_the_law_of_the_run_that_asks_for_it(
     place: Place, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -360,6 +363,7 @@ def test_a_law_of_torques_of_a_users_own_acts_by_the_host_on_motors(
     assert not run.extra["mit"][:, 2:4].any()  # kp and kd of the motors
 
 
+@pytest.mark.long
 def test_a_rate_that_is_not_the_robots_is_named(place: Place, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(place.run("--yes", "--set", "run.duration=0.1")) == 0
     said = capsys.readouterr()

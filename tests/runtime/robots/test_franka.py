@@ -482,6 +482,7 @@ def test_an_arm_on_a_wall_gets_no_wrench_in_the_axes_of_its_base(rig: Rig, arm: 
         taut.connect(f"franka://{rig.address}", arm.mounted(taut.Pose([0.0, 0.0, 1.0], R=R)))
 
 
+@pytest.mark.long
 def test_what_the_page_shows_runs(rig: Rig, capsys: pytest.CaptureFixture[str]) -> None:
     rig.leave()
     page = (Path(__file__).parents[3] / "docs" / "franka.md").read_text(encoding="utf-8")

@@ -361,6 +361,7 @@ def test_what_strangers_send_does_not_keep_the_arm_from_braking() -> None:
         assert HEAD.unpack_from(sock.recv(2048))[-1] == 2  # stopped
 
 
+@pytest.mark.long
 def test_a_scenario_runs_on_a_robot_whose_bring_up_has_passed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
