@@ -23,7 +23,7 @@ from taut.record.metrics import METRICS
 gc.set_threshold(100_000, 20, 50)  # traces make many objects and few circles: a twentieth of the time goes otherwise
 WHOLE = bool(os.environ.get("TAUT_BARS"))  # `make bars`
 SLOW = Path(__file__).with_name("slow.txt")  # tests that take 0.6 s or more, where two run on two cores of 2026
-DRAWN = 256 // 5  # of 256: a fifth of them, drawn by their names, runs in `make test`
+DRAWN = 256 // 8  # of 256: an eighth of them, drawn by their names, runs in `make test`
 BAR = "bar: "  # begins the names of properties that stand in the table of `make bars`
 
 Bar = Callable[[str, object], None]

@@ -96,7 +96,7 @@ CASES: dict[str, tuple[Any, str, dict[str, Any], str]] = {
 }  # fmt: skip
 
 
-@pytest.mark.part(4)
+@pytest.mark.part(1)
 @pytest.mark.parametrize("real", ["double", "float"])
 @pytest.mark.parametrize("case", CASES)
 def test_each_thread_has_the_bits_of_a_lane(case: str, real: Any, driver: Driver) -> None:

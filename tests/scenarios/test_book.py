@@ -52,6 +52,7 @@ def allowed(each: Row) -> float:
     return max(0.03 * abs(each.expected), 0.01 if each.expected == 0.0 else 0.0, 1e-11)
 
 
+@pytest.mark.long
 class TestTheWhole:
     def test_every_number_is_what_is_expected(self, book: list[Page]) -> None:
         missed = [f"{page.entry.id}: {each}" for page in book for each in page.rows if not each.ok]
@@ -102,6 +103,7 @@ def rk4(torque: Callable[..., float], q0: float, duration: float, steps: int = 4
     return np.array(out)
 
 
+@pytest.mark.long
 class TestOneJoint:
     def test_the_gains_of_figure_10_6_are_critically_damped(self, book: list[Page]) -> None:
         assert computed(book, "eq-10.9", "critical damping") == pytest.approx(2.205, rel=1e-12)
@@ -260,6 +262,7 @@ def model() -> tuple[pin.Model, pin.Data, int]:
     return made, made.createData(), frame
 
 
+@pytest.mark.long
 class TestThePanda:
     def test_torques_of_joint_laws(self, book: list[Page], model: tuple[pin.Model, pin.Data, int]) -> None:
         m, data, _ = model
@@ -342,6 +345,7 @@ class TestThePanda:
         assert computed(book, "sec-10.6", "imaginary part") == pytest.approx(two.poles()[0].imag, rel=1e-3)
 
 
+@pytest.mark.long
 class TestTheEnvironment:
     def test_motion_control_is_stiff_and_force_control_soft(self, book: list[Page]) -> None:
         for f in (0.5, 5.0):
