@@ -54,7 +54,7 @@ class Paced(RobotDriver):
     def read(self, measured: Mapping[str, Any]) -> None:
         self.next = max(self.next + 1_000_000, time.monotonic_ns())
         time.sleep(max(0.0, 1e-9 * (self.next - time.monotonic_ns())))
-        measured["q"][:] = self.q
+        measured["q"][:], measured["v"][:] = self.q, 0.0
 
     def write(self, command: Any) -> None: ...
     def begin(self) -> None: ...

@@ -38,7 +38,7 @@ from taut.runtime.realtime.ring import Ring
 from taut.runtime.realtime.shared import Shared
 from taut.runtime.robots.driver import DriverError, NativeCalls, RobotDriver, RobotInfo
 
-WATCHDOG: Final = (0.08, 3.0)  # [s], [periods] without a tick: after the longer one the process is ended, 5 ms later
+WATCHDOG: Final = (0.07, 3.0)  # [s], [periods] without a tick: after the longer one the process is ended, 5 ms later
 PRIORITY: Final = 80  # of SCHED_FIFO
 WARM_UP: Final = 200  # ticks of a set before it may act
 LEAD: Final = (1e-4, 0.1)  # [s], [periods] before a deadline at which the loop wakes, the shorter; a tenth of a core
