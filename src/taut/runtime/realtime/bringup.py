@@ -209,7 +209,8 @@ def _read(robot: Robot) -> Step:
         ["std of q, largest [rad | m]", float(run.q[last].std(axis=0).max())],
         ["std of v, largest", float(run.v[last].std(axis=0).max())],
     ]
-    known = {name: value for name, value in robot.info.facts.items() if isinstance(value, str | float | int)}
+    facts = robot.info.facts.items()
+    known = {name: value for name, value in facts if value != "" and isinstance(value, str | float | int)}
     rows += [[NAMES.get(name, name.replace("_", " ")), value] for name, value in known.items()]
     outside = [
         name for name, q, low, high in zip(arm.joint_names, run.q[-1], arm.lower, arm.upper, strict=True)
