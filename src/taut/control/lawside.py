@@ -261,12 +261,12 @@ class LawSide:
             {"law": self.law} if self.task is None else {f"law.{name}": law for name, law in self.task.laws.items()}
         )
         for path, one in laws.items():
-            law = one.bound(subtree(parameters, path))
-            ref = law.at_rest(x)
             with contextlib.suppress(NumericalError):  # of a phase that begins elsewhere
+                law = one.bound(subtree(parameters, path))
+                ref = law.at_rest(x)
                 command, _ = call(law, x, ref, law.initial_memory(x, ref), self.dt)
-                for name, limit in zip(("kp", "kd"), most, strict=True):
-                    gains = np.asarray(getattr(command, name)) if isinstance(command, MitCommand) else np.zeros(1)
+                for name, limit in zip(("kp", "kd"), most, strict=True) if isinstance(command, MitCommand) else ():
+                    gains = np.asarray(getattr(command, name))
                     if gains.max() > limit:
                         joint, gain = self.arm.joint_names[int(gains.argmax())], float(gains.max())
                         rule = f"must be at most {limit:g}, what its motor takes"

@@ -288,6 +288,13 @@ class TestDriverFaults:
         robot.wait(0.01)
         robot.stop()
 
+    def test_a_payload_that_the_robot_does_not_compensate_is_refused_while_it_runs(self) -> None:
+        options = {"load": (0.0, (0.0, 0.0, 0.0))}
+        with patient(taut.connect(FaultyDriver, ARM, limits=limits(), address="here", options=options)) as robot:
+            robot.start(compiled(robot))
+            with refused(taut.errors.MatchError):
+                robot.parameters.update({"model.payload.mass": 2.0})
+
     def test_an_end_that_fails_is_raised_by_the_stop(self, driven: tuple[Robot, Path]) -> None:
         robot, _ = driven
         robot.start(compiled(robot))
@@ -491,6 +498,13 @@ class TestProcess:
                 other.recover()
             robot.recover()
             other.recover()
+            for one in (robot, other):  # each with a fault of its own: either may come first
+                one.start(compiled(one))
+                one.call("fail", read="robot_error")
+                with pytest.raises(RobotError):
+                    one.wait(2.0)
+            robot.recover()
+            other.recover()
             other.start(compiled(other))
             robot.start(compiled(robot))
             robot.wait(0.02)
@@ -547,6 +561,9 @@ class TestMisuse:
                 taut.connect(FaultyDriver, ARM, address="here", options=options)
         with refused(taut.TautError):
             taut.connect("udp://127.0.0.1:4000", ARM, options={"speed": 1.0})
+        for wrong in ({"options": {"speed": lambda: 0.0}}, {"options": [1]}, {"rate": 500.0}, {"together": "here"}):
+            with pytest.raises(taut.errors.UsageError, match=next(iter(wrong))):
+                taut.connect("udp://127.0.0.1:4000", ARM, **wrong)  # type: ignore[arg-type]
 
     def test_of_limits(self, calm: Robot) -> None:
         S = taut.SafetyLimits

@@ -653,6 +653,16 @@ def test_a_wrist_buzzes_beyond_the_limit_that_is_computed_and_not_with_its_gains
 
 
 class TestTheLoop:
+    def test_holds_under_a_threshold_of_contact_by_the_motors_own_torques(self, arms: dict[str, CanArm]) -> None:
+        sim = arms["planar2"]
+        sim(reset=True, rules=[])
+        limits = taut.SafetyLimits.of(sim.arm, missed=250.0, contact=3.0)
+        motors = can_arm.motors("planar2", rate=500.0, missed=250)
+        with taut.connect(f"can://{sim.channel}", sim.arm, motors=motors, limits=limits) as robot:
+            robot.hold()
+            robot.wait(0.5)  # motors that are enabled carry no gravity for some milliseconds
+            assert 0.0 < np.abs(robot.run().extra["memory.sensing.observer.tau_ext"][-1]).max() < 0.2
+
     def test_holds_moves_stops_and_recovers(self, arms: dict[str, CanArm]) -> None:
         sim = arms["planar2"]
         sim(reset=True, rules=[])

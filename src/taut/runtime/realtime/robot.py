@@ -161,9 +161,8 @@ class Robot:
         self, link: Link, info: RobotInfo, arm: Arm, limits: SafetyLimits,
         holders: Callable[[RobotInfo, Arm], Controller], log: LogProcess | None = None, partner: Robot | None = None,
     ) -> None:  # fmt: skip
-        self._partner = partner
-        if partner is not None:
-            partner._partner = self
+        self._together: weakref.WeakSet[Robot] = weakref.WeakSet() if partner is None else partner._together
+        self._together.add(self)
         self.link, self.limits, self._holders, self._log = link, limits, holders, log
         self.parameters: RobotParameters
         """Parameters of the law that acts, by path; settable while it runs."""
@@ -268,8 +267,8 @@ class Robot:
         ref: Any = JointMotion(q=there)
         if np.abs(there - here).max() > THERE:
             ref = Trapezoidal(q0=here, q1=there, velocity=v_max, acceleration=2.0 * v_max)
-        self.start(self.holder, ref)
-        ours, stops = self._number, self._stops
+        stops = self._stops
+        ours = self._begin(self.holder, ref, None)
         arrives = time.monotonic() + float(getattr(ref, "duration", 0.0))
         while (apart := np.abs(self.q - there)).max() > THERE or time.monotonic() < arrives:
             if (ours, stops) != (self._number, self._stops):
@@ -318,10 +317,12 @@ class Robot:
             RobotError: The loop has the cause again at once, or its process is gone.
         """
         self._require_open()
-        other = None if self._partner is None or self._partner.link.released else self._partner.fault
-        if other is not None and other.code != CODES["partner"]:
-            raise UsageError(f"the other robot stopped both: {other}; recover it first", name="recover")
-        fault = self.fault
+        fault, partner = self.fault, CODES["partner"]
+        for other in self._together if fault is not None and fault.code == partner else ():
+            cause = None if other is self or other.link.released else other.fault
+            if cause is not None and cause.code != partner:
+                who = other.info.name
+                raise UsageError(f"{who} stopped both: {cause}; recover it first, or close it", name="recover")
         if not self.link.alive or (fault is not None and fault.code == CODES["unwatched"]):
             self.check()  # only a new connection helps
         self._stand()
@@ -521,8 +522,8 @@ class Robot:
 
     def _begin(
         self, ctrl: Controller, ref: object, duration: float | None, *, sends: bool = True, over: float = BLEND
-    ) -> None:
-        """Let a controller act that fits this robot and is stable here."""
+    ) -> int:
+        """Let a controller act that fits this robot and is stable here; its number."""
         self._require_no_fault()
         finite_scalar("over", over, unit="s", minimum=0.0)
         if duration is not None:
@@ -534,6 +535,7 @@ class Robot:
                 raise UsageError("the robot was stopped while it started", name="start")
             self.link.set_word("hold", 0)
             self._act(ctrl, made, references, begins=True, sends=sends, controls=sends, over=over)
+            return self._number
 
     def _checked(
         self, ctrl: Controller, ref: object, duration: float | None, q: Float64Array, sends: bool

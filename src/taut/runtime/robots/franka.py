@@ -115,7 +115,7 @@ class FrankaDriver(RobotDriver):
         return RobotInfo(
             name=self._who, n=N, rate=1000.0, takes="torque", measures=("v", "tau_meas", "F_ext"),
             adds=("gravity", "friction"), paced_by="robot", silence=SILENCE, torque_rate=TORQUE_RATE,
-            delay=1e-3,  # a command acts from the next cycle on, as the vendor states
+            delay=1e-3,  # assumed, on the safe side: a command acts from the next cycle on
             load=(state.m_load, tuple(com.tolist())), facts=self._facts(),
         )  # fmt: skip
 

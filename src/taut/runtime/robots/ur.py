@@ -73,7 +73,7 @@ class UrDriver(RobotDriver):
             name=f"UR at {self._address}", n=6, rate=self._rate, takes=self._command,  # type: ignore[arg-type]
             measures=("v", "F_ext"), adds=("gravity",) if self._command == "torque" else (), paced_by="robot",
             load=(receive.getPayload(), tuple(receive.getPayloadCog())) if known else None,
-            silence=1.0 / WATCHDOG_RATE, delay=1.0 / self._rate,  # a command acts in its next cycle, at the earliest
+            silence=1.0 / WATCHDOG_RATE, delay=1.0 / self._rate,  # assumed: a command acts in its next cycle
             facts={"T_BE": _pose(receive.getActualTCPPose()).tolist(), "version": text},
         )  # fmt: skip
 
